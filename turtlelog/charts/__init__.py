@@ -1,6 +1,6 @@
-"""What a picture shows: its curves, levels, marks, colours and words. No room draws here.
+"""The content of pictures: curves, levels, marks, colours and words. Nothing is drawn here.
 
-The names stand in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

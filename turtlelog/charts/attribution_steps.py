@@ -1,4 +1,4 @@
-"""Waterfalls: an attribution, or the difference of two runs, as steps from one value to another."""
+"""Waterfalls: an attribution, or the difference of two runs, as steps between two values."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -30,14 +30,15 @@ class AttributionStep:
     """A bar of the waterfall, with its words.
 
     Attributes:
-        kind: `total` for the logged value, `contribution` for what takes it down (or up), `left`
-            for what remains without all.
-        cause: Its name; empty for total, left, and a step that no cause makes.
-        start: Where the bar begins, in the metric's unit: 0, or the end of the step before.
-        end: Where it ends.
-        name: What stands beside it, in a word or two.
-        text: Its size in words, with its part of the logged value.
-        color: The total has that of the run, what is left that of the ghost without all.
+        kind: `total` for the logged value, `contribution` for a step down or up, `left` for the
+            remainder without all causes.
+        cause: Name of the cause; empty for total, left, and a step without a cause.
+        start: Start of the bar, in the metric's unit: 0, or the end of the step before.
+        end: End of the bar.
+        name: Label beside the bar, in a word or two.
+        text: Size in words, with its part of the logged value.
+        color: Colour: the total has that of the run, the remainder that of the ghost without all
+            causes.
     """
 
     kind: Literal["total", "contribution", "left"]
@@ -51,12 +52,12 @@ class AttributionStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepScale:
-    """In which unit an attribution is drawn.
+    """Unit in which an attribution is drawn.
 
     Attributes:
-        factor: What a value in the metric's unit is multiplied by.
-        unit: To stand on the axis: `mm` of a metric in m that stays below 1 m; empty for a number.
-        decimals: Of its values.
+        factor: Factor from the metric's unit.
+        unit: Unit on the axis: `mm` for a metric in m that stays below 1 m; empty for a number.
+        decimals: Number of decimals of its values.
     """
 
     factor: float
@@ -64,7 +65,7 @@ class StepScale:
     decimals: int
 
     def format_value(self, value: float, *, signed: bool = False) -> str:
-        """Return a value of the metric's unit in words, never a plain 0 of one that is not."""
+        """Return a value of the metric in words; a nonzero value never becomes a plain 0."""
         scaled = value * self.factor
         sign = "+" if signed else ""
         text = f"{scaled:{sign}.{self.decimals}f}"
@@ -75,13 +76,13 @@ class StepScale:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waterfall:
-    """Bars below each other, each of which begins where the one above it ends.
+    """Bars below each other, each starting where the one above it ends.
 
     Attributes:
-        steps: The bars, each with its name before it and its size in words behind it.
-        scale: In which unit they are drawn.
-        metric: What they add up to.
-        notes: What a reader of the bars must know, a line each; they stand below the axis.
+        steps: Bars, each with its name before it and its size in words after it.
+        scale: Unit in which they are drawn.
+        metric: Metric of their total.
+        notes: Notes for the reader, a line each, below the axis.
     """
 
     steps: tuple[AttributionStep, ...]
@@ -91,25 +92,25 @@ class Waterfall:
 
     @property
     def joints(self) -> tuple[float, ...]:
-        """Where a line joins each bar with the one below it, in the metric's unit."""
+        """Values at which lines join neighbouring bars, in the metric's unit."""
         return tuple(step.end for step in self.steps[:-1])
 
     @property
     def span(self) -> tuple[float, float]:
-        """From where to where the bars go, in the metric's unit; 0 is within."""
+        """Range of the bars in the metric's unit, including 0."""
         ends = [value for step in self.steps for value in (step.start, step.end)]
         return min(0.0, *ends), max(0.0, *ends)
 
     @property
     def label(self) -> str:
-        """The metric in words with the unit in which it is drawn."""
+        """Name of the metric with the unit in which it is drawn."""
         words = self.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
         unit = f" [{self.scale.unit}]" if self.scale.unit else ""
         return f"{words.replace('.', ' ')}{unit}"
 
 
 def draw_up_attribution(found: Attribution) -> Waterfall:
-    """Return the waterfall of an attribution; without steps where contributions are withheld."""
+    """Return the waterfall of an attribution; without steps if contributions are withheld."""
     # The contribution of one cause is just what its removal changes.
     is_average = len(choose_acting_contributions(found)) > 1
     seeds = 0 if found.seeds is None else found.seeds.used
@@ -122,20 +123,21 @@ def draw_up_attribution(found: Attribution) -> Waterfall:
 
 
 def _note_averages(orders: str, seeds: int, *, is_average: bool) -> tuple[str, ...]:
-    """Return that bars are averages, over orders of something and over so many seeds."""
+    """Return a note that bars are averages, over orders and over a number of seeds."""
     notes = [f"bars: averages over the orders of {orders}; no run ends between them"]
     notes = notes if is_average else []
     return (*notes, f"contributions: means over {seeds} seeds") if seeds > 1 else tuple(notes)
 
 
 def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
-    """Return the steps from the logged value to what is left without all causes.
+    """Return the steps from the logged value to the remainder without all causes.
 
-    Between them stands each cause that changes the value, the largest contribution first. Where log
-    and re-simulation differ, or one seed is not the mean over seeds, that is a step of its own.
+    Between them is each cause that changes the value, the largest contribution first. A difference
+    between log and re-simulation, or between one seed and the mean over seeds, is a step of its
+    own.
 
     Returns:
-        None where the contributions are withheld: the attribution says why.
+        None if the contributions are withheld: the attribution says why.
     """
     left = found.without_all
     total = found.resimulated if found.as_logged is None else found.as_logged
@@ -168,13 +170,13 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
 
 
 def choose_step_scale(found: Attribution) -> StepScale:
-    """Return the unit and the decimals of an attribution's values: they are those of all of it."""
+    """Return the unit and the decimals for all values of an attribution."""
     values = (found.as_logged, found.resimulated, found.without_all, found.divided)
     return _choose_scale(values, found.unit)
 
 
 def _choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
-    """Return the unit and the decimals in which values of a metric's unit are drawn."""
+    """Return the unit and the decimals for drawing values of a metric's unit."""
     largest = max(abs(value) for value in (*values, 0.0) if value is not None)
     factor, unit = (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, unit)
     digits = _DIGITS - 1 - (math.floor(math.log10(largest * factor)) if largest else 0)
@@ -186,7 +188,7 @@ def _choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
 def _list_contributions(
     found: Attribution, total: float, scale: StepScale
 ) -> Iterator[AttributionStep]:
-    """Yield what lies between the logged value and what is left."""
+    """Yield the steps between the logged value and the remainder."""
     largest = max(abs(total), abs(found.divided))
     if abs(total - found.divided) > _SAME * largest:
         is_seed = found.seeds is not None
@@ -224,7 +226,7 @@ def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
 
 
 def _describe_contribution(one: Contribution, total: float, scale: StepScale) -> str:
-    """Return how taking it out changes the value, and its part of the logged one."""
+    """Return how removing it changes the value, and its part of the logged value."""
     value = one.contribution or 0.0
     size = scale.format_value(-value, signed=True)
     if one.standard_error is not None:
@@ -234,13 +236,13 @@ def _describe_contribution(one: Contribution, total: float, scale: StepScale) ->
 
 
 def _tell_part(value: float, total: float) -> str:
-    """Return in brackets which part of the logged value that is; nothing where it says nothing."""
+    """Return the part of the logged value in brackets; empty if it is not meaningful."""
     percent = 100.0 * value / total if total else math.inf
     return f" ({percent:.0f} %)" if abs(percent) < _MOST_PERCENT else ""
 
 
 def _explain_left(found: Attribution) -> str:
-    """Return what explains the rest, as far as that is known."""
+    """Return an explanation of the remainder, as far as it is known."""
     acting = [one.cause for one in choose_acting_contributions(found)]
     little = _explain_little(found, found.without_all or 0.0)
     if little:
@@ -251,7 +253,7 @@ def _explain_left(found: Attribution) -> str:
 
 
 def _explain_little(found: Attribution, value: float) -> str:
-    """Return that the tolerances leave as much, of an error at the end that they bound."""
+    """Return that the tolerances allow the remainder, for a final error that they bound."""
     if found.metric not in {"final.position_error", "final.heading_error"}:
         return ""
     if abs(value) > found.resolution.size or "tolerance" not in found.resolution.reason:
@@ -260,7 +262,7 @@ def _explain_little(found: Attribution, value: float) -> str:
 
 
 def draw_up_difference(found: ExplainedDifference) -> Waterfall:
-    """Return the waterfall of a difference; without steps if the contributions are withheld."""
+    """Return the waterfall of a difference; without steps if contributions are withheld."""
     steps = list_difference_steps(found)
     return Waterfall(
         steps=steps,
@@ -271,7 +273,7 @@ def draw_up_difference(found: ExplainedDifference) -> Waterfall:
 
 
 def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, ...]:
-    """Return the steps from the value of the first run up or down to that of the second.
+    """Return the steps from the value of the first run to that of the second.
 
     Between them is each change with its contribution, the largest first.
 
@@ -316,7 +318,7 @@ def _make_total(side: Side, scale: StepScale, color: palette.Color) -> Attributi
 
 
 def _choose_difference_scale(found: ExplainedDifference) -> StepScale:
-    """Return the unit and the decimals of a difference's values: they are those of all of it."""
+    """Return the unit and the decimals for all values of a difference."""
     return _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)
 
 

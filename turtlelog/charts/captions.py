@@ -1,4 +1,4 @@
-"""Runs and pictures in sentences: how runs ended, and what a picture shows who cannot see it."""
+"""Runs and pictures in sentences: how runs ended, and text alternatives of pictures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -18,7 +18,7 @@ _DURATION: Final = "run.duration"
 
 
 def describe_runs(runs: Sequence[Run]) -> str:
-    """Return how a run ended, or between what distances from the goal several did."""
+    """Return how a run ended, or the range of the distances from the goal of several runs."""
     names = name_runs(runs)
     if len(runs) == 1:
         return f"{names[0]}: {describe_end(runs[0])}."
@@ -37,7 +37,7 @@ def _describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
 
 
 def describe_end(run: Run) -> str:
-    """Return the distance to the goal at the end; of a run without a goal what it did."""
+    """Return the distance to the goal at the end; for a run without a goal, its motion."""
     if not len(run.poses):
         return f"commands for {run.duration_s:.3g} s, no poses"
     metric = choose_metric(run.declaration)
@@ -64,12 +64,11 @@ _MOST_NAMED: Final = 6
 
 
 def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
-    """Return what a plot over time shows: where each curve begins and ends, and its range.
+    """Return a description of a plot over time: start, end and range of each curve.
 
     Args:
-        title: Of the plot, with the unit of its values.
-        curves: Name and values of what each run did, shape (n,); values that are not finite are
-            gaps.
+        title: Title of the plot, with the unit of its values.
+        curves: Name and values of each run, shape (n,); values that are not finite are gaps.
     """
     finite = [(name, values[np.isfinite(values)]) for name, values in curves]
     known = [(name, values) for name, values in finite if len(values)]
@@ -97,10 +96,10 @@ def _write(value: float) -> str:
 
 
 def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
-    """Return what a plane shows: where each run begins and ends.
+    """Return a description of a plane: start and end of each run.
 
     Args:
-        title: Of the plane.
+        title: Title of the plane.
         ends: Name of each run, and its poses [m], shape (n, 2).
     """
     if len(ends) > _MOST_NAMED:

@@ -1,4 +1,4 @@
-"""Metrics that have a place on a curve, as figures, views and reports mark them."""
+"""Metrics that can be marked on a curve, as in figures, views and reports."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -49,27 +49,27 @@ _SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Characteristic:
-    """One metric on its curve.
+    """A metric on its curve.
 
     Attributes:
-        signal: Which curve, as `read_marked_curve` reads it; empty for a pause, which is one of the
+        signal: Signal of the curve for `read_marked_curve`; empty for a pause, which belongs to the
             whole run.
-        metric: Its id; `run.pause` for a pause.
-        word: What it is, for a label: `rise`, `settled`, `overshoot`.
-        value: In `unit`.
-        unit: As the metric has it.
-        at_s: When it is taken, from the first sample [s]; where its span begins, if it is one of a
-            pause or a saturation; of a dead time at the pose that is answered by the loop's largest
-            change of command, which the robot follows that much later.
-        level: Of the curve then, in its unit (headings in deg); None for a pause.
-        span_s: From when to when it lasts [s]: of a rise from 10 % to 90 %, of a settling time from
-            when the curve stays in its band to the end of the loop's stretch, of pause, dead time
-            and saturation all of it; None for a single moment.
-        levels: Two levels that belong to it, in the unit of the curve: of a rise 10 % and 90 % of
-            the step, of a settling time the low and high end of its band, of peak and overshoot the
-            reference and the peak; None for others.
-        loop: Whose it is; empty where it is of the whole run.
-        start_s: Where the stretch of its loop begins, from the first sample [s].
+        metric: Id of the metric; `run.pause` for a pause.
+        word: Word for a label: `rise`, `settled`, `overshoot`.
+        value: Value in `unit`.
+        unit: Unit of the metric.
+        at_s: Time of the metric, from the first sample [s]; for a pause or a saturation, its start;
+            for a dead time, the pose answered by the loop's largest change of command, which the
+            robot follows after the dead time.
+        level: Value of the curve then, in its unit (headings in deg); None for a pause.
+        span_s: Start and end of its interval [s]: for a rise from 10 % to 90 %, for a settling time
+            from when the curve stays in its band to the end of the loop's segment, for pause, dead
+            time and saturation all of it; None if it has a single time.
+        levels: Two related levels in the unit of the curve: for a rise 10 % and 90 % of the step,
+            for a settling time the ends of its band, for peak and overshoot the reference and the
+            peak; None for others.
+        loop: Name of its loop; empty if it belongs to the whole run.
+        start_s: Start of its loop's segment, from the first sample [s].
     """
 
     signal: str
@@ -91,7 +91,7 @@ class Characteristic:
 
     @property
     def shape(self) -> MarkShape | None:
-        """Shape of its mark; None where it has none, as a pause."""
+        """Shape of its mark; None if it has no mark, as for a pause."""
         return _SHAPES.get(self.kind)
 
     @property
@@ -101,12 +101,12 @@ class Characteristic:
 
     @property
     def marked_s(self) -> float:
-        """When its mark stands, from the first sample [s]: at the end of a dead time."""
+        """Time of its mark, from the first sample [s]: for a dead time its end."""
         return self.span_s[1] if self.kind == "dead_time" and self.span_s is not None else self.at_s
 
     @property
     def text(self) -> str:
-        """What its mark says, as exact as a reader can use it."""
+        """Text of its mark, with useful precision."""
         if self.kind == "dead_time":
             return f"{self.word} {1e3 * self.value:.3g} ms"
         digits = 4 if self.kind == "peak" else 2 if self.unit == "%" else 3
@@ -114,9 +114,9 @@ class Characteristic:
 
 
 def list_mark_texts(mark: Characteristic, others: Iterable[Characteristic]) -> list[str]:
-    """Return what a mark says, an entry each: of an overshoot its peak, and the part of the step.
+    """Return the texts of a mark: for an overshoot its peak and its part of the step.
 
-    Without an overshoot the peak stands alone.
+    Without an overshoot the peak is the only entry.
     """
     if mark.kind != "overshoot":
         return [mark.text]
@@ -126,7 +126,7 @@ def list_mark_texts(mark: Characteristic, others: Iterable[Characteristic]) -> l
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Place:
-    """Where a metric has its place."""
+    """Position of a metric on a curve."""
 
     metric: str
     signal: str
@@ -147,15 +147,15 @@ _OF_RUN: Final = (
 def list_characteristics(
     run: Run, metrics: Mapping[str, Metric], settings: MeasureSettings | None = None
 ) -> tuple[Characteristic, ...]:
-    """Return the metrics that have a value and a place on a curve, and the pauses.
+    """Return the metrics that have a value and can be marked on a curve, and the pauses.
 
-    Of each loop those of its step on what it controls, and where it is furthest off if its
-    reference moves; its longest saturation on its command; and what is left of a heading.
+    For each loop these are the metrics of its step on the controlled signal, and its largest error
+    if its reference moves; its longest saturation on its command; and the final error of a heading.
 
     Args:
         run: The run.
-        metrics: What `measure_run` found in it.
-        settings: With which they were measured.
+        metrics: Metrics from `measure_run`.
+        settings: Settings with which they were measured.
     """
     curves: dict[str, Curve | None] = {}
     responses: dict[str, Response | None] = {}
@@ -176,10 +176,10 @@ def list_characteristics(
 
 
 def read_marked_curve(run: Run, signal: str) -> Curve | None:
-    """Return the curve of a characteristic, headings in deg; None where the run does not hold it.
+    """Return the curve of a characteristic, headings in deg; None if the run lacks it.
 
-    Beside signals there are `along_track_error` and `distance_to_reference`, of laws whose
-    reference moves.
+    In addition to signals there are `along_track_error` and `distance_to_reference`, for laws with
+    a moving reference.
     """
     if signal in {"speed", "turn_rate"}:
         return read_command(run, "speed" if signal == "speed" else "turn_rate")
@@ -204,7 +204,7 @@ def _find_response(
 def _place(
     run: Run, place: _Place, metric: Metric, curve: Curve | None, response: Response | None
 ) -> Characteristic | None:
-    """Return a metric at its place, None where it has none."""
+    """Return a metric at its position; None if it has none."""
     start_s = 0.0 if response is None else response.start_s
     at_s = _find_dead_start(run, place.loop) if place.kind == "dead_time" else metric.at_s
     if metric.value is None or at_s is None or curve is None:
@@ -228,8 +228,8 @@ def _place(
 def _find_dead_start(run: Run, loop: ControlLoop | None) -> float | None:
     """Return the time of the pose that a loop answers by its largest change of command [s].
 
-    There the dead time is seen best: the robot follows that much later. The first answers, which
-    may have waited, and those before the dead time last changed have another one.
+    The dead time is most visible there. The first answers, which may have waited, and those before
+    the last change of the dead time are excluded, because their dead time differs.
     """
     found = None if loop is None else find_dead_time(run, loop)
     if loop is None or found is None or isinstance(found, Missing):
@@ -247,7 +247,7 @@ def _find_dead_start(run: Run, loop: ControlLoop | None) -> float | None:
 
 
 def _add_step(mark: Characteristic, response: Response) -> Characteristic:
-    """Return a metric of a step with the levels that it refers to."""
+    """Return a metric of a step with its related levels."""
     unit = 180.0 / np.pi if response.loop.signal == "heading" else 1.0
     initial, reference = response.initial * unit, response.reference * unit
     step = reference - initial
@@ -315,14 +315,14 @@ def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_Plac
 
 
 def _name_controlled(loop: ControlLoop) -> str:
-    """Return the curve on which a loop's metrics stand."""
+    """Return the curve on which a loop's metrics are marked."""
     if loop.signal == "distance" and loop.moves:
         return TO_REFERENCE
     return ALONG_ERROR if loop.signal == "along_track" and loop.moves else loop.signal
 
 
 def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
-    """Return what the error of a heading's loop at its end is called."""
+    """Return the name of the final error of a heading loop."""
     phases = {name: acting for name, acting in declaration.phases.items() if name != PAUSE}
     names = list(phases)
     own = [number for number, name in enumerate(names) if loop.name in phases[name]]
@@ -332,7 +332,7 @@ def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
 
 
 def _read_level(curve: Curve, at_s: float) -> float:
-    """Return the value of a curve at a time, in a line between its rows where it does not hold."""
+    """Return the value of a curve at a time; linearly interpolated unless it is held."""
     time_ns = curve.start_ns + round(at_s * 1e9)
     if curve.holds:
         row = int(np.searchsorted(curve.time_ns, time_ns + _ROUNDING_NS, side="right")) - 1

@@ -1,4 +1,4 @@
-"""The close-up of the goal: where each run ends, how far off that is, and rings to read it by."""
+"""The close-up of the goal: where each run ends, its distance to the goal, and rings for scale."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -50,13 +50,13 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class End:
-    """Where a run ends.
+    """End of a run.
 
     Attributes:
-        run: Its number among the runs.
-        xy_m: Its last pose.
-        miss_m: From there to the goal.
-        name: What the run is called beside its distance; empty where a legend tells.
+        run: Number of the run.
+        xy_m: Position of its last pose [m].
+        miss_m: Distance from there to the goal [m].
+        name: Name of the run next to its distance; empty if there is a legend.
     """
 
     run: int
@@ -67,14 +67,14 @@ class End:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloseUp:
-    """What the close-up shows.
+    """Content of the close-up.
 
     Attributes:
-        goal_xy_m: Its middle.
-        half_m: Half of its width and height, a round length.
-        rings_m: Radii of its rings, round lengths, rising.
-        ends: Of the runs that end in it, nearest first.
-        outside: How many runs with that goal end elsewhere.
+        goal_xy_m: Position of its centre [m].
+        half_m: Half of its width and height, a round length [m].
+        rings_m: Radii of its rings, round lengths, rising [m].
+        ends: Ends of the runs inside it, nearest first.
+        outside: Number of runs with that goal that end outside.
     """
 
     goal_xy_m: Point
@@ -90,26 +90,27 @@ class CloseUp:
         return [np.array(self.goal_xy_m) + ring_m * circle for ring_m in self.rings_m]
 
     def describe(self) -> str:
-        """Return its half-width, and how many runs it does not show, for a title."""
+        """Return its half-width, and the number of runs outside, for a title."""
         return f"±{format_length(self.half_m)}{self.count_outside()}"
 
     def count_outside(self) -> str:
-        """Return how many runs it does not show, to end a title with; empty where it shows all."""
+        """Return the number of runs outside, for the end of a title; empty if there are none."""
         count = self.outside + len(self.ends)
         return f", {self.outside} of {count} runs outside" if self.outside else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lettering:
-    """How much room words take in a picture, in half-widths of the close-up.
+    """Size of text in a picture, in half-widths of the close-up.
 
     Attributes:
         letter: Width of a letter.
         line: Height of a line.
-        gap: Between a dot and its words.
-        reach: From the goal to the left and right border of the picture, which may be wide.
-        most_told: Ends that have room for words; of more the furthest has them, and where runs have
-            names the last run, which is that of the highest gain.
+        gap: Distance between a dot and its text.
+        reach: Distance from the goal to the left and right border of the picture, which may be
+            wide.
+        most_told: Number of ends that can have text; of more ends, the furthest has text, and if
+            runs have names the last run, which has the highest gain.
     """
 
     letter: float
@@ -121,12 +122,12 @@ class Lettering:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
-    """Words in the close-up.
+    """Text in the close-up.
 
     Attributes:
-        text: One or more distances; of runs with names a line for each, in the order of `runs`.
-        xy_m: Their middle.
-        runs: Numbers of the runs whose ends they tell of; none of a ring.
+        text: One or more distances; with names of runs, a line each, in the order of `runs`.
+        xy_m: Centre of the text [m].
+        runs: Numbers of the runs whose ends it labels; empty for a ring.
     """
 
     text: str
@@ -135,7 +136,7 @@ class Label:
 
 
 def find_close_up(runs: Sequence[Run]) -> CloseUp | None:
-    """Return what shows every arrival; None without one goal for all, or where none arrived."""
+    """Return a close-up of every arrival; None without a common goal, or if no run arrived."""
     goals = {run.goal_xy_m for run in runs if run.goal_xy_m is not None}
     if len(goals) != 1:
         return None
@@ -159,35 +160,35 @@ def find_close_up(runs: Sequence[Run]) -> CloseUp | None:
 
 
 def choose_rings(furthest_m: float) -> tuple[float, tuple[float, ...]]:
-    """Return the round half-width that shows what lies so far away, and its rings [m]."""
+    """Return the round half-width that includes a given distance, and its rings [m]."""
     half_m, step_m = _round_up(max(_ROOM * furthest_m, _LEAST_HALF_M))
     return half_m, tuple(float(ring) for ring in np.arange(1, half_m / step_m - 1e-9) * step_m)
 
 
 def name_ends(close_up: CloseUp, names: Sequence[str]) -> CloseUp:
-    """Return a close-up that calls the runs by these names, in their order, cut where long."""
+    """Return a close-up with names for the runs, in their order, cut if long."""
     short = [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}..." for name in names]
     ends = tuple(replace(end, name=short[end.run]) for end in close_up.ends)
     return replace(close_up, ends=ends)
 
 
 def find_tolerance(run: Run) -> float | None:
-    """Return the law's tolerance of each coordinate [m], None where it is not known."""
+    """Return the law's tolerance of each coordinate [m]; None if unknown."""
     tolerance_m = run.parameters.get("law.position_tolerance_m")
     return float(tolerance_m) if isinstance(tolerance_m, int | float) else None
 
 
 def format_length(length_m: float) -> str:
-    """Return a length in millimetres below 1 m, in metres beyond."""
+    """Return a length in millimetres below 1 m, in metres above."""
     # Rounded to three digits, the next below 1 m would be 1e+03 mm.
     return f"{length_m * 1e3:.3g} mm" if length_m < 0.9995 else f"{length_m:.3g} m"
 
 
 def list_miss_labels(close_up: CloseUp, lettering: Lettering) -> tuple[Label, ...]:
-    """Return how far each end is from the goal, beside it; ends without room share their words.
+    """Return the distance of each end from the goal, beside it; crowded ends share their text.
 
-    Of many ends it is the furthest alone, and that of the last run where runs have names: rings
-    tell of the others.
+    Of too many ends only the furthest has text, and the last run if runs have names; rings show the
+    distances of the others.
     """
     if len(close_up.ends) > lettering.most_told:
         furthest, last = close_up.ends[-1], max(close_up.ends, key=lambda end: end.run)
@@ -209,7 +210,7 @@ def list_miss_labels(close_up: CloseUp, lettering: Lettering) -> tuple[Label, ..
 def list_ring_labels(
     close_up: CloseUp, start_xy_m: ArrayLike, taken: Sequence[Label], lettering: Lettering
 ) -> tuple[Label, ...]:
-    """Return the radius of each ring, where no other words are, and runs do not come from."""
+    """Return the radius of each ring at a place without other text and without arriving runs."""
     away = np.subtract(close_up.goal_xy_m, start_xy_m)
 
     def count_hidden(labels: Sequence[Label]) -> float:
@@ -230,7 +231,7 @@ def _find_end(number: int, run: Run, goal_xy_m: Point) -> End:
 
 
 def _round_up(length_m: float) -> tuple[float, float]:
-    """Return the next round half-width and the distance between its rings."""
+    """Return the next larger round half-width and the distance between its rings."""
     decade = 10.0 ** np.floor(np.log10(length_m / _HALVES[-1][0]))
     scales = [
         (half * scale, step * scale) for scale in (decade, 10.0 * decade) for half, step in _HALVES
@@ -240,7 +241,7 @@ def _round_up(length_m: float) -> tuple[float, float]:
 
 
 def _gather(close_up: CloseUp, lettering: Lettering) -> list[list[End]]:
-    """Put ends together whose dots lie so close that one's words would be taken for another's."""
+    """Return groups of ends whose dots are too close for separate text."""
     groups: list[list[End]] = []
     for end in close_up.ends:
         for group in groups:
@@ -256,7 +257,7 @@ def _gather(close_up: CloseUp, lettering: Lettering) -> list[list[End]]:
 def _place(
     close_up: CloseUp, ends: Sequence[End], taken: Sequence[Label], lettering: Lettering
 ) -> Label | int:
-    """Return the words for some ends, a little up or down where others are; or which are there."""
+    """Return the text for some ends, moved up or down if necessary; or the text in its way."""
     label = _label_ends(close_up, ends, lettering)
     for lines in _SHIFTS:
         y_m = label.xy_m[1] + lines * lettering.line * close_up.half_m
@@ -269,7 +270,7 @@ def _place(
 
 
 def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) -> Label:
-    """Return the words for some ends, on the side that looks away from the goal."""
+    """Return the text for some ends, on the side away from the goal."""
     misses_m = sorted(end.miss_m for end in ends)
     ends = sorted(ends, key=lambda end: end.run)
     if len(ends) > _MOST_LISTED:
@@ -290,7 +291,7 @@ def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) ->
 
 
 def _join(lengths_m: Sequence[float], word: str) -> str:
-    """Return lengths with their unit once where it is the same."""
+    """Return lengths with their unit once if it is the same."""
     texts = list(dict.fromkeys(format_length(length_m) for length_m in lengths_m))
     units = {text.rpartition(" ")[2] for text in texts}
     if len(units) > 1:
@@ -317,6 +318,6 @@ def _overlap(one: Label, other: Label, close_up: CloseUp, lettering: Lettering) 
 
 
 def _measure(text: str) -> tuple[int, int]:
-    """Return how many letters the longest line has, and how many lines there are."""
+    """Return the number of letters in the longest line, and the number of lines."""
     lines = text.split("\n")
     return max(map(len, lines)), len(lines)

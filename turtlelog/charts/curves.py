@@ -1,6 +1,6 @@
-"""What is drawn of a run on screen and on paper: its curves, their levels and their aims.
+"""The curves of a run for screen and print, their levels and their moving references.
 
-Headings are in degrees. Of long curves those rows are chosen that draw the same.
+Headings are in degrees. Of long curves, rows are chosen that give the same picture.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,10 +44,10 @@ SENSED_SIGNALS: Final = ("x", "y", "heading")
 
 
 def require_near(runs: Sequence[Run]) -> None:
-    """Refuse poses that no axis reaches.
+    """Raise an error for poses too far away to be drawn.
 
     Raises:
-        ShowError: With the run and the distance.
+        ShowError: If there are any, with the run and the distance.
     """
     for run in runs:
         far_m = float(np.abs(run.poses.xy_m).max(initial=0.0))
@@ -60,14 +60,14 @@ def require_near(runs: Sequence[Run]) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """What a run holds of one quantity, or should.
+    """The values of one quantity of a run, or of its reference.
 
     Attributes:
-        start_ns: First sample of the run, in the run's own time [ns].
-        time_ns: In the run's own time [ns], shape (n,).
-        values: In deg, m, m/s or rad/s, shape (n,); NaN where there is nothing to draw.
-        holds: Whether a value lasts until the next.
-        label: For the legend, where it is not the run's own.
+        start_ns: Time of the first sample in the run's time [ns].
+        time_ns: Times in the run's time [ns], shape (n,).
+        values: Values in deg, m, m/s or rad/s, shape (n,); NaN for gaps.
+        holds: Whether a value is held until the next.
+        label: Label for the legend, if it is not the run's.
     """
 
     start_ns: int
@@ -84,12 +84,12 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """What a signal should be, at all times the same.
+    """A constant reference of a signal.
 
     Attributes:
-        label: For a legend.
-        value: In the unit of the signal; angles in deg.
-        kind: What it is: where the signal should come to, zero, a limit, or a tolerance.
+        label: Label for a legend.
+        value: Value in the unit of the signal; angles in deg.
+        kind: Kind of the level: the reference, zero, a limit, or a tolerance.
     """
 
     label: str
@@ -98,9 +98,10 @@ class Level:
 
 
 def read_curve(run: Run, signal_name: str) -> Curve | None:
-    """Return a signal, None where the run does not hold it, as the state of another run's law.
+    """Return a signal; None if the run lacks it, such as the state of another run's law.
 
-    Beside the named signals there are `world_velocity_x` and `world_velocity_y`: gain times error.
+    In addition to the named signals there are `world_velocity_x` and `world_velocity_y`: gain times
+    error.
     """
     if signal_name.startswith("world_velocity_"):
         velocity = read_world_velocity(run)
@@ -121,7 +122,7 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
 
 
 def find_unit(run: Run, signal_name: str) -> str:
-    """Return the unit of the values of `read_curve`: deg of an angle, otherwise the signal's."""
+    """Return the unit of the values of `read_curve`: deg for an angle, otherwise the signal's."""
     unit = list_signals(run.declaration)[signal_name].unit
     return "deg" if unit == "rad" else unit
 
@@ -132,7 +133,7 @@ def select_curve_rows(curve: Curve, rows: NDArray[np.int64]) -> Curve:
 
 
 def read_command(run: Run, command: Command) -> Curve | None:
-    """Return what was commanded, None where the run holds no commands."""
+    """Return the commands; None if the run has none."""
     table = run.samples if len(run.samples) else run.commands
     if not len(table):
         return None
@@ -141,10 +142,10 @@ def read_command(run: Run, command: Command) -> Curve | None:
 
 
 def read_applied(run: Run, command: Command) -> Curve | None:
-    """Return what the plant applied of `speed` or `turn_rate`, None where not recorded.
+    """Return the applied `speed` or `turn_rate` of the plant; None if not recorded.
 
-    turtlesim publishes the magnitude of the applied speed, whichever way it drives. What it applies
-    holds for a tick; a lagged robot tells the rates of an instant.
+    turtlesim publishes the magnitude of the applied speed, without its direction. Its applied
+    values are constant over a tick; the robot model reports the rates at the time of the pose.
     """
     poses = run.poses
     values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
@@ -155,12 +156,12 @@ def read_applied(run: Run, command: Command) -> Curve | None:
 
 
 def read_sensed(run: Run, signal: str) -> Curve | None:
-    """Return what the controller read of `x`, `y` or `heading`, None where it read the pose."""
+    """Return the `x`, `y` or `heading` that the controller read; None if it read the pose."""
     return read_curve(run, f"sensed_{signal}") if signal in SENSED_SIGNALS else None
 
 
 def find_disturbance(run: Run) -> tuple[float, float] | None:
-    """Return from when to when a disturbance pushes the plant, within the run [s]; None without."""
+    """Return start and end of the plant's disturbance within the run [s]; None without one."""
     if not any(read_number(run.parameters, key) for key in PUSH_KEYS):
         return None
     from_s = read_number(run.parameters, "disturbance.from_s")
@@ -171,7 +172,7 @@ def find_disturbance(run: Run) -> tuple[float, float] | None:
 
 
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:
-    """Return the loops that control a signal, as declared.
+    """Return the declared loops that control a signal.
 
     A loop of the distance to a recorded reference does not control the distance to the goal.
     """
@@ -180,10 +181,10 @@ def list_loops(run: Run, signal: str) -> list[ControlLoop]:
 
 
 def list_levels(run: Run, signal: str) -> list[Level]:
-    """Return what a signal should be, where that stands still.
+    """Return the constant references of a signal.
 
-    That is what its loops are declared to aim at, and of `x`, `y` and along the line to it the
-    goal. Of a run whose loops are not known it is the goal's bearing from the start.
+    They are the references of its declared loops, and for `x`, `y` and the along-track coordinate
+    the goal. If the loops of a run are unknown, it is the goal's bearing from the start.
     """
     if signal in ("x", "y"):
         goal = run.goal_xy_m
@@ -204,7 +205,7 @@ def list_levels(run: Run, signal: str) -> list[Level]:
 
 
 def _count_turns(run: Run, loop: ControlLoop, reference: float) -> float:
-    """Return a goal's heading with the full turns of the robot that its loop has turned to it."""
+    """Return a goal's heading shifted by the full turns that the robot made under its loop."""
     stretch, signal = find_first_stretch(run, loop), find_signal(run, "heading")
     if loop.reference != "goal_heading" or signal is None or not stretch:
         return reference
@@ -214,22 +215,22 @@ def _count_turns(run: Run, loop: ControlLoop, reference: float) -> float:
 
 
 def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
-    """Return the limits of a command that runs have, rising."""
+    """Return the limits of a command in all runs, rising."""
     keys = dict.fromkeys(key for run in runs for key in run.declaration.list_limits(command))
     return sorted({limit for key in keys for limit in find_parameters(runs, key)})
 
 
 def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
-    """Return the values that runs have of a parameter, rising; what is boundless is none."""
+    """Return the values of a parameter in all runs, rising; infinite values are left out."""
     found = {run.parameters.get(key) for run in runs}
     numbers = [value for value in found if isinstance(value, int | float)]
     return sorted(float(value) for value in numbers if is_limit(value))
 
 
 def is_limit(value: float) -> bool:
-    """Return whether a robot can meet a limit of its speed [m/s] or rate [rad/s], or a tolerance.
+    """Return whether a limit of speed [m/s] or rate [rad/s], or a tolerance, can be reached.
 
-    Scenarios without a limit have infinity there, or a value that none reaches.
+    Scenarios without a limit have infinity as its value, or a value that is never reached.
     """
     return value < _NO_LIMIT
 
@@ -237,8 +238,8 @@ def is_limit(value: float) -> bool:
 def list_aims(run: Run, signal: str) -> list[Curve]:
     """Return the references that change with time: of `x`, `y` and the signals of loops.
 
-    Recorded references are those of the samples; headings are near those of the robot, which are
-    counted through full turns.
+    Recorded references are those of the samples; headings are shifted by full turns to those of the
+    robot.
     """
     found = [_read_recorded(run, signal), _read_arcs(run) if signal == "along_track" else None]
     if any(loop.reference == "bearing_now" for loop in list_loops(run, signal)):
@@ -247,7 +248,7 @@ def list_aims(run: Run, signal: str) -> list[Curve]:
 
 
 def read_distance_to_reference(run: Run) -> Values | None:
-    """Return what a loop of the distance to a recorded reference controls, at each sample [m]."""
+    """Return the signal of a loop of the distance to a recorded reference, at each sample [m]."""
     xy_m = run.samples.reference_xy_m
     if xy_m is None or not any(
         loop.moves and loop.signal == "distance" for loop in run.declaration.loops
@@ -258,9 +259,9 @@ def read_distance_to_reference(run: Run) -> Values | None:
 
 
 def find_end_of_turn(run: Run) -> int | None:
-    """Return when the heading's loops first cease to act, before their pause [ns].
+    """Return when the heading's loops first stop acting, before their pause [ns].
 
-    None where one acts in the last phase that is declared, and where none ever did.
+    None if one acts in the last declared phase, or if none ever acted.
     """
     loops = list_loops(run, "heading")
     names = {loop.name for loop in loops}
@@ -275,9 +276,9 @@ def find_end_of_turn(run: Run) -> int | None:
 
 
 def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
-    """Return gain times error along x and y [m/s] at the times of the samples [ns] that hold it.
+    """Return gain times error along x and y [m/s], and the times of the samples that have it [ns].
 
-    None where no sample does.
+    None if no sample has it.
     """
     time_ns, velocity = run.samples.time_ns, run.samples.world_velocity_m_s
     known = None if velocity is None else np.isfinite(velocity).all(axis=1)
@@ -292,16 +293,16 @@ def choose_rows(
     *,
     always: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int64] | None:
-    """Return the rows of a curve to draw, None where all of them are few enough.
+    """Return the rows of a curve to draw; None if all rows are few enough.
 
-    The rows are split into equal stretches; of each the first row and the rows of the least and
-    the greatest value of every column stay, and the very last row. NaN is neither; the first one
-    of a stretch stays too, so that no line is drawn across a gap.
+    The rows are split into equal segments. In each segment the first row and the rows of the
+    minimum and maximum of every column are kept, and the very last row. NaN is neither; the first
+    NaN of a segment is kept too, so that no line is drawn across a gap.
 
     Args:
-        values: Shape (n,) or (n, columns).
-        most: About how many rows may stay.
-        always: Rows that stay beside these.
+        values: Values, shape (n,) or (n, columns).
+        most: Approximate number of rows to keep.
+        always: Rows that are kept in addition.
     """
     columns = values.reshape(len(values), -1)
     if len(columns) <= most:
@@ -325,7 +326,7 @@ def choose_rows(
 
 
 def _read_recorded(run: Run, signal: str) -> Curve | None:
-    """Return the reference poses of the samples, as a signal tells them."""
+    """Return the reference poses of the samples, as values of a signal."""
     samples = run.samples
     xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
     if xy_m is None or heading_rad is None:
@@ -346,7 +347,7 @@ def _read_recorded(run: Run, signal: str) -> Curve | None:
 
 
 def _read_arcs(run: Run) -> Curve | None:
-    """Return the arc length of the path at which the robot should be at every pose, by time."""
+    """Return the arc length of the path's reference at every pose, by its time law."""
     loops = [loop for loop in list_loops(run, "along_track") if loop.reference == "path"]
     values = read_reference(run, loops[0]) if loops else None
     if not isinstance(values, np.ndarray):
@@ -356,7 +357,7 @@ def _read_arcs(run: Run) -> Curve | None:
 
 
 def _read_bearings(run: Run) -> Curve | None:
-    """Return the bearing from the present position, wherever a loop of it acts."""
+    """Return the bearing from the present position, while a loop of it acts."""
     loops = [loop for loop in list_loops(run, "heading") if loop.reference == "bearing_now"]
     bearings = read_reference(run, loops[0])
     if not isinstance(bearings, np.ndarray):
@@ -374,7 +375,7 @@ def _read_bearings(run: Run) -> Curve | None:
 
 
 def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Values:
-    """Return headings [deg] with the full turns that bring them nearest to those of some poses."""
+    """Return headings [deg] shifted by full turns to be nearest to those of some poses."""
     signal = find_signal(run, "heading")
     measured = run.poses.heading_rad if signal is None else signal.values
     return np.degrees(measured[rows] + subtract_headings(heading_rad, measured[rows]))
@@ -383,9 +384,9 @@ def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Value
 def _find_in_stretches(
     values: NDArray[Any], length: int, find: Callable[..., Any]
 ) -> NDArray[np.int64]:
-    """Return the row in each stretch of a length that argmin or argmax finds, the first of equals.
+    """Return the row in each segment of a length that argmin or argmax finds, the first of equals.
 
-    Of truths of which none holds that is the first row.
+    For truth values that are all false it is the first row.
     """
     whole = len(values) // length * length
     rows = find(values[:whole].reshape(-1, length), axis=1)

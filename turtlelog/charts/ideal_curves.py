@@ -1,4 +1,4 @@
-"""What the ideal loop would do: the step that each loop answers, and its response as a curve."""
+"""The ideal loop: the step that each loop answers, and its ideal response as a curve."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -33,16 +33,16 @@ _ERRORS: Final = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopStep:
-    """The step that a loop answers, where theory knows how.
+    """The step of a loop that theory can model.
 
     Attributes:
-        loop: Which loop.
-        kp: Its gain [1/s].
-        start_ns: Where its first stretch begins, in the run's own time [ns].
-        end_ns: Where that ends, its pause included [ns].
-        initial: The signal when the stretch begins [deg or m].
-        reference: What it drives its signal to [deg or m]; a heading with the full turns of that
-            where the stretch ends.
+        loop: Loop of the step.
+        kp: Proportional gain [1/s].
+        start_ns: Start of its first segment, in the run's time [ns].
+        end_ns: End of that segment with its pause [ns].
+        initial: Value of the signal at the start of the segment [deg or m].
+        reference: Reference of the signal [deg or m]; a heading is shifted by full turns to the end
+            of the segment.
     """
 
     loop: ControlLoop
@@ -55,9 +55,9 @@ class LoopStep:
     def respond(
         self, time_s: ArrayLike, *, initial: float | None = None, target: float | None = None
     ) -> Values:
-        """Return the ideal loop's response at times from the start of its stretch [s], shape (n,).
+        """Return the ideal response at times from the start of its segment [s], shape (n,).
 
-        `initial` and `target` are those of another signal that the loop drives, in its own unit.
+        `initial` and `target` are those of another signal that the loop drives, in its unit.
         """
         return compute_step_response(
             self.kp,
@@ -68,9 +68,9 @@ class LoopStep:
 
 
 def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
-    """Yield the step of each loop of a signal whose response theory knows, in declared order.
+    """Yield the step of each loop of a signal that theory can model, in declared order.
 
-    The reference stands still, the signal integrates the command, and the gain is known.
+    The reference is constant, the signal integrates the command, and the gain is known.
     """
     signal = find_signal(run, signal_name)
     for loop in list_loops(run, signal_name):
@@ -97,10 +97,10 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
 
 
 def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
-    """Return how ideal loops of the same gains would bring a signal to where it belongs.
+    """Return the ideal responses of a signal for loops with the same gains.
 
-    Each starts where and when its loop starts. None for signals that no loop of theory's drives,
-    and where the reference moves, or the gain or the goal is not known.
+    Each starts with the value and time of its loop. None if no loop of theory drives the signal,
+    the reference moves, or the gain or the goal is unknown.
     """
     measured = read_curve(run, signal_name)
     if measured is None or signal_name not in _DRIVEN_BY:
@@ -128,7 +128,7 @@ def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) 
 
 
 def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
-    """Return the value that a loop brings a signal to, in the unit of its curve."""
+    """Return the final value of a signal under a loop, in the unit of its curve."""
     if signal_name in _ERRORS:
         return 0.0
     if signal_name in ("x", "y"):

@@ -1,7 +1,7 @@
-"""What each colour, dash and marker means in every picture.
+"""The meaning of each colour, dash and marker in all pictures.
 
-A run has a colour, and on paper a marker; a loop of its law a dash; what stands beside runs has a
-colour and a dash by its kind.
+A run has a colour, and in print a marker; a loop of its law has a dash; other curves have a colour
+and a dash by their kind.
 """
 
 import math
@@ -51,10 +51,10 @@ def choose_curve_color(kind: CurveKind, run: Color, *, is_alone: bool) -> Color:
     """Return the colour of a curve.
 
     Args:
-        kind: What it is.
+        kind: Kind of the curve.
         run: Colour of its run.
-        is_alone: Whether no other run is in the picture; among several what a robot measured has
-            the colour of its run.
+        is_alone: Whether the picture has no other run; among several runs, measured values have the
+            colour of their run.
     """
     if kind in ("measured", "outlier"):
         return palette.MEASURED if is_alone else run
@@ -78,10 +78,10 @@ _SMALLEST_TURTLE: Final = 0.3
 
 
 def choose_turtle_size(turtles: int) -> float:
-    """Return the size of each of so many turtles: all together cover as much as a few do."""
+    """Return the size of each turtle in a group: many turtles cover as much area as a few."""
     return max(min(1.0, math.sqrt(_FEW_TURTLES / max(turtles, 1))), _SMALLEST_TURTLE)
 
 
 def choose_markers(count: int) -> tuple[Marker, ...]:
-    """Return markers that tell several runs apart; a run alone and very many have none."""
+    """Return markers that distinguish several runs; a single run and very many have none."""
     return RUN_MARKERS[:count] if 1 < count <= len(RUN_MARKERS) else ()

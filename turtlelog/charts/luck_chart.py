@@ -1,4 +1,4 @@
-"""The luck of a run: its value from every start or with every seed, and where those runs end."""
+"""Effect of chance on a run: values and ends from every start or with every seed."""
 
 import math
 from collections.abc import Sequence
@@ -49,12 +49,12 @@ class LuckLine:
     """A curve over the starts.
 
     Attributes:
-        name: To stand at its right end, short: the sentences have the whole one.
-        color: That of the run, of its cause, or of the ghost without all.
+        name: Short label at its right end; the sentences have the full name.
+        color: Colour of the run, of its cause, or of the ghost without all causes.
         kind: `run` with all effects, `cause` without one, `ghost` without all.
-        values: In the unit of the picture, shape (n,); NaN where there is none.
+        values: Values in the unit of the picture, shape (n,); NaN if missing.
         pieces: First and last row of each part without a jump.
-        is_joined: Whether neighbours are joined by lines: those of seeds have nothing in common.
+        is_joined: Whether neighbours are joined by lines; those of seeds are independent.
     """
 
     name: str
@@ -67,17 +67,17 @@ class LuckLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LuckPlane:
-    """Where the runs end, as seen from the goal.
+    """Ends of the runs relative to the goal.
 
     Attributes:
-        title: What it shows.
+        title: Title of the picture.
         half_m: Half of its width and height [m].
         rings_m: Radii of its rings, round lengths, rising [m].
-        names: Of the rings.
-        ends_m: Ends with all effects, from the goal [m], shape (n, 2).
-        ghosts_m: Ends without all that acts; empty where nothing does, shape (n, 2).
-        recorded_m: Where the run itself ends [m], shape (2,).
-        note: How close the ghosts end, in two lines; empty without any.
+        names: Labels of the rings.
+        ends_m: Ends with all effects, relative to the goal [m], shape (n, 2).
+        ghosts_m: Ends without all acting causes, shape (n, 2); empty if there are none.
+        recorded_m: End of the run itself [m], shape (2,).
+        note: How close the ghosts end, in two lines; empty without ghosts.
     """
 
     title: str
@@ -92,19 +92,19 @@ class LuckPlane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LuckPicture:
-    """What is shown of the luck of a run.
+    """Content of the picture of chance in a run.
 
     Attributes:
         varied: Start headings or seeds: `start` or `seed`.
-        sentences: The result in words, to stand above.
-        places: Where each start stands on the axis [deg], or each seed, from 1.
-        place_label: Of that axis.
-        value_label: Of the other.
-        limits: Of the axis of values.
+        sentences: Result in words, for above the picture.
+        places: Position of each start on the axis [deg], or of each seed, from 1.
+        place_label: Label of that axis.
+        value_label: Label of the axis of values.
+        limits: Limits of the axis of values.
         lines: The curves, the one with all effects first.
-        recorded: Place and value of the run itself; None where it has no value.
-        recorded_name: What to write beside it.
-        plane: Where the runs end; None without a goal.
+        recorded: Position and value of the run itself; None if it has no value.
+        recorded_name: Label of the run's own value.
+        plane: Ends of the runs; None without a goal.
     """
 
     varied: str
@@ -119,7 +119,7 @@ class LuckPicture:
     plane: LuckPlane | None
 
     def find_end(self, line: LuckLine) -> tuple[float, float]:
-        """Return where a curve ends; at the foot of the axis where it has no value."""
+        """Return the end of a curve; the lower end of the axis if it has no value."""
         if not line.pieces:
             return float(self.places[-1]), self.limits[0]
         last = line.pieces[-1][1]
@@ -127,7 +127,7 @@ class LuckPicture:
 
 
 def build_luck_picture(luck: Luck) -> LuckPicture:
-    """Return what is shown of the luck of a run."""
+    """Return the content of the picture of chance in a run."""
     factor, unit = _choose_unit([curve.values for curve in luck.curves], luck.unit)
     order = _order(luck)
     columns = [curve.values[order] * factor for curve in luck.curves]
@@ -156,12 +156,12 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
 def spread_labels(
     values: Sequence[float], height: float, limits: tuple[float, float]
 ) -> list[float]:
-    """Return where labels stand beside their values, none on another, in the values' order.
+    """Return positions of labels near their values without overlap, in the values' order.
 
     Args:
-        values: Where they would stand.
-        height: Of a label.
-        limits: That they stay within, as far as there is room.
+        values: Preferred positions.
+        height: Height of a label.
+        limits: Limits of the positions, as far as there is room.
     """
     order = sorted(range(len(values)), key=lambda row: values[row])
     # Groups of labels that touch stand around the mean of their values.
@@ -192,19 +192,19 @@ def _top(group: Sequence[float], height: float) -> float:
 
 
 def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
-    """Return what values are multiplied by to be shown, and in which unit: mm below 1 m."""
+    """Return the factor and unit in which values are shown: mm below 1 m."""
     largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in columns)
     return (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, "" if unit == "1" else unit)
 
 
 def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
-    """Return two values in as many digits as tell them apart; one value where none do.
+    """Return two values with enough digits to distinguish them; one value if they are equal.
 
     Args:
         low: The least value.
-        high: The greatest.
-        unit: The metric's.
-        told: Write this one instead, in as many digits.
+        high: The greatest value.
+        unit: Unit of the metric.
+        told: Value to write instead, with as many digits.
     """
     factor, name = _choose_unit([np.array([low, high])], unit)
     for digits in range(_DIGITS, _MOST_DIGITS + 1):
@@ -216,14 +216,14 @@ def _write_range(low: float, high: float, unit: str, *, told: float | None = Non
 
 
 def _write_bound(most: float, unit: str) -> str:
-    """Return a value in two digits, rounded up."""
+    """Return a value with two digits, rounded up."""
     factor, name = _choose_unit([np.array([most])], unit)
     step = 10.0 ** -_count_decimals(most * factor, _DIGITS)
     return f"{_round(math.ceil(most * factor / step - 1e-9) * step, _DIGITS)} {name}".strip()
 
 
 def _round(value: float, digits: int) -> str:
-    """Return a value in so many digits, and at least whole."""
+    """Return a value with the given number of digits, and at least whole."""
     return (
         f"{value:.0f}" if value == round(value) else f"{value:.{_count_decimals(value, digits)}f}"
     )
@@ -234,7 +234,7 @@ def _count_decimals(value: float, digits: int) -> int:
 
 
 def _order(luck: Luck) -> NDArray[np.intp]:
-    """Return starts as they are; seeds by the value with all effects, as they have no order."""
+    """Return starts unchanged; seeds sorted by the value with all effects."""
     values = luck.curves[0].values
     return np.argsort(values, kind="stable") if luck.varied == "seed" else np.arange(len(values))
 
@@ -311,7 +311,7 @@ def _name_briefly(curve: LuckCurve) -> str:
 
 
 def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tuple[int, int], ...]:
-    """Return the parts of a curve in which each neighbour follows from the one before."""
+    """Return the segments of a curve in which neighbours are continuous."""
     rows = np.flatnonzero(np.isfinite(values)).tolist()
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     least = max(_JUMP * height, _SMOOTH * float(np.quantile(steps, 0.25)) if len(steps) else 0.0)
@@ -327,7 +327,7 @@ def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tup
 
 
 def _write_sentences(luck: Luck) -> tuple[str, ...]:
-    """Return the values, and whether they depend on luck."""
+    """Return sentences on the values, and on whether they depend on chance."""
     whole, rest = luck.curves[0], luck.curves[-1]
     first = f"{luck.metric}: {_write_values(luck, whole)} {WITH_ALL}"
     if len(luck.curves) == 1:

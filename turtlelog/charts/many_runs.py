@@ -1,4 +1,4 @@
-"""What keeps many runs readable: equal ones once, restless ones dimmed, short names, a bar."""
+"""Readable pictures of many runs: equal ones once, unsettled ones dimmed, short names."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -48,12 +48,12 @@ _WORDS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainScale:
-    """The number by which many runs differ, in their order.
+    """The number in which many runs differ, in their order.
 
     Attributes:
-        word: What it is: `Kp`, `pause_ticks`.
-        values: One per run.
-        unit: Of a gain; empty of other numbers, whose keys say theirs.
+        word: Name of the number: `Kp`, `pause_ticks`.
+        values: Value of each run.
+        unit: Unit of a gain; empty for other numbers, whose keys contain it.
     """
 
     word: str
@@ -61,12 +61,12 @@ class GainScale:
     unit: str = ""
 
     def name_run(self, number: int) -> str:
-        """Return what a run is called in a picture: by what the colours tell."""
+        """Return the name of a run in a picture, from the value that its colour shows."""
         return f"{self.word} {self.values[number]:.3g}"
 
 
 def group_equal(runs: Sequence[Run]) -> list[list[int]]:
-    """Return the numbers of runs in groups of those whose rows are all equal, from time zero."""
+    """Return the numbers of runs in groups with equal rows, from time zero."""
     groups: dict[tuple[bytes, ...], list[int]] = {}
     for number, run in enumerate(runs):
         poses, samples, commands = run.poses, run.samples, run.commands
@@ -83,22 +83,22 @@ def group_equal(runs: Sequence[Run]) -> list[list[int]]:
 
 
 def find_restless(runs: Sequence[Run]) -> frozenset[int]:
-    """Return the numbers of runs that never come to rest, where others do."""
+    """Return the numbers of runs that never come to rest, if others do."""
     found = frozenset(number for number, run in enumerate(runs) if _is_restless(run))
     return found if len(found) < len(runs) else frozenset()
 
 
 def describe_restless(runs: Sequence[Run]) -> str:
-    """Return the runs that never come to rest in words; empty where there are none."""
+    """Return the runs that never come to rest in words; empty if there are none."""
     numbers = sorted(find_restless(runs))
     scale = find_gain_scale(runs) if len(runs) > MANY else None
     return join_run_names(numbers, name_runs(runs), scale)
 
 
 def join_run_names(numbers: Sequence[int], names: Sequence[str], scale: GainScale | None) -> str:
-    """Return some of the runs of a picture in words.
+    """Return the names of several runs of a picture in words.
 
-    Where they are the last in order they are named by the value from which on they are.
+    If they are the last in order, they are named by their smallest value.
     """
     are_last = [*numbers] == [*range(len(names) - len(numbers), len(names))]
     if scale is not None and are_last and len(numbers) > 1:
@@ -124,9 +124,9 @@ def _count_swings(values: "np.typing.NDArray[np.float64]") -> int:
 
 
 def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
-    """Return the gain, where no two runs have the same, or the one number by which runs differ.
+    """Return the gain if all runs have different gains, or the only number in which runs differ.
 
-    None where they differ by more, or by words. Seeds count only where nothing else differs.
+    None if they differ in more, or in words. Seeds count only if nothing else differs.
     """
     differing = list_differing(runs)
     differing = [key for key in differing if not key.endswith("seed")] or differing
@@ -148,7 +148,7 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
 
 
 def group_by_gain(runs: Sequence[Run]) -> dict[float, list[int]]:
-    """Return the numbers of runs by their gain, where each has one; empty where one has not."""
+    """Return the numbers of runs by their gain; empty if a run has no single gain."""
     keys = {key for run in runs for key in run.declaration.list_gains()}
     if not keys or not all(map(has_one_gain, runs)):
         return {}
@@ -162,7 +162,7 @@ def group_by_gain(runs: Sequence[Run]) -> dict[float, list[int]]:
 
 
 def find_gain_unit(runs: Sequence[Run], key: str) -> str:
-    """Return the unit of a key that is the gain of a loop; empty where loops differ, or of none."""
+    """Return the unit of a loop's gain by its key; empty if loops differ, or for other keys."""
     loops = [loop for run in runs for loop in run.declaration.loops if loop.gain == key]
     units = {loop.gain_unit for loop in loops}
     return units.pop() if len(units) == 1 else ""
@@ -173,7 +173,7 @@ def _are_apart(runs: Sequence[Run], key: str) -> bool:
 
 
 def shorten_run_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
-    """Return names as they are, or where one is long, what differs: `Kp 4, no speed limit`."""
+    """Return names, or if one is long, the differences of the runs: `Kp 4, no speed limit`."""
     if max(map(len, names)) <= LONGEST_NAME or len(runs) < 2:
         return tuple(names)
     keys = list_differing(runs)
@@ -208,9 +208,10 @@ def _tell(run: Run, keys: Sequence[str], gains: Collection[str]) -> Iterator[str
 
 
 def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names without the words that all begin and end with: `kp1` and `kp10`.
+    """Return names without their common first and last words: `kp1` and `kp10`.
 
-    Words are parted by spaces, dashes and underscores before letters, so that numbers stay whole.
+    Words are separated at spaces, and at dashes and underscores before letters, so that numbers
+    stay whole.
     """
     # Words and what parts them take turns.
     parts = [_BETWEEN_WORDS.split(name) for name in names]
@@ -221,7 +222,7 @@ def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _count_alike(parts: Sequence[Sequence[str]]) -> int:
-    """Return how many first parts all have in common."""
+    """Return the number of first parts that are common to all."""
     columns = zip(*parts, strict=False)
     alike = [len({*column}) == 1 for column in columns]
     return alike.index(False) if False in alike else len(alike)

@@ -1,4 +1,4 @@
-"""What maps of a sweep and their report share: ends of cells, ranges of values, limits."""
+"""Common parts of maps of a sweep and their report: edges of cells, ranges of values, limits."""
 
 import math
 from collections.abc import Sequence
@@ -35,13 +35,13 @@ OVERSHOOT: Final = "overshoot begins (theory)"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ValueRange:
-    """Which values have which colours.
+    """Mapping of values to colours.
 
     Attributes:
-        low: The value of the first colour.
-        high: The value of the last; greater.
-        is_logarithmic: Whether decades are of one length.
-        extend: At which ends there are values beyond: `neither`, `min`, `max` or `both`.
+        low: Value of the first colour.
+        high: Value of the last colour; greater.
+        is_logarithmic: Whether the scale is logarithmic.
+        extend: Ends beyond which there are values: `neither`, `min`, `max` or `both`.
     """
 
     low: float
@@ -51,7 +51,7 @@ class ValueRange:
 
 
 def find_value_range(values: Values) -> ValueRange:
-    """Return the range of values, of which those that are NaN are left out."""
+    """Return the range of values without NaN."""
     known = values[np.isfinite(values)]
     if not len(known):
         return ValueRange(low=0.0, high=1.0)
@@ -70,7 +70,7 @@ def find_value_range(values: Values) -> ValueRange:
 
 
 def find_verdict_classes(values: Values) -> Values:
-    """Return 0 for not stable, 1 for in between, 2 for stable; NaN stays."""
+    """Return 0 for not stable, 1 for in between, 2 for stable; NaN is kept."""
     return np.where(values >= 1.0, 2.0, np.where(values <= 0.0, 0.0, values * 0.0 + 1.0))
 
 
@@ -86,7 +86,7 @@ def scale_values(metric: SweptMetric, values: Values) -> Values:
 
 
 def find_edges(axis: SweptAxis) -> Values:
-    """Return where the cells of an axis begin and end: halfway between its places."""
+    """Return the edges of the cells of an axis: halfway between their centres."""
     numbers = axis.numbers
     if len(numbers) == 1:
         half = abs(float(numbers[0])) * 0.1 or 0.5
@@ -97,7 +97,7 @@ def find_edges(axis: SweptAxis) -> Values:
 
 
 def is_logarithmic(axis: SweptAxis) -> bool:
-    """Return whether the ratios of an axis's numbers are more alike than their differences."""
+    """Return whether the numbers of an axis have more equal ratios than differences."""
     numbers = axis.numbers
     if not axis.is_number or len(numbers) < 3 or numbers[0] <= 0.0:
         return False
@@ -112,9 +112,9 @@ def _find_middles(numbers: Values) -> Values:
 
 
 def list_branches(columns: Sequence[ColumnLimits | None], name: str) -> list[Values]:
-    """Return the values of a limit, one for each column, NaN where there is none.
+    """Return the values of a limit, one for each column, NaN if there is none.
 
-    Where a loop is stable in several ranges of its gain, or not from 0 on, each end is a branch.
+    If a loop is stable in several ranges of its gain, or not from 0 on, each end is a branch.
     """
     ends = [() if one is None else _list_ends(one, name) for one in columns]
     most = max(map(len, ends), default=0)

@@ -1,4 +1,4 @@
-"""Colours for colour-blind readers: of runs on screen and on paper, of all else on dark ground."""
+"""Colours for colour-blind readers: of runs on screen and in print, and of other marks."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -138,21 +138,21 @@ ALLOWED: Final[Color] = (128, 128, 128)
 
 
 def choose_run_colors(count: int) -> tuple[Color, ...]:
-    """Return one colour per run: distinct hues for a few, a ramp in the order given for many."""
+    """Return one colour per run: distinct hues for a few, an ordered ramp for many."""
     if count <= len(FEW):
         return FEW[:count]
     return _mix(_RAMP, count)
 
 
 def choose_shades(count: int) -> tuple[Color, ...]:
-    """Return colours of rising values, for cells and broad strokes."""
+    """Return colours for rising values, for cells and broad strokes."""
     return _mix(_SHADES, count)
 
 
 def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
-    """Return a colour for each cause, in the order given; none is that of a run.
+    """Return a colour for each cause, in the given order; none is that of a run.
 
-    There are six, as many as an attribution divides a value among; more begin again.
+    There are six, as many as the causes of an attribution; for more they repeat.
     """
     return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
@@ -179,9 +179,9 @@ _BY_ORDER: Final = (
 
 
 def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
-    """Return colours of the bars of phases in declared order; `pause` and `done` have their own.
+    """Return colours of the phase bars in declared order; `pause` and `done` have their own.
 
-    They are dark enough for the viewer's white letters, and stand nowhere else.
+    They are dark enough for the viewer's white letters, and are used nowhere else.
     """
     own = [name for name in names if name not in _OF_EVERY_LAW]
     by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)} | dict(
@@ -197,13 +197,13 @@ def tint(color: Color) -> Color:
 
 
 def dim(color: Color) -> Color:
-    """Return a colour halfway to the dark ground, for what must not hide others."""
+    """Return a colour halfway to the dark ground, for background items."""
     red, green, blue = ((part + ground) // 2 for part, ground in zip(color, GROUND, strict=True))
     return red, green, blue
 
 
 def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
-    """Return opaque colours as Rerun takes them fastest, shape (n,)."""
+    """Return opaque colours in Rerun's fastest format, shape (n,)."""
     red, green, blue = np.array(colors, dtype=np.uint32).reshape(-1, 3).T
     return (red << 24 | green << 16 | blue << 8 | 255).astype(np.uint32)
 

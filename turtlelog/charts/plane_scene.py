@@ -1,4 +1,4 @@
-"""What the runs of a plane share: starts and goals, the origin, and where many of them end."""
+"""Common parts of a plane with several runs: starts and goals, the origin, and groups of ends."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,18 +18,18 @@ Values = NDArray[np.float64]
 
 
 def list_starts(runs: Sequence[Run]) -> Values:
-    """Return the first pose of each run [m], each place once, shape (n, 2)."""
+    """Return the first pose of each run without duplicates [m], shape (n, 2)."""
     return np.unique([xy_m for run in runs for xy_m in run.poses.xy_m[:1]], axis=0).reshape(-1, 2)
 
 
 def list_goals(runs: Sequence[Run]) -> Values:
-    """Return the goals of runs that have one [m], each place once, shape (n, 2)."""
+    """Return the goals of the runs without duplicates [m], shape (n, 2)."""
     goals = {run.goal_xy_m for run in runs if run.goal_xy_m is not None}
     return np.array(sorted(goals)).reshape(-1, 2)
 
 
 def list_places(run: Run) -> Values:
-    """Return where the robot is, where its law wants it to be, and the path that it tracks [m]."""
+    """Return the positions of the robot, of its reference, and of the path that it tracks [m]."""
     aims, places = run.samples.reference_xy_m, [run.poses.xy_m]
     if aims is not None:
         places.append(aims[np.isfinite(aims[:, 0])])
@@ -37,9 +37,9 @@ def list_places(run: Run) -> Values:
 
 
 def is_in_world(runs: Sequence[Run]) -> bool:
-    """Whether every place lies in turtlesim's world.
+    """Return whether every position lies in turtlesim's world.
 
-    A robot that is no turtle, or is known to have no walls, is not in it, wherever it drives.
+    A robot other than turtlesim, or one known to have no walls, is never in it.
     """
     if any(find_plant(run) != TURTLESIM or not is_turtlesim(run) for run in runs):
         return False
@@ -60,9 +60,9 @@ _STILL_RAD: Final = 1e-3
 
 
 def find_origin(runs: Sequence[Run]) -> tuple[float, float]:
-    """Return from where x and y are counted [m]: the first start in whole metres, or 0 where near.
+    """Return the origin of x and y [m]: the first start in whole metres, or 0 if it is near.
 
-    Each coordinate has its own offset. A path that a scenario holds is near by nature.
+    Each coordinate has its own offset. A path in a scenario is always near.
     """
     if not runs or any(run.path is not None for run in runs):
         return (0.0, 0.0)
@@ -71,12 +71,12 @@ def find_origin(runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def move_near(runs: Sequence[Run]) -> tuple[list[Run], str]:
-    """Return runs with coordinates counted from `find_origin`, and that offset in words.
+    """Return runs with coordinates relative to `find_origin`, and that offset in words.
 
-    Pictures in 32 bits resolve half a metre at coordinates of five million.
+    Pictures with 32-bit floats resolve half a metre at coordinates of five million.
 
     Returns:
-        The runs, and `x from 448,262 m, y from 5,411,933 m`; empty where nothing is far.
+        The runs, and `x from 448,262 m, y from 5,411,933 m`; empty if all are near.
     """
     origin_m = find_origin(runs)
     if origin_m == (0.0, 0.0):
@@ -92,7 +92,7 @@ def label_coordinate(name: str, origin_m: float) -> str:
 
 
 def tell_still(runs: Sequence[Run]) -> str:
-    """Return that runs did not leave their start, empty where all did."""
+    """Return that some runs did not leave their start; empty if all did."""
     still = [run for run in runs if np.ptp(run.poses.xy_m, axis=0).max() < _STILL_M]
     if not still:
         return ""
@@ -103,7 +103,7 @@ def tell_still(runs: Sequence[Run]) -> str:
 
 
 def _move(run: Run, origin_m: tuple[float, float]) -> Run:
-    """Return a run whose places are counted from an origin [m]."""
+    """Return a run with positions relative to an origin [m]."""
     poses, samples, goal_xy_m = run.poses, run.samples, run.goal_xy_m
     sensed, reference = poses.sensed_xy_m, samples.reference_xy_m
     poses = replace(
@@ -135,14 +135,14 @@ _INSIDE: Final = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GainEnds:
-    """Where the runs of one gain end.
+    """Ends of the runs of one gain.
 
     Attributes:
-        gain: Kp of these runs.
-        runs: Their numbers, rising.
+        gain: Gain Kp of these runs.
+        runs: Numbers of the runs, rising.
         median_xy_m: Median of x and of y [m], shape (2,).
-        outline_xy_m: Corners around the nine tenths of the ends nearest to the median [m], counter-
-            clockwise, shape (n, 2).
+        outline_xy_m: Corners around the 90 % of the ends nearest to the median [m],
+            counter-clockwise, shape (n, 2).
     """
 
     gain: float
@@ -152,22 +152,22 @@ class GainEnds:
 
     @property
     def middle_run(self) -> int:
-        """Number of the run whose colour is that of the gain."""
+        """Number of the run whose colour represents the gain."""
         return self.runs[len(self.runs) // 2]
 
     @property
     def around_xy_m(self) -> Values:
-        """The outline as a line that ends where it begins [m], shape (n + 1, 2)."""
+        """The outline as a closed line [m], shape (n + 1, 2)."""
         return np.append(self.outline_xy_m, self.outline_xy_m[:1], axis=0)
 
 
 def has_grey_paths(runs: Sequence[Run]) -> bool:
-    """Whether a plane shows paths in grey and, in colours, ends with their medians and outlines."""
+    """Return whether a plane shows grey paths and coloured ends with medians and outlines."""
     return len(runs) > MANY_PATHS
 
 
 def find_gain_ends(runs: Sequence[Run]) -> list[GainEnds]:
-    """Return where the runs of each gain end, of gains that enough runs have; gains rise."""
+    """Return the ends of the runs of each gain with enough runs; gains rise."""
     found = []
     for gain, numbers in sorted(group_by_gain(runs).items()):
         if len(numbers) < _LEAST_RUNS:
@@ -195,7 +195,7 @@ def outline_points(points: Values) -> Values:
 
 
 def _walk(points: Values) -> list[Values]:
-    """Return the right-hand border of points that are in order (Andrew's monotone chain)."""
+    """Return the right-hand border of sorted points (Andrew's monotone chain)."""
     border: list[Values] = []
     for point in points:
         while len(border) > 1 and _turns_right(border[-2], border[-1], point):
@@ -210,7 +210,7 @@ def _turns_right(one: Values, other: Values, last: Values) -> bool:
 
 
 def _order_by_distance(points: Values, middle: Values) -> NDArray[np.int64]:
-    """Return the numbers of points from the middle outward, in units of their own spread."""
+    """Return the numbers of points from the centre outward, in units of their own spread."""
     away = points - middle
     spread = np.linalg.pinv(np.cov(points.T))
     return np.argsort(np.einsum("ni,ij,nj->n", away, spread, away), kind="stable")

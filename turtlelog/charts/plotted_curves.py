@@ -1,4 +1,4 @@
-"""What a plot over time is: its curves and their kinds, and states of a law shown together."""
+"""Definition of a plot over time: its curves and their kinds, and states of a law in one plot."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -41,11 +41,11 @@ class CurveEntry:
     """A curve of a plot over time.
 
     Attributes:
-        kind: What it is; colour and dash follow from it.
-        read: Returns it for a run; several where its loop steps several times.
-        label: In a legend; a curve's own label goes before.
-        name: Tells the curves of a plot apart; empty for the run's own.
-        signal: Whose characteristics stand on it, as they name it; empty for others.
+        kind: Kind of the curve, which gives colour and dash.
+        read: Function that returns the curve of a run; several if its loop steps several times.
+        label: Label in a legend; a curve's own label takes precedence.
+        name: Name that distinguishes the curves of a plot; empty for the run's own.
+        signal: Signal whose characteristics are marked on it; empty for other curves.
     """
 
     kind: CurveKind
@@ -60,22 +60,22 @@ class TimePlot:
     """A plot over time.
 
     Attributes:
-        title: What it shows.
-        unit: Of its values; empty where nobody declares it.
-        curves: Its curves, as a legend lists them.
-        list_levels: Returns the level lines of a run.
-        is_log: Whether it has a twin that shows magnitudes on a logarithmic scale.
-        scale: How values stand on its axis.
-        figure: The figure for print that it is a panel of; one of that name is made where none is.
-        needs: What a run must hold, by its name in the table of needs.
-        loop: Signal that a loop of a run must control for it; empty: any.
-        is_usual: Whether a figure misses it where no run has anything for it.
-        pair: Name of the plot in which x and y stand together where there is little room.
-        place: Column and row of a view of many plots; plots of one place are tabs.
-        is_compared: Whether a view of several runs has it.
-        report: When a report has it: always, where what is asked for moves, never.
-        command: Which command it shows; None for any other signal.
-        is_filled: Whether one oscillation would fill it from end to end.
+        title: Title of the plot.
+        unit: Unit of its values; empty if none is declared.
+        curves: Curves in the order of the legend.
+        list_levels: Function that returns the level lines of a run.
+        is_log: Whether there is also a logarithmic plot of its magnitudes.
+        scale: Scale of its axis.
+        figure: Print figure of which it is a panel; a figure of that name is made if there is none.
+        needs: Data that a run must contain, by name in the table of needs.
+        loop: Signal that a loop of a run must control; empty: any.
+        is_usual: Whether a figure reports it as missing if no run has data for it.
+        pair: Name of the plot that shows x and y together if there is little room.
+        place: Column and row in a view of many plots; plots at one place are tabs.
+        is_compared: Whether a view of several runs contains it.
+        report: When a report contains it: always, if the reference moves, or never.
+        command: Command that it shows; None for any other signal.
+        is_filled: Whether a single oscillation would fill it from end to end.
     """
 
     title: str
@@ -106,9 +106,9 @@ class PlottedCurve:
     """A curve of a run in a plot.
 
     Attributes:
-        entry: Which.
-        label: In a legend of the run alone.
-        curve: Its values.
+        entry: Entry of the curve.
+        label: Label in a legend of the run alone.
+        curve: Values of the curve.
     """
 
     entry: CurveEntry
@@ -117,17 +117,17 @@ class PlottedCurve:
 
     @property
     def kind(self) -> CurveKind:
-        """What it is."""
+        """Kind of the curve."""
         return self.entry.kind
 
 
 def list_plotted(
     run: Run, plot: TimePlot, kinds: frozenset[CurveKind] | None = None
 ) -> list[PlottedCurve]:
-    """Return the curves that a run has in a plot, of some kinds or of all.
+    """Return the curves of a run in a plot, of some kinds or of all.
 
-    A run without a curve of its own has none: what is aimed at is nothing without it. For a robot
-    that recorded no commands the applied rates stand where those are asked for.
+    A run without a curve of its own has none: a reference alone is not shown. For a robot without
+    recorded commands, the applied rates replace them.
     """
     found = _read_entries(run, [one for one in plot.curves if kinds is None or one.kind in kinds])
     if kinds is not None and not found:
@@ -136,12 +136,12 @@ def list_plotted(
 
 
 def list_own(run: Run, plot: TimePlot) -> list[Curve]:
-    """Return what a run did in a plot; the axis of the plot must have room for that."""
+    """Return the run's own curves in a plot; its axis must include them."""
     return [one.curve for one in list_plotted(run, plot, OWN)]
 
 
 def has_own(run: Run, plot: TimePlot) -> bool:
-    """Whether a run has a curve of its own in a plot."""
+    """Return whether a run has a curve of its own in a plot."""
     return any(True for one in plot.curves if one.kind in _MEASURED for _ in one.read(run))
 
 
@@ -156,7 +156,7 @@ def list_plot_levels(
 
 
 def leaves_out(count: int, plot: TimePlot) -> bool:
-    """Whether a plot of so many runs leaves out those that never settle."""
+    """Return whether a plot of this many runs leaves out those that never settle."""
     return count > MANY and plot.is_filled
 
 
@@ -189,10 +189,10 @@ class StateGroup:
     """States that belong together.
 
     Attributes:
-        title: What they are, as `State lyapunov`, `States of the turn rate`.
-        names: As the law declares them.
-        units: Of each, as the law declares it; empty where it does not.
-        command: To which command they belong, None of states that belong to none.
+        title: Title, as `State lyapunov`, `States of the turn rate`.
+        names: Names of the states in the law's declaration.
+        units: Unit of each state in the law's declaration; empty if there is none.
+        command: Command to which they belong; None for other states.
     """
 
     title: str
@@ -202,7 +202,7 @@ class StateGroup:
 
     @property
     def label(self) -> str:
-        """Title and unit, where all have one."""
+        """Title, with the unit if all states have the same."""
         return _add_unit(self.title, self.units[0] if len({*self.units}) == 1 else "")
 
     def label_state(self, name: str) -> str:
@@ -210,7 +210,7 @@ class StateGroup:
         return _add_unit(name, self.units[self.names.index(name)])
 
     def can_share(self, names: Sequence[str], columns: Sequence[NDArray[np.float64]]) -> bool:
-        """Whether some of them can share a plot, by their units and by their values."""
+        """Return whether some of them can share a plot, by their units and values."""
         units = {self.units[self.names.index(name)] for name in names}
         return len(units) <= 1 and are_comparable(columns)
 
@@ -218,9 +218,9 @@ class StateGroup:
 def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
     """Return the states of laws in groups: of the turn rate, of the speed, then all others.
 
-    A state belongs to the loops whose names are among its words (`integral_rotate`), or whose
-    gains end in its last word (`integral_angular` beside `law.kp_angular`); where those have one
-    command, it is of that command. Others have a view each while there are few views.
+    A state belongs to the loops whose names are words in it (`integral_rotate`), or whose gains end
+    in its last word (`integral_angular` beside `law.kp_angular`); if these loops have the same
+    command, it belongs to this command. Other states have a view each while there are few views.
     """
     of_command: dict[str, dict[str, None]] = {command: {} for command in COMMAND_WORDS}
     others: dict[str, None] = {}
@@ -245,13 +245,13 @@ def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
 
 
 def find_state_unit(name: str, declarations: Iterable[Declaration]) -> str:
-    """Return the unit of a state, empty where no law declares one or two laws differ."""
+    """Return the unit of a state; empty if no law declares one or two laws differ."""
     units = {one.state_units.get(name, "") for one in declarations if name in one.states}
     return units.pop() if len(units) == 1 else ""
 
 
 def are_comparable(columns: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether curves can share a plot: few, and none would look like zero beside another."""
+    """Return whether curves can share a plot: few, and none that looks like zero beside another."""
     if len(columns) > _MOST_TOGETHER:
         return False
     known = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for values in columns]

@@ -1,4 +1,4 @@
-"""What is drawn of a robot in a bag: rates, paths, gaps, and steps of its commands."""
+"""The curves of a robot in a bag: rates, paths, gaps, and steps of its commands."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,12 +22,12 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredRate:
-    """A measured rate without its outliers, and these.
+    """A measured rate without its outliers, and the outliers.
 
     Attributes:
-        command: Of which command it is the answer.
+        command: Command to which it is the response.
         curve: All other values.
-        outliers: Those that would flatten every curve beside them; they stay in the data.
+        outliers: Values that would flatten every other curve; they stay in the data.
     """
 
     command: Command
@@ -35,7 +35,7 @@ class MeasuredRate:
     outliers: Curve
 
     def name_outliers(self) -> str:
-        """Return the outliers in words, of several the largest; empty where there are none."""
+        """Return the outliers in words, of several the largest; empty if there are none."""
         found = self.outliers
         if not len(found.values):
             return ""
@@ -46,7 +46,7 @@ class MeasuredRate:
 
 
 def read_measured(run: Run, command: Command) -> MeasuredRate | None:
-    """Return what a robot reports of `speed` or `turn_rate`; None where it reports nothing."""
+    """Return the `speed` or `turn_rate` that a robot reports; None if it reports none."""
     curve = read_curve(run, f"measured_{command}")
     if curve is None:
         return None
@@ -62,14 +62,14 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
 def part_path(run: Run) -> Values:
     """Return the positions of a run [m], shape (n, 2), with NaN before each break of its poses.
 
-    Nobody drove from the pose before a reset or teleport to the one after it, and where a robot was
-    while it sent no poses is not known.
+    The robot was not driven from the pose before a reset or teleport to the one after it, and its
+    position is unknown while it sent no poses.
     """
     return np.insert(run.poses.xy_m, find_break_rows(run), np.nan, axis=0)
 
 
 def part_curve(run: Run, curve: Curve) -> Curve:
-    """Return a curve with NaN before each break of the poses within which it has no row itself."""
+    """Return a curve with NaN before each break of the poses in which it has no row itself."""
     rows = find_break_rows(run)
     if not len(rows):
         return curve
@@ -83,13 +83,13 @@ def part_curve(run: Run, curve: Curve) -> Curve:
 
 
 def find_break_rows(run: Run) -> NDArray[np.int64]:
-    """Return the rows of poses before which curves break: at jumps, after a time without poses."""
+    """Return the rows of poses before which curves break: at jumps, and after gaps."""
     gaps = np.array([gap.row for gap in _list_breaking_gaps(run)], dtype=np.int64)
     return np.unique(np.concatenate([find_jump_rows(run), gaps]))
 
 
 def find_jump_rows(run: Run) -> NDArray[np.int64]:
-    """Return the rows of the poses that a jump leads to, of turtlesim's without samples."""
+    """Return the rows of the poses after jumps, of turtlesim's without samples."""
     none = np.zeros(0, dtype=np.int64)
     if len(run.samples) or not is_turtlesim(run):
         return none
@@ -101,19 +101,19 @@ def find_jump_rows(run: Run) -> NDArray[np.int64]:
 
 
 def is_turtlesim(run: Run) -> bool:
-    """Whether the poses are turtlesim's: it alone publishes the velocities that it applies.
+    """Return whether the poses are turtlesim's, which alone publishes the applied velocities.
 
-    A controller's samples are taken to be of a turtle.
+    A run with a controller's samples is taken to be of a turtle.
     """
     publishes = run.poses.speed_m_s is not None or len(run.samples) > 0
     return publishes and find_plant(run).name != LAGGED
 
 
 def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
-    """Return how fast a run is between some of its poses [m/s], shape (n - 1,).
+    """Return the speed of a run between some of its poses [m/s], shape (n - 1,).
 
-    Of runs without samples it is what the robot reports, as the times of their poses jitter; and
-    outliers are as fast as the fastest of all others.
+    For runs without samples it is the speed that the robot reports, because the times of their
+    poses jitter; outliers are clipped to the largest of the other values.
     """
     poses = run.poses
     way_m, time_ns = np.diff(poses.xy_m[rows], axis=0), poses.time_ns[rows]
@@ -128,7 +128,7 @@ def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
 
 
 def lack_samples(runs: Sequence[Run]) -> bool:
-    """Whether no run holds samples of a controller: poses, and at most commands, of any robot."""
+    """Return whether no run has samples of a controller: only poses, and commands at most."""
     return not any(len(run.samples) for run in runs)
 
 
@@ -144,16 +144,16 @@ _MOST_NAMED: Final = 5
 
 
 def _list_breaking_gaps(run: Run) -> list[PoseGap]:
-    """Return the stretches without poses at which curves break."""
+    """Return the gaps in the poses at which curves break."""
     least_ns = min(_find_least_ns(run), _LEAST_NS)
     return [gap for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
 
 
 def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
-    """Return the longest stretches without poses that a picture has room to show, in order of time.
+    """Return the longest gaps in the poses that a picture can show, in order of time.
 
     Returns:
-        From when to when each lasts, from the first sample [s], and its length in words.
+        Start and end of each gap, from the first sample [s], and its length in words.
     """
     least_ns = _find_least_ns(run)
     gaps = [gap for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
@@ -185,12 +185,12 @@ _MOST: Final = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandChange:
-    """A change in one direction, at once or within several commands.
+    """A change of a command in one direction, at once or over several commands.
 
     Attributes:
-        begin_s: When its first command comes [s].
-        half_s: When the command passes the middle between its levels [s].
-        end_s: When the next change begins, or the commands end [s].
+        begin_s: Time of its first command [s].
+        half_s: Time at which the command passes the middle between its levels [s].
+        end_s: Start of the next change, or end of the commands [s].
         before: Level from which it changes.
         after: Level to which it changes.
     """
@@ -202,15 +202,15 @@ class CommandChange:
     after: float
 
     def scale(self, values: Values) -> Values:
-        """Return values as the part of the change that is done: 0 before it, 1 after it."""
+        """Return values as the completed fraction of the change: 0 before it, 1 after it."""
         return (values - self.before) / (self.after - self.before)
 
 
 def find_command_changes(command: Curve) -> list[CommandChange]:
-    """Return the large changes of a command in the order of time.
+    """Return the large changes of a command in order of time.
 
-    Commands that follow each other in one direction are one change; a level that is held for
-    longer than the change itself, up to there, parts two.
+    Successive commands in one direction are one change; a level that is held for longer than the
+    change up to there separates two.
     """
     values = np.concatenate([[0.0], command.values])
     rows = np.flatnonzero(np.diff(values) != 0.0)

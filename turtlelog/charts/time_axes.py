@@ -1,4 +1,4 @@
-"""The axes of plots over time: what they span, and the timelines of compared runs."""
+"""The axes of plots over time: their ranges, and the timelines of compared runs."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -34,12 +34,12 @@ times `HEADROOM`."""
 
 
 def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float, float] | None:
-    """Return the range of a plot that holds curves and level lines, and a little more.
+    """Return the range of a plot that includes curves and level lines, with a margin.
 
-    Of commands it ends a little beyond what they reach, whether that is their limit or not.
+    For commands it ends slightly beyond their extremes, whether these are limits or not.
 
     Returns:
-        None where no value is known.
+        None if no value is known.
     """
     known = [values[np.isfinite(values)] for values in curves]
     spans = [(float(values.min()), float(values.max())) for values in known if len(values)]
@@ -55,11 +55,11 @@ def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float
 
 
 def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
-    """Return from when on no curve is further from its last value than a hundredth of a height [s].
+    """Return the time from which all curves stay within 1 % of a height of their last values [s].
 
     Args:
         curves: Times [s] and values of each.
-        height: Of the plot, in the unit of the values.
+        height: Height of the plot, in the unit of the values.
     """
     ends_s = [0.0]
     for time_s, values in curves:
@@ -87,15 +87,15 @@ _MOST_PHASES: Final = 8
 
 
 def name_phase_timeline(phase: str) -> str:
-    """Return the timeline whose zero is the start of a phase; no other has its name."""
+    """Return the unique name of the timeline whose zero is the start of a phase."""
     name = _PHASE_TIMELINE.format(phase)
     return _PHASE_TIMELINE.format(f"phase.{phase}") if name in {TIMELINE, WALL_TIMELINE} else name
 
 
 def find_phase_zeros(run: Run) -> dict[str, int]:
-    """Return the timelines of the phases after the first that is declared, with their zeros.
+    """Return the timelines of the phases after the first declared one, with their zeros.
 
-    Zeros are in the run's own time [ns].
+    Zeros are in the run's time [ns].
     """
     phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
     starts_ns: dict[str, int] = {}
@@ -106,13 +106,13 @@ def find_phase_zeros(run: Run) -> dict[str, int]:
 
 
 def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
-    """Return where a run is at times of a timeline: x and y [m], shape (n, 2), and heading [rad].
+    """Return the poses of a run on a timeline: x and y [m], shape (n, 2), and heading [rad].
 
-    Between two poses it moves straight; before the first and after the last it stands.
+    Poses are linearly interpolated; before the first and after the last the robot is at rest.
 
     Args:
         run: With at least one pose.
-        zero_ns: Where the timeline is zero, in the run's own time [ns].
+        zero_ns: Zero of the timeline, in the run's time [ns].
         time_s: Times [s], shape (n,).
     """
     own_s = (run.poses.time_ns - zero_ns) / 1e9

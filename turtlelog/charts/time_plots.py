@@ -1,6 +1,6 @@
-"""Plots over time: the curves of each, its level lines, and where it stands. A curve is one entry.
+"""Plots over time: the curves of each, its level lines, and its place. A curve is one entry.
 
-Figures, Rerun, reports and movies draw what stands here.
+Figures, Rerun, reports and movies draw these plots.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,12 +42,12 @@ _LIMIT_LABEL: Final = "limit"
 
 
 def find_plot(name: str, runs: Sequence[Run]) -> TimePlot:
-    """Return a plot by its name; any other name is a state of the law of some of the runs."""
+    """Return a plot by its name; any other name is a state of the law of one of the runs."""
     return TIME_PLOTS.get(name) or _describe_state(name, runs)
 
 
 def find_marked(signal: str) -> tuple[str, CurveEntry] | None:
-    """Return the plot and the curve on which characteristics of a signal stand; None of none."""
+    """Return the plot and the curve on which a signal's characteristics are marked; or None."""
     for name, plot in TIME_PLOTS.items():
         for entry in plot.curves:
             if entry.signal == signal:
@@ -74,7 +74,7 @@ def _read_away(run: Run) -> Iterator[Curve]:
 
 
 def _read_lost(run: Run, signal: str) -> Iterator[Curve]:
-    """Yield the poses that a controller did not get, where something stands for what it read."""
+    """Yield the poses that a controller did not receive, if what it read is shown."""
     curve = read_curve(run, signal)
     if curve is not None and read_sensed(run, signal) is not None and run.poses.dropped_out.any():
         yield select_curve_rows(curve, np.flatnonzero(run.poses.dropped_out))
@@ -115,7 +115,7 @@ def _signal(signal: str, label: str) -> CurveEntry:
 
 
 def _around(signal: str) -> tuple[CurveEntry, ...]:
-    """Return what is drawn below a signal: what is asked for where that moves, the ideal loop."""
+    """Return the curves below a signal: its moving reference, and the ideal loop."""
     return (
         CurveEntry(kind="aim", name="reference", read=partial(list_aims, signal=signal)),
         _ideal(signal),
@@ -129,7 +129,7 @@ def _ideal(signal: str) -> CurveEntry:
 
 
 def _sensed(signal: str, word: str) -> tuple[CurveEntry, ...]:
-    """Return what the controller read of a signal, and where it read nothing."""
+    """Return the signal that the controller read, and the poses that it did not receive."""
     return (
         CurveEntry(
             kind="sensed",
@@ -147,7 +147,7 @@ def _sensed(signal: str, word: str) -> tuple[CurveEntry, ...]:
 
 
 def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
-    """Return the plot of what was commanded, applied and measured."""
+    """Return the plot of a command: commanded, applied and measured values."""
     # The plant tells its speed without a sign.
     applied = "|applied|" if command == "speed" else "applied"
     return TimePlot(
@@ -191,7 +191,7 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
 
 
 def _plot_wanted(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
-    """Return the plot of what a law wanted before clipping."""
+    """Return the plot of a law's commands before clipping."""
     return TimePlot(
         title=f"wanted {title}",
         unit=COMMAND_UNITS[command],
@@ -384,7 +384,7 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
 
 
 def list_controlled(run: Run) -> Iterator[str]:
-    """Yield the plots of what the loops of a run control."""
+    """Yield the plots of the signals that the loops of a run control."""
     for loop in run.declaration.loops:
         if loop.signal == "along_track" and loop.moves:
             yield "along_track_error"

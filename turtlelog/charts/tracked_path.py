@@ -1,4 +1,4 @@
-"""What is drawn of runs whose laws track a path: the path, the error along it, the worst place."""
+"""Pictures of runs whose laws track a path: the path, the error along it, the largest deviation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,13 +41,13 @@ _LEAST_HALVES: Final = 1.5
 
 
 def list_paths(runs: Sequence[Run]) -> tuple[Path, ...]:
-    """Return the paths that the laws of runs track, each once, whatever their speeds."""
+    """Return the paths that the laws of runs track without duplicates, whatever their speeds."""
     paths = [run.path for run in runs]
     return tuple(dict.fromkeys(replace(path, speed_m_s=None) for path in paths if path is not None))
 
 
 def outline_path(path: Path) -> Values:
-    """Return the points through which a path is drawn [m], shape (n, 2), a closed one closed."""
+    """Return the points for drawing a path [m], shape (n, 2); a closed path is closed."""
     if path.points is not None:
         points = [*path.points, *path.points[:1]] if path.is_closed else path.points
         return np.array(points, dtype=np.float64)
@@ -57,14 +57,14 @@ def outline_path(path: Path) -> Values:
 
 
 def has_own_way(run: Run) -> bool:
-    """Whether its reference goes a way of its own, rather than along the path that is tracked."""
+    """Return whether its reference moves on its own trajectory instead of the tracked path."""
     return run.path is None or any(loop.reference == "recorded" for loop in run.declaration.loops)
 
 
 def read_along_error(run: Run) -> Curve | None:
-    """Return how far the robot is behind its moving reference along the track, at every pose [m].
+    """Return the robot's distance behind its moving reference along the track, at every pose [m].
 
-    None where no loop along the track follows one, or no time belongs to the path.
+    None if no loop follows a reference along the track, or the path has no time law.
     """
     loops = [loop for loop in list_loops(run, "along_track") if loop.moves]
     along, reference = (
@@ -78,22 +78,22 @@ def read_along_error(run: Run) -> Curve | None:
 
 
 def read_way_to_reference(run: Run) -> Values | None:
-    """Return the way from every pose to the reference that holds there [m], shape (n, 2)."""
+    """Return the vector from every pose to the reference held there [m], shape (n, 2)."""
     held_xy_m = hold_reference(run, run.samples.reference_xy_m)
     return None if held_xy_m is None else held_xy_m - run.poses.xy_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorstPlace:
-    """Where runs are furthest from the path that they track, and what to show around it.
+    """Position of the largest deviation from the tracked path, and the region to show.
 
     Attributes:
-        run: Number of the run that is furthest off.
-        xy_m: Its pose there.
-        path_xy_m: The point of the path that is nearest to it.
-        offset_m: How far off that is.
-        center_xy_m: Middle of what is shown: the way out and back, or its worst part.
-        half_m: Half of its width and height.
+        run: Number of the run with the largest deviation.
+        xy_m: Position of its pose there [m].
+        path_xy_m: Nearest point of the path [m].
+        offset_m: Distance between the two [m].
+        center_xy_m: Centre of the region: the whole excursion, or its worst part [m].
+        half_m: Half of its width and height [m].
     """
 
     run: int
@@ -105,9 +105,9 @@ class WorstPlace:
 
 
 def find_worst_place(runs: Sequence[Run]) -> WorstPlace | None:
-    """Return where runs are furthest from the one path that they track.
+    """Return the position of the runs' largest deviation from the one path that they track.
 
-    None where they track none or several, and where none is further off than `ON_PATH_M`.
+    None if they track no path or several paths, or if no deviation exceeds `ON_PATH_M`.
     """
     paths = list_paths(runs)
     if len(paths) != 1:
@@ -138,7 +138,7 @@ def find_worst_place(runs: Sequence[Run]) -> WorstPlace | None:
 
 
 def label_worst_place(worst: WorstPlace, lettering: Lettering) -> Label:
-    """Return how far off the worst place is, beyond the robot as seen from the path."""
+    """Return the label of the largest deviation, beyond the robot as seen from the path."""
     text = format_length(worst.offset_m)
     away = np.subtract(worst.xy_m, worst.path_xy_m) / worst.offset_m
     sides = np.abs(away) * (lettering.letter * len(text) / 2.0, lettering.line / 2.0)
@@ -152,7 +152,7 @@ def _read_offsets(run: Run) -> Values:
 
 
 def _find_stretch(offsets_m: Values, row: int) -> slice:
-    """Return the rows around one in which the offset stays above a share of what it is there."""
+    """Return the rows around one in which the offset exceeds a fraction of its value there."""
     near = np.flatnonzero(offsets_m <= _SHARE * offsets_m[row])
     place = int(np.searchsorted(near, row))
     first = int(near[place - 1]) + 1 if place else 0

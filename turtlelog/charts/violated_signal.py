@@ -1,4 +1,4 @@
-"""A signal that violated a check: its curve, the band that it left, where, when and how far."""
+"""A signal that violated a check: its curve, its band, and the place and size of the violation."""
 
 from dataclasses import dataclass
 
@@ -11,11 +11,11 @@ from turtlelog.display import format_number
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViolationMoment:
-    """One moment of a violation.
+    """One time of a violation.
 
     Attributes:
-        time_s: From the first sample [s].
-        value: Of the signal then, in the unit of the check.
+        time_s: Time from the first sample [s].
+        value: Value of the signal then, in the unit of the check.
     """
 
     time_s: float
@@ -24,25 +24,26 @@ class ViolationMoment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViolatedSignal:
-    """A signal and the band that a check holds it to, both in the unit of the check.
+    """A signal and the band to which a check limits it, both in the unit of the check.
 
     Angles are in degrees, as the check's message prints them.
 
     Attributes:
-        name: What is measured, as the check writes it: `cross_track`, `speed - measured_speed`.
-        unit: Of values and limits: `m`, `deg`, `m/s`, `rad/s`; empty where it is not plain.
+        name: Name of the measured quantity in the check: `cross_track`, `speed - measured_speed`.
+        unit: Unit of values and limits: `m`, `deg`, `m/s`, `rad/s`; empty if it is not simple.
         curve: The signal over the whole run, shape (n,).
-        low: Lower end of the band, shape (n,), NaN where nothing is asked; None for no lower end.
-        high: Upper end of the band, likewise.
-        reference: What a tolerance counts from, shape (n,); None where the limit is not one.
-        outside: Rows that violate the check, shape (n,): outside the band while it is asked for.
-        first: When the check is first violated.
-        worst: The row furthest outside; where a value was waited for that never came, the nearest.
+        low: Lower end of the band, shape (n,), NaN where it is not required; None for no lower end.
+        high: Upper end of the band, shape (n,), NaN where it is not required; None for no upper
+            end.
+        reference: Values from which a tolerance counts, shape (n,); None for any other limit.
+        outside: Rows that violate the check, shape (n,): outside the band while it is required.
+        first: First violation of the check.
+        worst: The row furthest outside; if a required value was never reached, the nearest.
         worst_word: `worst` or `nearest`.
-        check: The check's name.
-        expected: What was to hold, as written.
-        metric: Id of the metric that is held to the limit, which the signal has at the worst moment
-            alone; empty where the band is asked for over time.
+        check: Name of the check.
+        expected: Requirement as written.
+        metric: Id of the limited metric, whose value the signal has only at the worst time; empty
+            if the band is required over time.
     """
 
     name: str
@@ -61,7 +62,7 @@ class ViolatedSignal:
 
     @property
     def is_moving(self) -> bool:
-        """Whether an end of the band is not the same at all times."""
+        """Whether an end of the band changes with time."""
         ends = [end[np.isfinite(end)] for end in (self.low, self.high) if end is not None]
         return any(len(end) > 0 and bool(np.ptp(end) > 0.0) for end in ends)
 
@@ -71,11 +72,11 @@ class ViolatedSignal:
         return self.name if self.unit in {"", "1"} else f"{self.name} [{self.unit}]"
 
     def describe_moment(self, moment: ViolationMoment, word: str) -> str:
-        """Return a moment in words: `worst -0.083 m at 4.512 s`."""
+        """Return the time and value of a violation in words: `worst -0.083 m at 4.512 s`."""
         return f"{word} {format_number(moment.value, self.unit)} at {moment.time_s:.3f} s"
 
     def describe_outside(self, moment: ViolationMoment) -> str:
-        """Return how far outside the band the signal is then: `0.0577 m`; empty where it is not."""
+        """Return the distance of the signal from the band then: `0.0577 m`; empty if inside."""
         row = int(np.argmin(np.abs(self.curve.time_s - moment.time_s)))
         below = 0.0 if self.low is None else float(self.low[row]) - moment.value
         above = 0.0 if self.high is None else moment.value - float(self.high[row])
@@ -83,7 +84,7 @@ class ViolatedSignal:
         return format_number(float(f"{beyond:.3g}"), self.unit) if beyond > 0.0 else ""
 
     def describe_limits(self) -> dict[str, str]:
-        """Return the name of each end of the band: `low` and `high`, each where there is one."""
+        """Return the names of the band's ends: `low` and `high`, if they exist."""
         return {
             side: self._name_limit(end, side)
             for side, end in (("low", self.low), ("high", self.high))
@@ -104,8 +105,8 @@ class SignalSearch:
     """The violated signal of a check, or why there is none.
 
     Attributes:
-        signal: None where the violation belongs to no signal, or to no moment.
-        reason: Why there is none; empty where there is one.
+        signal: Violated signal; None if the violation belongs to no signal, or has no time.
+        reason: Why there is no signal; empty if there is one.
     """
 
     signal: ViolatedSignal | None = None

@@ -1,4 +1,4 @@
-"""Where a comparison stands in a formula, and the band that it asks a measured value to stay in."""
+"""A comparison inside a formula, and the band in which it requires a measured value to stay."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,16 +38,16 @@ _TURNED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leaf:
-    """A comparison in a formula and how the formula comes to it.
+    """A comparison in a formula, and the operators above it.
 
     Attributes:
-        node: It.
-        is_denied: Whether the formula asks that it does not hold.
-        start_s: Earliest moment that it is asked of, from the beginning [s].
-        end_s: Last moment [s].
-        body: The part below the innermost window, None where no `always` alone leads to it.
-        is_body_denied: Whether the formula asks that the body does not hold.
-        beside: Comparisons that are asked for together with it.
+        node: Node of the comparison.
+        is_denied: Whether the formula requires it to be false.
+        start_s: Earliest time at which it is required, from the beginning [s].
+        end_s: Latest time at which it is required [s].
+        body: Part below the innermost window; None if it is not below `always` alone.
+        is_body_denied: Whether the formula requires the body to be false.
+        beside: Comparisons that are required together with it.
     """
 
     node: Comparison
@@ -59,13 +59,13 @@ class Leaf:
     beside: tuple[Comparison, ...] = ()
 
     def list_links(self) -> list[str]:
-        """Return its comparisons of two as a result names them."""
+        """Return its two-sided comparisons as results name them."""
         return [format_expression(link) for link in _split(self.node)]
 
     def find_failing(
         self, formula: Expression, trace: FormulaTrace, time_ns: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Return at which times the comparison is asked for and the formula fails."""
+        """Return the times at which the comparison is required and the formula fails."""
         first_ns = trace.start_ns + self.start_s * 1e9
         last_ns = min(trace.start_ns + self.end_s * 1e9, trace.end_ns)
         asked = (time_ns >= first_ns) & (time_ns <= last_ns)
@@ -85,13 +85,13 @@ def _split(node: Comparison) -> Iterator[Comparison]:
 
 
 def list_leaves(formula: Expression) -> Iterator[Leaf]:
-    """Yield the comparisons of a formula, and how it comes to each."""
+    """Yield the comparisons of a formula, with the operators above each."""
     yield from _descend(formula.root, _Place())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Place:
-    """How the formula comes to a part: as in `Leaf`; `is_plain` until a window is within one."""
+    """Operators above a part: as in `Leaf`; `is_plain` until a window is inside another."""
 
     is_denied: bool = False
     start_s: float = 0.0
@@ -149,7 +149,7 @@ def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Band:
-    """A measured side as a curve, its ends, where it is beyond them, and how far."""
+    """A measured side as a curve, its limits, the rows beyond them, and by how much."""
 
     name: str
     unit: str
@@ -162,14 +162,14 @@ class Band:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Ends:
-    """Ends of a band, None where there is none, and whether one of them is outside itself."""
+    """Ends of a band, None if there is no end, and whether one of them is excluded."""
 
     low: Values | None = None
     high: Values | None = None
     is_strict: bool = False
 
     def narrow(self, other: "_Ends") -> "_Ends":
-        """Return what both ask for."""
+        """Return the intersection of both."""
         lows = [end for end in (self.low, other.low) if end is not None]
         highs = [end for end in (self.high, other.high) if end is not None]
         return _Ends(
@@ -180,7 +180,7 @@ class _Ends:
 
 
 class BandReader:
-    """Reads what a comparison measures, and the limits on it, at the rows of its signals."""
+    """Reads the measured value of a comparison, and its limits, at the rows of its signals."""
 
     def __init__(
         self, run: Run, formula: Expression, leaf: Leaf, signals: Mapping[str, Any]
@@ -207,7 +207,7 @@ class BandReader:
         return values[np.searchsorted(time_ns, self._time_ns, side="right") - 1]
 
     def read(self, decided_by: str) -> Band | None:
-        """Return the band of the comparison that decides, its other end too if there is one."""
+        """Return the band of the deciding comparison, with its other end if there is one."""
         links = [*_split(self._leaf.node)]
         decisive = next(link for link in links if format_expression(link) == decided_by)
         measured = self._choose_measured(decisive)
@@ -248,7 +248,7 @@ class BandReader:
     def _find_ends(
         self, links: Sequence[Comparison], measured: Node, *, is_magnitude: bool
     ) -> "_Ends | None":
-        """Return the ends that comparisons ask for; None where one asks for something else."""
+        """Return the ends that comparisons require; None if one requires something else."""
         ends = _Ends()
         for link in links:
             if measured not in link.operands:
@@ -265,14 +265,14 @@ class BandReader:
         return ends
 
     def _reads_all(self, link: Comparison) -> bool:
-        """Whether its signals are those of the comparison that decides."""
+        """Return whether it uses the signals of the deciding comparison."""
         names = [part.name for part in iterate_nodes(link) if isinstance(part, Name)]
         return all(
             name in self._signals or not isinstance(self._values[name], tuple) for name in names
         )
 
     def _choose_measured(self, link: Comparison) -> Node:
-        """Return the side that changes with time; the first one where both do."""
+        """Return the side that changes with time; the first one if both do."""
         left, right = link.operands
         return left if names_signals(left, self._signals) else right
 
@@ -291,7 +291,7 @@ class BandReader:
         return np.broadcast_to(np.asarray(found.data, np.float64), self._time_ns.shape).copy()
 
     def _find_unit(self, node: Node) -> str:
-        """Return the unit of what is measured: of a sum that of its parts, where they have one."""
+        """Return the unit of the measured value; for a sum, the common unit of its parts."""
         if isinstance(node, Call) and node.function == "deg":
             return "deg"
         if isinstance(node, Call) and node.function not in {"abs", "min", "max"}:
@@ -306,14 +306,14 @@ class BandReader:
         return found.pop() if len(found) == 1 else ""
 
     def _holds(self, node: Node) -> bool:
-        """Whether the curve is drawn in steps: where a signal in it is held between its rows."""
+        """Return whether the curve is drawn in steps: a signal in it is held between rows."""
         known = list_signals(self._run.declaration)
         names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
         return any(known[name].resampling == "hold" for name in names if name in known)
 
 
 def _read_magnitude(node: Node) -> Node | None:
-    """Return what `abs` is taken of; None of anything else."""
+    """Return the argument of `abs`; None for anything else."""
     return node.arguments[0] if isinstance(node, Call) and node.function == "abs" else None
 
 
@@ -322,11 +322,11 @@ def _is_constant(node: Node) -> bool:
 
 
 def names_signals(node: Node, signals: Mapping[str, Any]) -> bool:
-    """Whether anything below a node is a signal."""
+    """Return whether any node below a node is a signal."""
     names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
     return any(isinstance(signals.get(name), tuple) for name in names)
 
 
 def find_scale(unit: str) -> tuple[str, float]:
-    """Return the unit in which a check's message prints values, and the factor to it."""
+    """Return the unit in which a check's message shows values, and its conversion factor."""
     return ("deg", math.degrees(1.0)) if unit == "rad" else (unit, 1.0)

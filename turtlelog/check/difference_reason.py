@@ -1,4 +1,4 @@
-"""Why a run that fails a check is another one than its reference, in a few lines."""
+"""Why a run that fails a check differs from its reference, in a few lines."""
 
 import shlex
 from collections.abc import Sequence
@@ -43,18 +43,18 @@ def add_reason(
     trust_law: bool = False,
     limit_s: float = LIMIT_S,
 ) -> list[CheckResult]:
-    """Return results, one of those that fail with why the run differs from its reference.
+    """Return results; one failed result gets the reason why the run differs from its reference.
 
-    That is the check of the metric that matters most, or else the first that names a metric.
+    It is the check of the most important metric, otherwise the first that names a metric.
 
     Args:
-        run: That was judged.
-        reference: What it was held to, or what was as it should be; the scenario in a file of
+        run: Run that was judged.
+        reference: Reference of the check, or a run known to be good; the scenario in a file of
             metrics is simulated again.
-        results: Of the run.
-        place: What a command calls the reference.
-        trust_law: Run the laws that the recordings name, if they are not built in: their code.
-        limit_s: After this time the reason is what to type [s].
+        results: Results of the run.
+        place: Name of the reference in the command.
+        trust_law: Whether to run the code of recorded laws that are not built in.
+        limit_s: Time limit, after which the reason is replaced by a command to type [s].
     """
     failed = [one for one in results if one.verdict == "FAIL"]
     if not failed:
@@ -82,7 +82,7 @@ def _write_command(reference: str, file: str, metric: str, *, trust_law: bool) -
 
 
 def _list_metrics(result: CheckResult) -> list[str]:
-    """Return the metrics that a check names."""
+    """Return the metrics in a check."""
     names = [result.check.removeprefix(_PREFIX)]
     if isinstance(result.judged, JudgedMetric):
         names.append(result.judged.metric.id)
@@ -114,7 +114,7 @@ def _explain(
 def _explain_metrics(
     run: Run, reference: MetricsFile, metric: str, limit_s: float, more: str, *, trust_law: bool
 ) -> tuple[str, ...]:
-    """Return why a run differs from the run whose metrics a file has, if the scenario shows it."""
+    """Return why a run differs from the run of a metrics file, if the file's scenario shows it."""
     file = Path(reference.file).name
     if not reference.scenario:
         return (
@@ -145,8 +145,8 @@ def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
     """Return the run of the scenario in a file of metrics.
 
     Raises:
-        ScenarioError: If it is wrong, takes longer than is simulated here, or names a law whose
-            code may not run.
+        ScenarioError: If it is wrong, takes longer than the limit for simulations here, or names a
+            law whose code may not run.
         SimulationError: If the law fails.
     """
     scenario = _read_scenario(reference, trust_law=trust_law)
@@ -183,7 +183,7 @@ def _describe_apart(
     reference: MetricsFile,
     found: Metric,
 ) -> tuple[str, ...]:
-    """Return that today's software does not give what a file has, and what differs."""
+    """Return that today's software does not reproduce the values of a file, and what differs."""
     name, file, expected = found.id, Path(reference.file).name, reference.metrics[found.id]
     values = [one.status.value if one.value is None else one.value for one in (expected, found)]
     was, now = format_pair(values[0], values[1], expected.unit)
@@ -199,7 +199,7 @@ def _describe_apart(
 
 
 class _Deadline:
-    """Ends simulations that would take too long."""
+    """Ends simulations that exceed a time limit."""
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s, self._began_s = limit_s, perf_counter()

@@ -1,4 +1,4 @@
-"""What to say of a failed check, and what to look at: a Rerun view, its picture, the segment."""
+"""Report of a failed check: its text, a Rerun view, a picture, and the segment of the recording."""
 
 import math
 import re
@@ -35,8 +35,8 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
     """Return lines: value, limit, margin, first violation with the values around, gains, scenario.
 
     Args:
-        run: That was checked.
-        results: What came of it; of many, the first violated are told in full.
+        run: Run that was checked.
+        results: Results of the run; of many, only the first violated ones are shown in full.
     """
     lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
     return [escape_controls(line) for line in lines]
@@ -55,7 +55,7 @@ def describe_results(run: Run, *results: CheckResult) -> list[str]:
 
 
 def _read_first(result: CheckResult) -> tuple[bool, float]:
-    """Return what puts the explained result first, then the first violated."""
+    """Return a sort key that places the explained result first, then the first violated."""
     first_s = result.first_violation_s
     return not result.why, math.inf if first_s is None else first_s
 
@@ -115,17 +115,17 @@ _ROWS: Final = 2
 
 
 def describe_clock(run: Run) -> str:
-    """Return what times of a run mean."""
+    """Return the meaning of a run's times."""
     is_simulated = run.source == "simulation" or run.source.startswith("replay of ")
     clock = "simulated time" if is_simulated else "the recording's clock"
     return f"{clock}, from the first {run.first_row}"
 
 
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
-    """Return lines: the signals at the poses around a time, `>` before the one that holds there.
+    """Return lines: the signals at the poses around a time; `>` marks the pose that holds at it.
 
-    A command that was published between two poses has a line of its own. Of a run without poses
-    the lines are those of its commands.
+    A command published between two poses has a line of its own. For a run without poses the lines
+    are its commands.
     """
     rows = run.poses if len(run.poses) else run.commands
     time_ns, at_ns = rows.time_ns, run.start_ns + round(at_s * 1e9)
@@ -152,13 +152,13 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
 
 
 def _is_published(run: Run, name: str, time_ns: int) -> bool:
-    """Whether a signal is of commands, and one was published at that very time."""
+    """Return whether a signal is one of commands, and a command was published exactly then."""
     signal = find_signal(run, name)
     return signal is not None and signal.kind.source == "command" and time_ns in signal.time_ns
 
 
 def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
-    """Return the signals that a run holds; where it holds less than named, where the robot is."""
+    """Return the signals that a run contains; if some named ones are missing, the position too."""
     held = [name for name in names if find_signal(run, name) is not None]
     return held if held == [*names] and held else ["x", "y", *(n for n in held if n not in "xy")]
 
@@ -183,11 +183,11 @@ _SIZE: Final = (1400, 900)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Artifacts:
-    """What was written.
+    """Files that were written.
 
     Attributes:
-        files: .rrd where Rerun is installed, .png where a picture could be made, and .mcap.
-        notes: What could not be, and why.
+        files: .rrd if Rerun is installed, .png if a picture could be made, and .mcap.
+        notes: Files that could not be written, and why.
     """
 
     files: tuple[Path, ...]
@@ -195,12 +195,12 @@ class Artifacts:
 
 
 class ArtifactWriter:
-    """Writes what there is to look at of many failures; one viewer takes all pictures.
+    """Writes files for the analysis of failures; one viewer takes all pictures.
 
     The viewer is started for the first picture and ended by `close`, or at the end of a `with`.
 
     Args:
-        folder: Made where it is not there.
+        folder: Folder of the files; it is made if it does not exist.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -217,20 +217,20 @@ class ArtifactWriter:
         self.close()
 
     def close(self) -> None:
-        """End the viewer."""
+        """Close the viewer."""
         self._camera = None
         self._viewer.close()
 
     def write(self, run: Run, result: CheckResult, *, prefix: str = "") -> Artifacts:
         """Write a .rrd that opens at the violation, its picture, and the recording around it.
 
-        If a violation belongs to no moment they show the end of the run, and the recording is
-        whole. For a run without poses there is nothing to look at, and a note says so.
+        If a violation has no time, they show the end of the run, and the recording is whole. A run
+        without poses has nothing to show, and a note says so.
 
         Args:
-            run: That failed.
+            run: Run that failed.
             result: Result of the check.
-            prefix: Id of the test that failed; the end of it stands in front of the files' names.
+            prefix: Id of the failed test; its end is the start of the files' names.
 
         Raises:
             CheckError: If the folder cannot be made.
@@ -288,7 +288,7 @@ def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> Non
 
 
 def _cut(run: Run, at_s: float | None) -> Run:
-    """Return what was recorded a second before and after the violation."""
+    """Return the segment from one second before to one second after the violation."""
     if at_s is None:
         return run
     start_ns = run.start_ns + round((at_s - _AROUND_S) * 1e9)
@@ -297,7 +297,7 @@ def _cut(run: Run, at_s: float | None) -> Run:
 
 
 def name_files(result: CheckResult, prefix: str) -> str:
-    """Return a name that every file system takes, one of its own for every file and check."""
+    """Return a valid name for every file system, unique for every file and check."""
     stem, test = Path(result.file).stem, prefix.rpartition("::")[2]
     words = [test, "" if f"[{stem}]" in test else stem, result.check]
     plain = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(filter(None, words))).strip("-.")

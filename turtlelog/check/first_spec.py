@@ -1,4 +1,4 @@
-"""A good run -> the text of a first specification, its bounds marked as observed."""
+"""A good run -> the text of a first specification with its bounds marked as observed."""
 
 import math
 import os
@@ -49,13 +49,13 @@ rad from platform to platform, which of an angle of a radian is 1e-4 %. Of times
 def format_first_spec(
     run: Run, *, reference: str, partial: str = "", read: ReadChoice | None = None
 ) -> str:
-    """Return a specification that a run passes: 10 to 20 % of each value to spare.
+    """Return a specification that a run passes, with a margin of 10 to 20 % of each value.
 
     Args:
-        run: A good one.
-        reference: Its file, as the specification is to name it.
-        partial: What it has lost, for a comment.
-        read: How it was read, so that others are read in the same way.
+        run: Good run.
+        reference: File of the run, as the specification names it.
+        partial: Lost data of the run, for a comment.
+        read: Settings with which it was read, so that others are read equally.
     """
     head = [*_list_head(run, reference, partial), *_list_read(read or ReadChoice())]
     return "\n".join([*head, *_list_checks(run)]) + "\n"
@@ -81,7 +81,7 @@ def _list_head(run: Run, reference: str, partial: str) -> Iterator[str]:
 
 
 def _list_read(read: ReadChoice) -> Iterator[str]:
-    """Yield the table `[read]` with what was chosen, nothing where nothing was."""
+    """Yield the table `[read]` with non-default settings; nothing if there are none."""
     lines = [
         f"{name} = {_quote(text)}"
         for name in READ_TEXTS
@@ -126,7 +126,7 @@ _COUNTS: Final = frozenset({"run.rest_share", "run.speed_steps", "run.turn_rate_
 
 
 def _list_of_motion(run: Run) -> Iterator[str]:
-    """Yield checks for a bag of somebody else's: of what has a value, and of its commands."""
+    """Yield checks for a third-party bag: of metrics with a value, and of its commands."""
     kinds = list_metrics(run.declaration)
     steps_s = np.diff(run.poses.time_ns) / 1e9
     tick_s = float(np.median(steps_s)) if len(steps_s) else 0.0
@@ -155,7 +155,7 @@ def _list_bound(name: str, largest: float, unit: str) -> Iterator[str]:
 
 
 def _choose_metrics(declaration: Declaration) -> list[str]:
-    """Return the ids to write a check for: of every loop that is declared, the end and the run."""
+    """Return the ids of the metrics to check: of every declared loop, the end and the run."""
     of_loops = (
         f"{loop.name}.{name}"
         for loop in declaration.loops
@@ -166,7 +166,7 @@ def _choose_metrics(declaration: Declaration) -> list[str]:
 
 
 def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
-    """Return what is asked of the end and of the run: no errors where there is no goal or path."""
+    """Return the ids for the end and the run; no errors if there is no goal or path."""
     if declaration.uses_goal:
         return _OF_RUN
     follows = any(loop.reference == "path" for loop in declaration.loops)
@@ -175,7 +175,7 @@ def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
 
 
 def _is_name(text: str) -> bool:
-    """Return whether a formula can name it: a loop may be called `my-loop`."""
+    """Return whether a formula can contain a name: a loop may be called `my-loop`."""
     return all(part.isidentifier() for part in text.split("."))
 
 
@@ -211,7 +211,7 @@ def _list_arrival(run: Run) -> Iterator[str]:
 def choose_bound(
     value: float, unit: str, *, up: bool, tick_s: float = TURTLESIM.period_s
 ) -> tuple[float, str]:
-    """Return a bound beyond an observed value, and in words what it leaves."""
+    """Return a bound beyond an observed value, and its margin in words."""
     spare = abs(value) * _SHARE
     grain = tick_s if unit == "s" else _GRAIN.get(unit, 0.0)
     if spare < grain:
@@ -226,7 +226,7 @@ def choose_bound(
 
 
 def _round(value: float, *, digits: int, up: bool) -> float:
-    """Return a value in so many digits, away from what was observed."""
+    """Return a value with the given number of digits, rounded away from the observed one."""
     if value == 0.0:
         return 0.0
     step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)

@@ -1,4 +1,4 @@
-"""Formula and signals -> finding: does it hold, by what margin, and where is that decided."""
+"""Formula and signals -> finding: whether it holds, its margin, and the time that decides."""
 
 import math
 from collections import ChainMap
@@ -58,22 +58,22 @@ class FormulaResult:
     Attributes:
         formula: Text of the formula.
         holds: The verdict; None if it is unknown.
-        margin: Change of every number that the verdict withstands, in the unit of the comparison
-            that decides: positive where it holds. inf or -inf if nothing with a distance decides;
-            None if it is unknown.
-        margin_s: Time from which the margin comes [s]; None if it is unknown.
-        decided_by: The comparison from which the margin comes then.
-        value: Left side of that comparison; None if that is no number.
-        limit: Limit of the comparison; None if that is no number.
-        unit: Unit of the three, as signals and metrics of these names have it; empty if it is not
-            plain.
-        first_violation_s: First time at which it is violated [s]; None if it is not, or where that
-            is after the end of the trace.
-        values: Value of every name at the first violation, or else at `margin_s`, or else at the
-            beginning; None for no value.
-        is_covered: Whether the trace is long enough for all that the formula looks ahead; a run
-            that was cut is never long enough for a window without an end.
-        reason: One clause where the verdict is unknown, or where no time of the trace violates it.
+        margin: Robustness: the change of every number that the verdict withstands, in the unit of
+            the deciding comparison; positive if it holds. inf or -inf if no comparison with a
+            distance decides; None if it is unknown.
+        margin_s: Time of the margin [s]; None if it is unknown.
+        decided_by: The comparison that gives the margin at this time.
+        value: Left side of that comparison; None if it is not a number.
+        limit: Limit of the comparison; None if it is not a number.
+        unit: Unit of the three, from signals and metrics with these names; empty if it is not
+            simple.
+        first_violation_s: Time of the first violation [s]; None if there is none, or if it is after
+            the end of the trace.
+        values: Value of every name at the first violation, otherwise at `margin_s`, otherwise at
+            the beginning; None for no value.
+        is_covered: Whether the trace covers all windows of the formula; a run that was cut never
+            covers a window without an end.
+        reason: One clause if the verdict is unknown, or if no time of the trace violates it.
     """
 
     formula: str
@@ -90,10 +90,10 @@ class FormulaResult:
     reason: str = ""
 
     def __bool__(self) -> bool:
-        """Whether it holds.
+        """Whether the formula holds.
 
         Raises:
-            UndecidedError: If that is unknown.
+            UndecidedError: If it is unknown.
         """
         if self.holds is None:
             raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
@@ -125,20 +125,20 @@ def check_formula(
     ending: RunEnding = RunEnding.SETTLED,
     declaration: Declaration | None = None,
 ) -> FormulaResult:
-    """Check a formula at the beginning of a trace; over a run as `check_run` does.
+    """Check a formula at the beginning of a trace; `check_run` does so for a run.
 
     Args:
-        signals: A run, or by name: (time_ns, values) of a signal, or a constant, None for no
-            value. Times do not decrease; of values at one time the last one holds.
+        signals: A run, or by name: (time_ns, values) of a signal, or a constant, None for no value.
+            Times do not decrease; of several values at one time the last is used.
         expression: A formula or its text, temporal or not.
-        window_ns: First and last time [ns] of the trace; by default from the first moment at
-            which every signal used has a value to the last time of any.
-        ending: Knowledge of the time after that; by default the last values hold for ever.
-        declaration: Declaration of the law that ran, which says the units of its loops' metrics.
+        window_ns: First and last time [ns] of the trace; default: from the first time at which
+            every used signal has a value to the last time of any.
+        ending: Knowledge of the time after the end; default: the last values are held.
+        declaration: Declaration of the law, for the units of its loops' metrics.
 
     Raises:
-        ExpressionError: If a name is not there or the kinds do not go together.
-        CheckError: If a signal is no signal, or has no value at the first time.
+        ExpressionError: If a name is unknown or operand types do not match.
+        CheckError: If a signal is invalid, or has no value at the first time.
     """
     if isinstance(signals, Run):
         return check_run(signals, expression, window_ns=window_ns)
@@ -186,15 +186,15 @@ def check_run(
     If the run was truncated, the time after its end is unknown.
 
     Args:
-        run: Time zero is its first sample.
+        run: Run to check; time zero is its first sample.
         expression: A formula, or its text, over the run's signals and states, its metrics and its
             parameters. A metric of a loop that its law does not declare has no value.
-        window_ns: First and last time [ns]; by default from time zero to the run's end, of commands
-            without samples from the first one on. After one that ends earlier, such as a phase, its
-            last values hold.
+        window_ns: First and last time [ns]; default: from time zero to the run's end; for commands
+            without samples, from the first command. After an earlier end, such as that of a phase,
+            the last values of the window are held.
 
     Raises:
-        ExpressionError: If a name is not there or the kinds do not go together.
+        ExpressionError: If a name is unknown or operand types do not match.
         CheckError: If a signal has no value at the first time.
     """
     expression = _parse(expression)
@@ -221,10 +221,10 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 
 
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
-    """Return the verdict; of long traces there is one walk at a time.
+    """Return the verdict; only one walk over a long trace is in memory.
 
-    If part is unknown, the whole may still be decided: by the margins in which the unknown counts
-    as badly, or as well, as it can.
+    If a part is unknown, the whole may still be decided: by the margins with the unknown part at
+    its worst and at its best.
     """
     walk = FormulaWalk(expression, trace)
     margin = walk.margin
@@ -239,7 +239,7 @@ def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
 
 
 def _find_violation(expression: Expression, trace: FormulaTrace) -> int | None:
-    """Return the first violation; unknown parts count as well as they can: None unless sure."""
+    """Return the first violation with unknown parts at their best; None unless certain."""
     return FormulaWalk(expression, trace, exact=True, unknown=math.inf).find_violation()
 
 
@@ -253,7 +253,7 @@ def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
 
 
 def _advise(expression: Expression, trace: FormulaTrace) -> str:
-    """Return what to ask of a trace that was cut in place of a window without an end."""
+    """Return the window to use for a cut trace instead of a window without an end."""
     recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
     nodes = iterate_nodes(expression.root)
     is_open = any(isinstance(node, Temporal | Until) and math.isinf(node.end_s) for node in nodes)
@@ -269,9 +269,9 @@ def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
 
 
 def _measure_reach(node: Node, *, is_cut: bool) -> float:
-    """Return how far a formula looks ahead [s].
+    """Return how far ahead a formula looks [s].
 
-    Windows without an end count to their start, where the run was not cut.
+    A window without an end counts only to its start if the run was not cut.
     """
     children = node.list_children()
     below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
@@ -282,7 +282,7 @@ def _measure_reach(node: Node, *, is_cut: bool) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sides:
-    """Value and limit of a comparison; None if it has no such numbers."""
+    """Value and limit of a comparison; None if they are not numbers."""
 
     value: float | None = None
     limit: float | None = None
@@ -292,13 +292,13 @@ class Sides:
 def read_sides(
     expression: Expression, node: Node, values: Mapping[str, Any], declaration: Declaration
 ) -> Sides:
-    """Return the sides of a comparison of two.
+    """Return the two sides of a comparison.
 
     Args:
-        expression: That it is part of.
-        node: The comparison; of anything else the sides are None.
-        values: What its names stand for.
-        declaration: Declaration of the law, which says the units of its loops' metrics.
+        expression: Formula that contains it.
+        node: Comparison; the sides of any other node are None.
+        values: Values of its names.
+        declaration: Declaration of the law, for the units of its loops' metrics.
     """
     if not isinstance(node, Comparison):
         return Sides()
@@ -318,9 +318,9 @@ def read_sides(
 
 
 def find_formula_unit(name: str, declaration: Declaration) -> str | None:
-    """Return the unit of a signal or metric, None if the name is of neither.
+    """Return the unit of a signal or metric; None for any other name.
 
-    Empty for a metric of a loop that is not declared, whose unit depends on what it controls.
+    Empty for a metric of an undeclared loop, because its unit depends on the controlled signal.
     """
     if name in list_signals(declaration):
         return list_signals(declaration)[name].unit
@@ -339,7 +339,7 @@ def _is_measured(node: Node, units: Mapping[str, str]) -> bool:
 
 
 def _find_unit(node: Node, units: Mapping[str, str]) -> str:
-    """Return the unit of what is measured, empty if it is not plain."""
+    """Return the unit of the measured value; empty if it is not simple."""
     if isinstance(node, Call) and node.function in {"abs", "min", "max"}:
         found = {_find_unit(argument, units) for argument in node.arguments}
         return found.pop() if len(found) == 1 else ""

@@ -1,4 +1,4 @@
-"""What a formula is checked on: signals over a window, and what is known of the end of a run."""
+"""The data of a formula check: signals over a window, and what is known after the run's end."""
 
 import enum
 import math
@@ -20,7 +20,7 @@ from turtlelog.run.loops import PAUSE
 
 
 class RunEnding(enum.Enum):
-    """What is known of the time after the last row; the value says why it is unknown."""
+    """Knowledge of the time after the last row; the value says why it is unknown."""
 
     SETTLED = ""
     """The run came to its own end, or the phase to its: the last values hold for ever."""
@@ -33,7 +33,7 @@ class RunEnding(enum.Enum):
 
 
 def find_ending(run: Run) -> RunEnding:
-    """Return what is known of the time after a run's last row."""
+    """Return the knowledge of the time after a run's last row."""
     notes = [run.notes[name] for name in LOSS_NOTES if name in run.notes]
     if not all(note.startswith(NO_LOSS) and ";" not in note for note in notes):
         return RunEnding.LOST
@@ -45,7 +45,7 @@ def find_ending(run: Run) -> RunEnding:
 
 
 def find_loss(run: Run) -> str | None:
-    """Return what a recording has lost, None if it is whole."""
+    """Return the data that a recording has lost; None if it is whole."""
     for name in LOSS_NOTES:
         if name in run.notes:
             return f"the recording is not complete: {run.notes[name]}"
@@ -67,10 +67,11 @@ def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
 
 
 def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
-    """Return from when to when a formula over these names is judged on a whole run [ns].
+    """Return the time span in which a formula over these names is judged on a whole run [ns].
 
-    From time zero. Of a run without samples, commands have no value before the first is published:
-    what names them is judged from there on, and what names no other signal on all commands.
+    It starts at time zero. In a run without samples, commands have no value before the first is
+    published: formulas that name them are judged from then on, and formulas that name no other
+    signal on all commands.
     """
     signals = [name for name in names if name in list_signals(run.declaration)]
     commanded = [name for name in signals if name in COMMANDED]
@@ -90,15 +91,15 @@ Signals = Mapping[str, Column | float | bool | str | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FormulaTrace:
-    """What one formula names, over one segment of time.
+    """The signals and constants of one formula, over one segment of time.
 
     Attributes:
         start_ns: First time [ns].
         end_ns: Last time [ns].
-        names: In order of first use.
-        signals: As functions of time.
-        constants: What does not change; None for no value.
-        ending: What is known of the signals after end_ns.
+        names: Names in order of first use.
+        signals: Signals as functions of time.
+        constants: Constant values; None for no value.
+        ending: Knowledge of the signals after end_ns.
     """
 
     start_ns: int
@@ -117,11 +118,11 @@ class FormulaTrace:
         window_ns: tuple[int, int] | None = None,
         ending: RunEnding = RunEnding.SETTLED,
     ) -> "FormulaTrace":
-        """Return what a formula names.
+        """Return the trace for the names of a formula.
 
         Raises:
-            ExpressionError: If a name is not there, with the column and the nearest names.
-            CheckError: If a signal is no signal, or has no value at the first time.
+            ExpressionError: If a name is unknown, with the column and the nearest names.
+            CheckError: If a signal is invalid, or has no value at the first time.
         """
         check_names(expression, signals)
         named = {name: signals[name] for name in expression.names}
@@ -148,7 +149,7 @@ class FormulaTrace:
         )
 
     def read_values(self, time_ns: int) -> dict[str, Any]:
-        """Return what every name stands for at a time: float, bool, str or None."""
+        """Return the value of every name at a time: float, bool, str or None."""
         return {name: self._read_value(name, time_ns) for name in self.names}
 
     def _read_value(self, name: str, time_ns: int) -> Any:
@@ -160,10 +161,10 @@ class FormulaTrace:
 
 
 def check_names(expression: Expression, known: Mapping[str, object]) -> None:
-    """Refuse names that are not there.
+    """Raise an error for unknown names.
 
     Raises:
-        ExpressionError: With the column and the nearest names.
+        ExpressionError: If there is one, with the column and the nearest names.
     """
     for node in iterate_nodes(expression.root):
         if isinstance(node, Name) and node.name not in known:
@@ -171,11 +172,11 @@ def check_names(expression: Expression, known: Mapping[str, object]) -> None:
 
 
 def read_signals(run: Run, names: Sequence[str]) -> Signals:
-    """Return what names stand for in a run, leaving out those that are unknown to it.
+    """Return the values of names in a run; unknown names are left out.
 
-    Names are looked for among the signals and states, the metrics and the parameters, in this
-    order. A signal begins at the run's time zero at the latest; the phase is text; a signal that
-    the run does not hold and a metric without a value are None.
+    Names are searched among the signals and states, the metrics and the parameters, in this order.
+    A signal begins at the run's time zero at the latest; the phase is text; a signal that the run
+    lacks and a metric without a value are None.
     """
     columns = list_signals(run.declaration)
     ids = [name for name in names if name not in columns and find_kind(run, name) is not None]

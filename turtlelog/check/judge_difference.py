@@ -1,4 +1,4 @@
-"""Differences from a reference -> results: of a run, of metrics, of a replay."""
+"""Differences from a reference -> results for a run, for metrics, or for a replay."""
 
 import dataclasses
 import math
@@ -46,15 +46,17 @@ def match_run(
     file: str = "",
     alignment: str = "first_sample",
 ) -> list[CheckResult]:
-    """Return how a run compares with a reference.
+    """Return the results of comparing a run with a reference.
 
     Args:
-        run: That is judged.
-        reference: A run, its file, or metrics; of metrics, what never had a value is as it was.
-        tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them name those
-            that are judged. If None, signals may be 1e-6 apart, and metrics worse by a millionth.
+        run: Run that is judged.
+        reference: A run, its file, or metrics; with metrics, a value that was missing there must be
+            missing again.
+        tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them select those
+            that are judged. If None, signals may differ by 1e-6, and metrics may be worse by a
+            millionth.
         file: Name of the run in results; empty: the run's own name.
-        alignment: See `compare_runs`.
+        alignment: Alignment; see `compare_runs`.
 
     Raises:
         CheckError: If the reference cannot be read, or the tolerance does not fit it.
@@ -86,7 +88,7 @@ def match_run(
 def judge_replay(
     run: Run, found: LawReplay | LoopReplay | PlantReplay, *, file: str
 ) -> list[CheckResult]:
-    """Return whether a replay is what was recorded: every signal, counts of rows, and the end."""
+    """Return whether a replay equals the recording: every signal, numbers of rows, and the end."""
     mode = {LawReplay: "law", LoopReplay: "loop", PlantReplay: "plant"}[type(found)]
     verb = "the law answers" if mode == "law" else "replayed"
 
@@ -169,7 +171,7 @@ def _judge_run(
 def _judge_signal(
     found: SignalDifference, check: str, start_ns: int, describe: Callable[[Difference], str]
 ) -> CheckResult:
-    """Return the verdict on a signal; a value on one side only has no distance."""
+    """Return the verdict on a signal; a value missing on one side has no distance."""
     first, furthest = found.first_difference, found.largest_difference
     margin = found.limit - found.largest
     has_distance = math.isfinite(margin) and (first is None or margin < 0)
@@ -198,7 +200,7 @@ def _judge_metric(
 ) -> CheckResult:
     """Return the verdict on a metric: it fails in its bad direction, or by another status.
 
-    One without a value passes where the reference has none either, but not where `is_strict`.
+    A metric without a value passes if the reference has none either, unless `is_strict`.
     """
     metric, reference = pair.metric, pair.reference
     if metric.value is None or reference.value is None:
@@ -232,7 +234,7 @@ def _judge_metric(
 
 
 def _leave_open(metric: Metric, reason: str, declaration: Declaration, *, file: str) -> CheckResult:
-    """Return that a metric cannot be judged, which does not pass."""
+    """Return that a metric cannot be judged, which is not a pass."""
     return CheckResult(
         file=file,
         check=f"metrics.{metric.id}",
@@ -263,7 +265,7 @@ def _tell_status(metric: Metric) -> str:
 
 
 def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
-    """Return one tolerance for every signal that either run holds."""
+    """Return one tolerance for every signal that either run contains."""
     label = dataclasses.replace(tolerance, abs=0.0, rel=0.0)
     held = {
         name: kind
@@ -282,7 +284,7 @@ def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
 
 
 def _judge_length(run: Run, reference: Run, window_s: float, file: str) -> CheckResult:
-    """Return whether both are as long: signals are compared only where they overlap."""
+    """Return whether both have the same length: signals are compared only on the overlap."""
     lengths_s = [(found.end_ns - found.start_ns) / 1e9 for found in (run, reference)]
     off_s, limit_s = abs(lengths_s[0] - lengths_s[1]), max(window_s, 1e-6)
     return CheckResult(

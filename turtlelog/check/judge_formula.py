@@ -1,4 +1,4 @@
-"""A formula on a run -> result: does it hold, by what margin, and since when not."""
+"""A formula on a run -> result: whether it holds, its margin, and its first violation."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -50,17 +50,17 @@ def judge_check(
     metrics: Mapping[str, Metric] | None = None,
     grown: Grown | None = None,
 ) -> CheckResult:
-    """Return what one check comes to; a metric without a value fails it, whatever the formula.
+    """Return the result of one check; a metric without a value fails it, whatever the formula.
 
     Args:
-        check: What is to hold.
-        run: That it is to hold of.
-        file: Its name.
-        metrics: Those that the check names, if they have been measured.
-        grown: What metrics were at poses of this run; more of it is added.
+        check: Check to evaluate.
+        run: Run that is checked.
+        file: Name of the run.
+        metrics: Metrics that the check names, if already measured.
+        grown: Values of metrics at poses of this run, to which more are added.
 
     Raises:
-        ExpressionError: Where a name is not there or the kinds do not go together.
+        ExpressionError: If a name is unknown or operand types do not match.
     """
     metrics = measure_named([check], run) if metrics is None else metrics
     return _Judge(check, run, file, metrics, {} if grown is None else grown)()
@@ -76,10 +76,11 @@ def measure_named(
     """Return the metrics of a run that checks name.
 
     Args:
-        checks: Name them.
-        run: Of which they are.
-        trajectories: What measures errors beside a reference; without it they have no value.
-        file: What the run is called.
+        checks: Checks that name them.
+        run: Run to measure.
+        trajectories: Object that measures errors relative to a reference; without it they have no
+            value.
+        file: Name of the run.
     """
     names = list_formula_names(checks)
     ids = sorted(name for name in names if find_kind(run, name) is not None)
@@ -115,7 +116,7 @@ class _Judge:
         return self._judge_over_time() if check.kind == "holds" else self._judge_metrics()
 
     def _judge_condition(self, condition: Expression) -> CheckResult | None:
-        """Return why a check is skipped, or fails as nobody can tell; None where it applies."""
+        """Return why a check is skipped or undecided; None if it applies."""
         require_known_names(condition, over_time=False, run=self._run)
         lacking = self._find_lacking(condition)
         if lacking:
@@ -186,7 +187,7 @@ class _Judge:
         )
 
     def _find_lacking(self, formula: Expression) -> str:
-        """Return the names without a value and why; empty where all have one."""
+        """Return the names without a value and why; empty if all have one."""
         lacking = []
         for name in formula.names:
             if name in list_signals(self._run.declaration):
@@ -209,7 +210,7 @@ class _Judge:
         }
 
     def _find_moment(self, limit: float | None) -> float | None:
-        """Return when a bound on one metric is first violated; None where there are several."""
+        """Return when a bound on one metric is first violated; None if there are several."""
         formula = self._check.formula
         named = [name for name in formula.names if name in self._metrics]
         if len(named) != 1:
@@ -224,12 +225,12 @@ class _Judge:
 
 
 def _names_others(names: Sequence[str]) -> bool:
-    """Whether some names are signals of something else than commands."""
+    """Return whether some names are signals of something other than commands."""
     return any(name in SIGNALS and name not in COMMANDED for name in names)
 
 
 def _has_several(formula: Expression) -> bool:
-    """Whether a formula holds more than one comparison."""
+    """Return whether a formula contains more than one comparison."""
     links = [node.operators for node in iterate_nodes(formula.root) if isinstance(node, Comparison)]
     return sum(map(len, links)) > 1
 
@@ -245,10 +246,10 @@ def find_metric_violation(
 ) -> float | None:
     """Return when a metric first violates a limit, from the first sample [s].
 
-    What only grows (an error integral, a largest deviation) violates an upper limit at the first
-    pose at which the run, had it ended there, would; what is waited for (a settling time), when
-    the time allowed is over; what is taken at the end, at the end. Otherwise it is the moment at
-    which the metric is taken; None where it belongs to no moment.
+    A metric that only grows (an error integral, a maximum) violates an upper limit at the first
+    pose at which the run, cut there, would. A time that is waited for (a settling time) violates it
+    when the allowed time is over; a final value at the end. Otherwise it is the time of the metric;
+    None if the metric has no time.
     """
     part = metric.id.split(".", 1)[0]
     kind = list_metrics(run.declaration).get(metric.id)
@@ -288,14 +289,14 @@ def _find_growth(
 
 
 def _find_start_s(run: Run, part: str) -> float:
-    """Return when a loop first acts, from the first sample [s]; of anything else 0."""
+    """Return when a loop first acts, from the first sample [s]; 0 for any other metric."""
     loop = run.declaration.find_loop(part)
     stretch = find_first_stretch(run, loop) if loop else []
     return (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
 
 
 def measure_margin(value: float, operator: str, limit: float) -> float:
-    """Return how far the value is from the other verdict, positive where it passes."""
+    """Return the distance of the value from the opposite verdict, positive if it passes."""
     if operator in {"==", "!="}:
         return abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
     return limit - value if operator in {"<", "<="} else value - limit

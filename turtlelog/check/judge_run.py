@@ -33,17 +33,17 @@ _ANY_PARTS: Final = 400
 def check_runs(
     spec: Spec, runs: Iterable[tuple[str, Run]], *, allow_partial: bool = False
 ) -> Iterator[CheckResult]:
-    """Yield the results of every check on every run, run by run; none of the runs is kept.
+    """Yield the results of every check on every run, run by run; no run is kept.
 
     Args:
         spec: Specification to check.
         runs: Runs with the names of their files.
-        allow_partial: Whether a recording of which something is lost may pass.
+        allow_partial: Whether an incomplete recording may pass.
 
     Raises:
         CheckError: If there are no runs, or tolerances have no reference.
         LogError: If the reference cannot be read.
-        ExpressionError: If the kinds in a formula do not go together on any run.
+        ExpressionError: If operand types in a formula match on no run.
     """
     reference, trajectories = read_reference_run(spec), read_reference_trajectory(spec)
     count = 0
@@ -62,16 +62,16 @@ def check_runs(
 
 
 def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | MetricsFile | None:
-    """Return the run or metrics that tolerances are taken from, None if there are none.
+    """Return the run or metrics to which tolerances refer; None if there are none.
 
     Args:
-        spec: Names it.
-        topics: As of the runs, beside what the specification says itself; a topic that the
-            reference does not hold is chosen as usual. It must be whole in any case.
+        spec: Specification that names it.
+        topics: Topics as for the runs, in addition to those of the specification; a topic that the
+            reference lacks gets the default. The reference must be complete in any case.
 
     Raises:
-        CheckError: If tolerances have no reference, or signals one of metrics alone.
-        LogError: If it cannot be read.
+        CheckError: If tolerances have no reference, or signals have only metrics as reference.
+        LogError: If the reference cannot be read.
     """
     require_reference(spec)
     if not spec.tolerances or spec.reference is None:
@@ -84,7 +84,7 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | Me
 
 
 def _require_metrics(spec: Spec, reference: MetricsFile) -> None:
-    """Refuse tolerances that a file of metrics cannot be held to."""
+    """Raise an error for tolerances to which a file of metrics cannot be compared."""
     if spec.tolerances.signals:
         name = next(iter(spec.tolerances.signals))
         raise CheckError(
@@ -99,16 +99,16 @@ def _require_metrics(spec: Spec, reference: MetricsFile) -> None:
 def read_reference_trajectory(
     spec: Spec, topics: ReadChoice | None = None, *, reads_files: bool = False
 ) -> TrajectoryJudge | None:
-    """Return what measures errors beside the reference trajectory, None where none is named.
+    """Return what measures errors relative to the reference trajectory; None if there is none.
 
     Args:
-        spec: Names it.
-        topics: As of the runs, beside what the specification says itself.
-        reads_files: Whether runs are called as their files, whose poses in space are read.
+        spec: Specification that names it.
+        topics: Topics as for the runs, in addition to those of the specification.
+        reads_files: Whether runs are named by their files, from which poses in space are read.
 
     Raises:
         CheckError: If errors have no reference.
-        LogError: If it cannot be read.
+        LogError: If the reference cannot be read.
     """
     names = sorted(list_formula_names(spec.checks) & TRAJECTORY_VALUES.keys())
     if not names:
@@ -130,7 +130,7 @@ def read_reference_trajectory(
 
 
 def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
-    """Return the choice without what a file does not hold."""
+    """Return the choice without topics that a file lacks."""
     try:
         bag = open_bag(split_topic(path)[0])
     except LogError:
@@ -162,15 +162,15 @@ def judge_run(
     allow_partial: bool = False,
     trajectories: TrajectoryJudge | None = None,
 ) -> Iterator[CheckResult]:
-    """Yield the results of every check on one run; of one that has lost something, that it has.
+    """Yield the results of every check on one run; for an incomplete run, also that of its loss.
 
     Args:
-        spec: What is to hold.
-        reference: The run or metrics that tolerances are taken from.
-        run: What is judged.
-        file: Its name.
-        allow_partial: Whether a recording of which something is lost may pass.
-        trajectories: What measures errors beside a reference trajectory.
+        spec: Specification to check.
+        reference: Run or metrics to which tolerances refer.
+        run: Run that is judged.
+        file: Name of the run.
+        allow_partial: Whether an incomplete recording may pass.
+        trajectories: Object that measures errors relative to a reference trajectory.
     """
     lost = None if allow_partial else find_loss(run)
     if lost is not None:
@@ -205,14 +205,14 @@ def _require_few_parts(spec: Spec, run: Run, file: str) -> None:
 
 
 def _names_parameters(check: Check) -> bool:
-    """Whether a check names anything but signals and metrics: each law has its own of these."""
+    """Return whether a check names parameters or states, which depend on the law."""
     formulas = filter(None, (check.formula, check.when))
     names = (name for formula in formulas for name in formula.names)
     return any(name not in SIGNALS and find_metric_kind(name) is None for name in names)
 
 
 def fail_recording(file: str, reason: str) -> CheckResult:
-    """Return the result of a recording on which nothing could be judged."""
+    """Return the result of a recording on which no check could be judged."""
     return CheckResult(
         file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
     )

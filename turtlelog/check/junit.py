@@ -18,13 +18,13 @@ class CheckedFile:
     """The results of one recording.
 
     Attributes:
-        file: Its name.
-        results: In the order of the specification.
-        metrics: By id; of a recording that could not be measured none.
-        details: What to say of a failure, by the name of the check.
-        started: When its checks began; None: the report has no time of day.
-        took_s: How long reading, measuring and checking took [s].
-        each_s: How long each check took [s], in the order of the results.
+        file: Name of the recording.
+        results: Results in the order of the specification.
+        metrics: Metrics by id; empty if the recording could not be measured.
+        details: Text for failures, by name of the check.
+        started: Start time of its checks; None: the report has no time of day.
+        took_s: Time for reading, measuring and checking [s].
+        each_s: Time for each check [s], in the order of the results.
     """
 
     file: str
@@ -37,7 +37,7 @@ class CheckedFile:
 
 
 def format_junit(files: Sequence[CheckedFile]) -> str:
-    """Return results as JUnit XML, with the times that the files have."""
+    """Return results as JUnit XML, with the times of the files."""
     took_s = sum(found.took_s for found in files)
     counts = _count([result for found in files for result in found.results])
     root = Xml.Element("testsuites", {**counts, "time": f"{took_s:.3f}"})
@@ -89,5 +89,5 @@ def _count(results: Sequence[CheckResult]) -> dict[str, str]:
 
 
 def _clean(text: str) -> str:
-    """Return text in which what XML cannot hold, or nobody could see, is escaped."""
+    """Return text with escapes for characters that XML cannot contain or that are invisible."""
     return escape_controls(text, keep="\n").translate(_NO_XML)

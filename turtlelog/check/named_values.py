@@ -1,4 +1,4 @@
-"""Values beside metrics that checks name: of an identified robot, and beside a reference path."""
+"""Values other than metrics in checks: of an identified robot, and relative to a reference path."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -53,16 +53,16 @@ TRAJECTORY_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
 
 
 def find_robot_unit(name: str) -> str:
-    """Return the unit of a value of a robot."""
+    """Return the unit of a robot value."""
     return _ROBOT_FIELDS[ROBOT_VALUES[name][1]][1]
 
 
 def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
-    """Return values of the robot that a run shows; one that is not identified has the reason.
+    """Return values of the robot in a run; a value that is not identified has the reason.
 
     Args:
-        run: With commands and motion.
-        names: Of `ROBOT_VALUES`.
+        run: Run with commands and motion.
+        names: Names from `ROBOT_VALUES`.
     """
     names = [*names]
     if not names:
@@ -94,19 +94,20 @@ def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
 
 
 def find_trajectory_unit(name: str) -> str:
-    """Return the unit of a value of a trajectory."""
+    """Return the unit of a trajectory value."""
     return _ERROR_QUANTITIES[TRAJECTORY_VALUES[name][1]][0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryJudge:
-    """Measures the errors of recordings beside one reference.
+    """Measures the errors of recordings relative to one reference.
 
     Attributes:
-        reference: What is taken as true.
-        settings: How both are compared.
-        choice: What is read of third-party files.
-        reads_files: Whether recordings are called as their files, whose poses in space are read.
+        reference: Trajectory that is taken as true.
+        settings: Settings of the comparison.
+        choice: Settings for reading third-party files.
+        reads_files: Whether recordings are named by their files, from which poses in space are
+            read.
     """
 
     reference: Trajectory
@@ -115,12 +116,12 @@ class TrajectoryJudge:
     reads_files: bool
 
     def measure(self, run: Run, names: Iterable[str], file: str) -> dict[str, Metric]:
-        """Return values of a recording; one that cannot be compared has the reason.
+        """Return the values of a recording; a value that cannot be computed has the reason.
 
         Args:
-            run: Its poses in the plane.
-            names: Of `TRAJECTORY_VALUES`.
-            file: What it is called.
+            run: Run with poses in the plane.
+            names: Names from `TRAJECTORY_VALUES`.
+            file: Name of the recording.
         """
         names = [*names]
         try:

@@ -1,9 +1,9 @@
-"""Functions of time that are constant between steps, and what temporal logic does with them.
+"""Piecewise constant functions of time, and the operators of temporal logic on them.
 
 A function holds each value from its step to the next (it is right-continuous) and the last one
-for ever. The operations below are exact on such functions and give such functions again: a window
-that slides over one meets a new value only where one of its ends meets a step. Unknown values are
-nan and make what they touch unknown. Times are integers, so that no step is moved by rounding.
+forever. The operations below are exact on such functions and return such functions: a sliding
+window meets a new value only when one of its ends meets a step. Unknown values are nan, and results
+that depend on them are unknown. Times are integers, so that no step is moved by rounding.
 
 Definitions of the window operators and of `until`: A. Donzé, T. Ferrère, O. Maler, "Efficient
 Robust Monitoring for STL", CAV 2013; all windows are closed.
@@ -33,7 +33,7 @@ class Steps:
     values: Values
 
     def find_piece(self, time_ns: int) -> int:
-        """Return the index of the value at a time, the first one's before the first step."""
+        """Return the index of the value at a time; before the first step, of the first value."""
         return max(0, int(np.searchsorted(self.time_ns, time_ns, side="right")) - 1)
 
     def cut(self, start_ns: int, end_ns: int) -> "Steps":
@@ -43,7 +43,7 @@ class Steps:
         return Steps(time_ns=time_ns, values=self.values[first : last + 1])
 
     def end_with(self, value: float, *, from_ns: int) -> "Steps":
-        """Return the function with one value from a time on [ns]."""
+        """Return the function with a constant value from a time on [ns]."""
         if from_ns <= self.time_ns[0]:
             return Steps(time_ns=self.time_ns[:1], values=np.array([value]))
         after = int(np.searchsorted(self.time_ns, from_ns, side="left"))
@@ -54,13 +54,13 @@ class Steps:
 
 
 def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) -> Steps:
-    """Return columns as a piecewise constant function; of rows of one time, the last is used.
+    """Return columns as a piecewise constant function; the last row at each time is used.
 
     Args:
-        time_ns: Not decreasing [ns], shape (n,), the first not after start_ns.
-        values: Shape (n,).
+        time_ns: Times [ns], shape (n,), not decreasing, the first not after start_ns.
+        values: Values, shape (n,).
         start_ns: Time at which the function begins [ns].
-        end_ns: Steps after this are left out [ns]; the value there is held.
+        end_ns: Time after which steps are left out [ns]; the value there is held.
     """
     first = int(np.searchsorted(time_ns, start_ns, side="right")) - 1
     after = int(np.searchsorted(time_ns, end_ns, side="right"))
@@ -75,7 +75,7 @@ def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) ->
 
 
 def align_steps(functions: list[Steps]) -> tuple[Times, list[Values]]:
-    """Return the steps of all functions together, and the values of each at them."""
+    """Return the steps of all functions in one list, and the values of each at them."""
     times = [function.time_ns for function in functions]
     if all(np.array_equal(time_ns, times[0]) for time_ns in times[1:]):
         return times[0], [function.values for function in functions]
@@ -95,28 +95,28 @@ def combine_steps(combine: Callable[[Values, Values], Values], functions: list[S
 
 
 def negate_steps(function: Steps) -> Steps:
-    """Return minus a function."""
+    """Return a function with its sign changed."""
     return Steps(time_ns=function.time_ns, values=-function.values)
 
 
 def slide_minimum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
-    """Return at each time t the smallest value on [t + first_ns, t + last_ns].
+    """Return at each time t the minimum on [t + first_ns, t + last_ns].
 
     Args:
-        function: Any.
-        first_ns: Not negative [ns].
-        last_ns: At least first_ns [ns]; None: without end.
+        function: Any function.
+        first_ns: Start of the window [ns], not negative.
+        last_ns: End of the window [ns], at least first_ns; None: without end.
     """
     return negate_steps(slide_maximum(negate_steps(function), first_ns, last_ns))
 
 
 def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
-    """Return at each time t the largest value on [t + first_ns, t + last_ns].
+    """Return at each time t the maximum on [t + first_ns, t + last_ns].
 
     Args:
-        function: Any.
-        first_ns: Not negative [ns].
-        last_ns: At least first_ns [ns]; None: without end.
+        function: Any function.
+        first_ns: Start of the window [ns], not negative.
+        last_ns: End of the window [ns], at least first_ns; None: without end.
     """
     function = _drop_repeats(function)
     span_ns = int(function.time_ns[-1] - function.time_ns[0])
@@ -131,16 +131,16 @@ def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
 def compute_until(
     left: Steps, right: Steps, first_ns: int = 0, last_ns: int | None = None
 ) -> Steps:
-    """Return the largest, over t' in [t + first, t + last], of right(t') and of left on [t, t'].
+    """Return the maximum over t' in [t + first, t + last] of min(right(t'), left on [t, t']).
 
-    By the identity of Donzé et al.: the right comes within the window, and at every time up to
-    its beginning the left holds until some right.
+    By the identity of Donzé et al.: right becomes true within the window, and at every time up to
+    its beginning left holds until right does.
 
     Args:
-        left: What is to hold meanwhile.
-        right: What is to come.
-        first_ns: Not negative [ns].
-        last_ns: At least first_ns [ns]; None: without end.
+        left: Function that must hold meanwhile.
+        right: Function that must become true.
+        first_ns: Start of the window [ns], not negative.
+        last_ns: End of the window [ns], at least first_ns; None: without end.
     """
     time_ns, (held, coming) = align_steps([left, right])
     unbounded = Steps(time_ns=time_ns, values=_scan_until(held, coming))
@@ -157,7 +157,7 @@ def _spread(function: Steps, time_ns: Times) -> Values:
 
 
 def _drop_repeats(function: Steps) -> Steps:
-    """Leave out steps that change nothing, where they are many."""
+    """Leave out steps that change nothing, if there are many."""
     changes = function.values[1:] != function.values[:-1]
     if 2 * np.count_nonzero(changes) > len(changes):
         return function
@@ -209,10 +209,10 @@ def _slide_window(function: Steps, first_ns: int, last_ns: int) -> Steps:
 
 
 def _find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
-    """Return the largest of values[first] to values[last], each.
+    """Return the maximum of values[first] to values[last] for each pair.
 
-    Ranges that reach the end are read from maxima of the rest; the others from two overlapping
-    maxima of 2^k in a row. Firsts and lasts do not decrease.
+    Ranges that reach the end use suffix maxima; the others use two overlapping maxima of 2^k
+    values. Firsts and lasts do not decrease.
     """
     inner = int(np.searchsorted(lasts, len(values) - 1))
     found = np.empty(len(firsts))
@@ -231,7 +231,7 @@ def _find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
 
 
 def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
-    """Return the largest k of each with 2^k <= count; one for all where it is the same."""
+    """Return the largest k with 2^k <= count for each; a single k if all are equal."""
     if not len(counts):
         return np.empty(0, np.int64)
     extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
@@ -246,8 +246,8 @@ def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
 def _scan_until(held: Values, coming: Values) -> Values:
     """Return u[i] = min(held[i], max(coming[i], u[i + 1])), from the last to the first.
 
-    Each step clamps what follows between min(held, coming) and held, and clamps of clamps are
-    clamps: blocks of the columns are scanned side by side, then joined.
+    Each step clamps the next value to [min(held, coming), held], and the composition of clamps is a
+    clamp: blocks of the columns are scanned in parallel, then joined.
     """
     count = len(held)
     size = max(1, int(np.sqrt(count)))
@@ -270,7 +270,7 @@ def _scan_until(held: Values, coming: Values) -> Values:
 
 
 def _fold(values: Values, blocks: int, size: int, *, fill: float) -> Values:
-    """Return a column as blocks side by side, shape (size, blocks), filled up at the end."""
+    """Return a column as parallel blocks, shape (size, blocks), padded at the end."""
     padded = np.full(blocks * size, fill)
     padded[: len(values)] = values
     return np.ascontiguousarray(padded.reshape(blocks, size).T)

@@ -1,4 +1,4 @@
-"""A metric of a recording, whose comparisons a test reports."""
+"""A metric of a recording that reports its comparisons to a test."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -19,28 +19,28 @@ Note = Callable[[CheckResult], None]
 
 @runtime_checkable
 class Approximate(Protocol):
-    """What `pytest.approx` makes of a number."""
+    """The type that `pytest.approx` makes from a number."""
 
     expected: Any
 
     @property
     def tolerance(self) -> float:
-        """How far from it."""
+        """Allowed difference from the number."""
 
 
 def watch_metric(
     run: Run, file: str, name: str, note: Note, asked: Mapping[str, Any] | None = None
 ) -> Metric:
-    """Return a metric of a recording that notes the result of every comparison.
+    """Return a metric of a recording that records the result of every comparison.
 
-    Where it has no value every comparison raises MissingValueError, whatever the operator.
+    If it has no value, every comparison raises MissingValueError, whatever the operator.
 
     Args:
-        run: That is measured.
-        file: Its name in messages.
+        run: Run that is measured.
+        file: Name of the run in messages.
         name: Id of the metric.
-        note: Takes the results.
-        asked: How it is measured, by the names of `MeasureSettings`.
+        note: Function that is called with the results.
+        asked: Settings of the metric, by the names of `MeasureSettings`.
     """
     asked = dict(asked or {})
     try:
@@ -62,14 +62,14 @@ class RecordedMetric:
     """The watch of a recording's metric.
 
     Attributes:
-        run: That was measured.
-        file: Its name in messages.
-        note: Takes the result of every comparison.
-        label: What is compared: `abs(final.cross_track)`.
-        measured: As it was measured.
-        settings: How.
-        asked: What differs in them from the usual ones, by name.
-        sign: -1 where the negative of what was measured is compared.
+        run: Run that was measured.
+        file: Name of the run in messages.
+        note: Function that is called with the result of every comparison.
+        label: Text of the compared quantity: `abs(final.cross_track)`.
+        measured: Metric as it was measured.
+        settings: Settings of the metric.
+        asked: Settings that differ from the defaults, by name.
+        sign: -1 if the negative of the measured value is compared.
     """
 
     run: Run
@@ -82,7 +82,7 @@ class RecordedMetric:
     sign: int = 1
 
     def describe(self, metric: Metric) -> str:  # noqa: ARG002
-        """Return what is compared."""
+        """Return the text of the compared quantity."""
         return self.label
 
     def measure(self, metric: Metric, settings: Mapping[str, Any]) -> Metric:
@@ -90,12 +90,12 @@ class RecordedMetric:
         return watch_metric(self.run, self.file, metric.id, self.note, {**self.asked, **settings})
 
     def negate(self, metric: Metric) -> "RecordedMetric":
-        """Return the watch of its magnitude."""
+        """Return the watch of the metric's magnitude."""
         sign = -1 if float(metric) < 0 else self.sign
         return replace(self, label=f"abs({self.label})", sign=sign)
 
     def compare(self, metric: Metric, operator: str, other: object) -> bool:
-        """Return what a comparison comes to, and note it with its first violation."""
+        """Return the result of a comparison, and record it with its first violation."""
         result = self.judge(metric, operator, other)
         if result.verdict is Verdict.FAIL and result.limit is not None:
             operator, limit = self._undo_sign(operator, result.limit)
@@ -107,16 +107,16 @@ class RecordedMetric:
         return result.verdict is Verdict.PASS
 
     def judge(self, metric: Metric, operator: str, other: object) -> CheckResult:
-        """Return what a comparison comes to, its first violation not looked for.
+        """Return the result of a comparison without searching its first violation.
 
         Args:
-            metric: That is watched.
-            operator: Of Python.
+            metric: Metric that is watched.
+            operator: Comparison operator of Python.
             other: A number, a metric of the same unit, or `pytest.approx` of a number.
 
         Raises:
-            CheckError: Where it is nothing to compare with.
-            MissingValueError: Where either has no value.
+            CheckError: If the other operand cannot be compared.
+            MissingValueError: If either has no value.
         """
         value = metric.value
         if value is None:
@@ -148,11 +148,11 @@ class RecordedMetric:
         )
 
     def miss(self, metric: Metric) -> NoReturn:
-        """Raise MissingValueError of a metric that was used as a number."""
+        """Raise MissingValueError for a metric that was used as a number."""
         self._miss(metric, "a number")
 
     def _undo_sign(self, operator: str, limit: float) -> tuple[str, float]:
-        """Return what a comparison says of the metric as it was measured."""
+        """Return the result of a comparison in terms of the metric as measured."""
         return (MIRRORED[operator], -limit) if self.sign < 0 else (operator, limit)
 
     def _read_limit(self, metric: Metric, operator: str, other: object) -> float:

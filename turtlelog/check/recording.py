@@ -1,4 +1,4 @@
-"""A recording that tests ask questions of: read once, when the first is asked; or simulated."""
+"""A recording for tests: read on first use, or simulated."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -47,26 +47,27 @@ Expected: TypeAlias = "Recording | AnyReference"
 
 
 class Watch(Protocol):
-    """Is told of every recording that is used, and of every check."""
+    """Function that is called for every used recording and every check."""
 
     def __call__(self, recording: "Recording", result: CheckResult | None, /) -> None:
         """Take a result, or None if a recording was used."""
 
 
 class UnknownMetricError(CheckError, AttributeError):
-    """A metric that a loop does not have; an AttributeError, as it is asked for as an attribute."""
+    """A metric that a loop lacks; an AttributeError, because metrics are read as attributes."""
 
 
 class Recording:
-    """One recording, read when something is first asked of it.
+    """A recording that is read on first use.
 
     Args:
-        path: A recording, a bag or a log; FILE:TOPIC, as in `bag:/odom_kf`, names the poses of one.
-        name: Name in messages; None: its path.
-        trust_law: Whether `driven_by()` may run the law that it names, where it is not built in.
+        path: A recording, a bag or a log; FILE:TOPIC, as in `bag:/odom_kf`, selects a topic of
+            poses.
+        name: Name in messages; None: the path.
+        trust_law: Whether `driven_by()` may run a recorded law that is not built in.
         watch: Object that is called with every check.
-        options: Fields of a `ReadChoice`: which topics of third-party files to read, its goal, and
-            whether it may have lost something (`allow_partial`).
+        options: Fields of a `ReadChoice`: topics of third-party files, the goal, and whether the
+            recording may be incomplete (`allow_partial`).
     """
 
     def __init__(
@@ -89,10 +90,10 @@ class Recording:
 
     @property
     def run(self) -> Run:
-        """Its columns.
+        """Run of the recording.
 
         Raises:
-            PartialLogError: If it has lost something and may not have.
+            PartialLogError: If it is incomplete and that is not allowed.
             LogError: If it cannot be read.
         """
         run = self._run
@@ -110,12 +111,12 @@ class Recording:
         return read_as_chosen(self.path, replace(self._choice, allow_partial=True))
 
     def metric(self, name: str, **settings: Any) -> Metric:
-        """Return a metric by its id, as measured with settings of `MeasureSettings`.
+        """Return a metric by its id, measured with settings of `MeasureSettings`.
 
-        That of a loop which the run's law does not declare has no value, and says so.
+        The metric of a loop that the run's law does not declare has a reason and no value.
 
         Raises:
-            CheckError: If there is no such metric; with those nearest to it.
+            CheckError: If there is no such metric; the message has the nearest ids.
         """
         if find_metric_kind(name) is None:
             known = dict.fromkeys([*list_metrics(self.run.declaration), *list_ids_like(name)])
@@ -126,7 +127,7 @@ class Recording:
         """Return the metrics of a loop of the run's law (`rotate`), of `final` or `run`.
 
         Raises:
-            CheckError: If its law declares no such loop; with those that it does.
+            CheckError: If its law declares no such loop; the message lists the declared ones.
         """
         ids = list_metrics(self.run.declaration)
         parts = tuple(dict.fromkeys(known.rpartition(".")[0] for known in ids))
@@ -135,7 +136,7 @@ class Recording:
         return PhaseMetrics(self, name)
 
     def robot(self) -> "RobotValues":
-        """Return how its robot follows commands, as `turtlelog.identify_robot` does."""
+        """Return the dynamics of its robot, as `turtlelog.identify_robot` does."""
         return RobotValues(identify_robot(self.run), self.file)
 
     def holds(self, formula: str, *, phase: str | None = None) -> CheckOutcome:
@@ -143,11 +144,11 @@ class Recording:
 
         Args:
             formula: Expression, such as `always(abs(cross_track) <= 0.05)`.
-            phase: The segment to look at; the whole run where None. Undecided where the run has no
-                such phase.
+            phase: Phase to which the check is limited; None: the whole run. Undecided if the run
+                has no such phase.
 
         Raises:
-            ExpressionError: If it does not parse or names what is not there.
+            ExpressionError: If it does not parse or names something unknown.
             CheckError: If the name of a phase is misspelled.
         """
         parsed = parse_expression(formula, source="holds")
@@ -161,14 +162,14 @@ class Recording:
         return self._conclude([replace(result, check=result.expected)])
 
     def matches(self, reference: Expected, *, tolerance: AnyTolerance = None) -> CheckOutcome:
-        """Return whether the recording is as a reference is.
+        """Return whether the recording agrees with a reference.
 
         Args:
             reference: A recording, a run, a path to one or to metrics as `turtlelog metrics --json`
                 prints them, or the fixture `reference`.
-            tolerance: Tolerance of every signal or metric; `Tolerances` or a tolerance file name
-                those that are judged. If None, signals may be 1e-6 apart, and metrics worse by a
-                millionth.
+            tolerance: Tolerance of every signal or metric; `Tolerances` or a tolerance file select
+                those that are judged. If None, signals may differ by 1e-6, and metrics may be worse
+                by a millionth.
 
         Raises:
             CheckError: If there is no reference, or the tolerance does not fit it.
@@ -183,14 +184,14 @@ class Recording:
         return self._conclude(match_run(run, reference, tolerance, file=self.file))
 
     def driven_by(self, law: Law | Scenario | None = None) -> "DrivenRecording":
-        """Return what a law makes of the recorded poses.
+        """Return the response of a law to the recorded poses.
 
         Args:
             law: An instance, or a scenario with one. None: that of the recording, which runs if it
                 is built in or `trust_law` is set.
 
         Raises:
-            CheckError: If it is no law with its parameters.
+            CheckError: If it is not a law with its parameters.
         """
         is_made = not isinstance(law, type | LawPart) and hasattr(law, "step")
         if not (law is None or isinstance(law, Scenario) or is_made):
@@ -202,7 +203,7 @@ class Recording:
         )
 
     def add_reason(self, results: Sequence[CheckResult]) -> Sequence[CheckResult]:
-        """Return results, a failed one with why the run differs from its reference."""
+        """Return results; a failed one gets the reason why the run differs from its reference."""
         reference = next((one.reference for one in results if one.reference is not None), None)
         if reference is None:
             return results
@@ -211,7 +212,7 @@ class Recording:
         return add_reason(self.run, reference, results, trust_law=self._trust_law)
 
     def describe(self, *results: CheckResult) -> list[str]:
-        """Return all that there is to say of failed checks, line by line."""
+        """Return a full description of failed checks, line by line."""
         return describe_failure(self._run, *results)
 
     def _conclude(self, results: Sequence[CheckResult]) -> CheckOutcome:
@@ -245,7 +246,7 @@ class PhaseMetrics:
 
 
 class RobotValues:
-    """What a recording tells of its robot, by axis: `speed.gain`, `turn_rate.dead_time_s`."""
+    """Identified values of a robot by axis: `speed.gain`, `turn_rate.dead_time_s`."""
 
     def __init__(self, model: RobotModel, file: str) -> None:
         self.model = model
@@ -260,7 +261,7 @@ class RobotValues:
 
 
 class AxisValues:
-    """The values of one axis; what the recording does not tell raises an error that says why."""
+    """Values of one axis; a value that is not identified raises an error with the reason."""
 
     def __init__(self, model: AxisModel, file: str) -> None:
         self._model, self._file = model, file
@@ -273,22 +274,22 @@ class AxisValues:
 
     @property
     def gain(self) -> Estimate:
-        """Rate per command in the end [1]."""
+        """Steady-state rate per command [1]."""
         return self._require("gain", self._model.gain)
 
     @property
     def dead_time_s(self) -> Estimate:
-        """From a command until the rate begins to follow [s]."""
+        """Time from a command until the rate begins to follow [s]."""
         return self._require("dead_time_s", self._model.dead_time_s)
 
     @property
     def lag_s(self) -> Estimate:
-        """Time constant with which it follows [s]."""
+        """Time constant of the response [s]."""
         return self._require("lag_s", self._model.lag_s)
 
     @property
     def total_delay_s(self) -> Estimate:
-        """Dead time and time constant together [s]."""
+        """Sum of dead time and time constant [s]."""
         return self._require("total_delay_s", self._model.total_delay_s)
 
     def _require(self, name: str, found: Estimate | None) -> Estimate:
@@ -323,16 +324,15 @@ class SimulatedRuns:
         """Return the recording of a simulation.
 
         Args:
-            scenario: A preset, a file, or the scenario itself. Without one `paper`, and with a law
+            scenario: A preset, a file, or the scenario itself. Default: `paper`; with a law,
                 `textbook`.
-            law: The law that drives, a class, a `LawPart` or what names one, as `my_law.py:MyLaw`.
-            kp: All gains that the law declares.
+            law: Law to use: a class, a `LawPart` or text that names one, as `my_law.py:MyLaw`.
+            kp: Value of all gains that the law declares.
             changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
-            step_budget_s: Time that the law may compute for one answer [s]; None: as long as it
-                takes.
+            step_budget_s: Time that the law may compute for one answer [s]; None: unlimited.
 
         Raises:
-            CheckError: If the law is none that its module knows by a name.
+            CheckError: If the law cannot be found by a name in its module.
             ScenarioError: If there is no such scenario, or a change is wrong.
             SimulationError: If the law fails or computes for longer.
         """
@@ -353,7 +353,7 @@ class SimulatedRuns:
 
 
 def _name_law(law: object) -> str:
-    """Return the name by which a law is found again, here and in a recording."""
+    """Return the name by which a law can be found again, here and in a recording."""
     module, name = getattr(law, "__module__", None), getattr(law, "__qualname__", None)
     if isinstance(law, LawPart):
         from turtlelog.laws import LAWS  # most checks need no law
@@ -372,7 +372,7 @@ def _name_law(law: object) -> str:
 
 
 class HasRun(Protocol):
-    """What holds a run, as a `Recording` does."""
+    """Object that contains a run, such as a `Recording`."""
 
     @property
     def run(self) -> Run:
@@ -380,7 +380,7 @@ class HasRun(Protocol):
 
 
 class DrivenRecording:
-    """What a law makes of the recorded poses; compared with `matches`."""
+    """Response of a law to the recorded poses; it is compared with `matches`."""
 
     def __init__(
         self,
@@ -403,18 +403,18 @@ class DrivenRecording:
     def matches(
         self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
     ) -> CheckOutcome:
-        """Return whether the law answers as was recorded: commands, errors, phases and the end.
+        """Return whether the law answers as recorded: commands, errors, phases and the end.
 
-        Commands are compared as computed and as published.
+        Commands are compared both as computed and as published.
 
         Args:
-            recording: The same that is driven.
-            tolerance: Its `abs`, in each signal's unit; 0 if None.
+            recording: The recording whose poses drive the law.
+            tolerance: Tolerance of which only `abs` is used, in each signal's unit; None: 0.
 
         Raises:
             CheckError: If it is another recording, or the tolerance is not of that kind.
-            ReplayError: If the recording holds no samples.
-            ScenarioError: If the law that it names is neither built in nor trusted.
+            ReplayError: If the recording has no samples.
+            ScenarioError: If the law of the recording is neither built in nor trusted.
             SimulationError: If the law fails.
         """
         tolerance = Tolerance() if tolerance is None else tolerance

@@ -23,13 +23,13 @@ from turtlelog.scenario import nest_parameters
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricsFile:
-    """Metrics in a file, and what made them.
+    """Metrics in a file, and the scenario and software that produced them.
 
     Attributes:
         file: Name of the file.
         metrics: Metrics by id.
         scenario: The scenario of their run as TOML; empty if the file has none.
-        simulated_by: As in `Run`.
+        simulated_by: Software versions, as in `Run`.
     """
 
     file: str
@@ -40,13 +40,13 @@ class MetricsFile:
 
 @dataclass(slots=True, kw_only=True)
 class ReferenceFile:
-    """A file that recordings are held to.
+    """A file with which recordings are compared.
 
     Attributes:
         path: A recording, or metrics (.json).
-        claims: Where all processes of a session say which file they write from which recording;
-            then `matches` writes the file anew. None: it compares.
-        is_written: Whether it did.
+        claims: Folder in which all processes of a session note which file they write from which
+            recording; `matches` then writes the file anew. None: it compares.
+        is_written: Whether the file was written.
     """
 
     path: Path
@@ -57,11 +57,11 @@ class ReferenceFile:
         return f"<reference {self.path}>"
 
     def load(self) -> Run | MetricsFile:
-        """Return what stands in the file.
+        """Return the run or metrics in the file.
 
         Raises:
-            CheckError: Where it is not there, or holds no metrics.
-            LogError: Where it holds no recording.
+            CheckError: If the file does not exist, or contains no metrics.
+            LogError: If the file contains no recording.
         """
         return load_reference(self.path)
 
@@ -69,8 +69,8 @@ class ReferenceFile:
         """Write the file from a run.
 
         Raises:
-            CheckError: Where it is written from another one, too, in the same session.
-            LogError: Where it cannot be written.
+            CheckError: If it is written from two recordings in one session.
+            LogError: If the file cannot be written.
         """
         self._claim(source.resolve())
         try:
@@ -87,7 +87,7 @@ class ReferenceFile:
         self.is_written = True
 
     def _claim(self, source: Path) -> None:
-        """Say what the file is written from, and refuse where another process said otherwise."""
+        """Note the source of the file; raise an error if another process noted a different one."""
         if self.claims is None:
             return
         self.claims.mkdir(parents=True, exist_ok=True)
@@ -116,7 +116,7 @@ def load_reference(path: Path) -> Run | MetricsFile:
 
 
 def format_metrics(run: Run, file: str) -> str:
-    """Return the metrics of a run as `turtlelog metrics --json` prints them, and what made them."""
+    """Return the metrics of a run as `turtlelog metrics --json` prints them, with their origin."""
     metrics = [metric.to_dict() for metric in measure_run(run).values()]
     entry: dict[str, Any] = {"file": file, "name": run.name, "metrics": metrics}
     if run.scenario_is_complete:
@@ -130,7 +130,7 @@ def read_metrics_file(path: Path) -> MetricsFile | None:
     """Return the metrics of a file (.json); None for a file of another kind, such as a log.
 
     Raises:
-        CheckError: If it has the metrics of several runs, or something that is no metric.
+        CheckError: If it has the metrics of several runs, or an entry that is not a metric.
         LogError: If it cannot be read.
     """
     if path.suffix.lower() != ".json":
@@ -161,7 +161,7 @@ def read_metrics_file(path: Path) -> MetricsFile | None:
 
 
 def _parse_entry(found: Mapping[str, Any], name: str, kind: Any, path: Path) -> Any:
-    """Return an entry that a file may lack: empty if it does."""
+    """Return an entry of a file; empty if it is missing."""
     try:
         return msgspec.convert(found.get(name, kind()), type=kind)
     except msgspec.ValidationError as err:

@@ -1,4 +1,4 @@
-"""What a check comes to on one recording, and a question to one; both may be undecided."""
+"""Results of checks on a recording; they may be undecided."""
 
 import enum
 from collections.abc import Container, Iterable
@@ -34,7 +34,7 @@ class Verdict(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedSignal:
-    """A signal that was held to a reference, as it was."""
+    """A signal compared with a reference."""
 
     name: str
     reference: "Run"
@@ -44,7 +44,7 @@ class JudgedSignal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedMetric:
-    """A metric that was held to a limit, in the metric's unit."""
+    """A metric compared with a limit, in the metric's unit."""
 
     metric: "Metric"
     operator: str
@@ -53,27 +53,27 @@ class JudgedMetric:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
-    """One check on one recording. Times count from the first sample.
+    """Result of one check on one recording. Times count from the first sample.
 
     Attributes:
-        file: The recording.
-        check: Its name: of the table in the specification, or what a test asked for.
+        file: Name of the recording.
+        check: Name of the check: its table in the specification, or the question of a test.
         verdict: PASS, FAIL or SKIPPED.
         expected: Checked formula or tolerance, as written.
         value: Measured value, in `unit`; None if there is no single number.
         limit: Limit of the value, in `unit`.
-        margin: Distance to the limit in `unit`, positive where it passes; None if there is none.
+        margin: Distance to the limit in `unit`, positive if it passes; None if there is none.
         unit: Unit of the three; empty if they have none.
-        value_s: Time at which the value is found [s]; None if it belongs to no moment.
-        decided_by: Comparison of the formula to which value, limit and margin belong, if it has
-            several.
+        value_s: Time of the value [s]; None if it has no time.
+        decided_by: Comparison to which value, limit and margin belong, if the formula has several.
         first_violation_s: Time of the first violation [s]; None if there is none, or it has no
             moment.
-        reason: Why it fails or is skipped, where figures do not say it.
-        names: Signals to look at around the violation.
-        is_decided: Whether that is known; where not, the check fails, and `bool` of it raises.
-        why: Why the run is another one than its reference, in lines; empty if that was not asked.
-        reference: The run, or the file of metrics, that it was held to; None without one.
+        reason: Why it fails or is skipped, if the numbers do not show it.
+        names: Signals to show around the violation.
+        is_decided: Whether the verdict is known; otherwise the check fails, and `bool` of it
+            raises.
+        why: Why the run differs from its reference, in lines; empty if it was not determined.
+        reference: Reference run or file of metrics; None without a reference.
         judged: Signal, formula or metric that was judged; None if that is no signal, formula or
             metric.
     """
@@ -99,10 +99,10 @@ class CheckResult:
     )
 
     def __bool__(self) -> bool:
-        """Whether it passes.
+        """Whether the check passes.
 
         Raises:
-            UndecidedError: If nobody can tell, or nothing was judged.
+            UndecidedError: If the verdict is unknown, or nothing was judged.
         """
         if not self.is_decided or self.verdict is Verdict.SKIPPED:
             raise UndecidedError(f"{self.file}: {self.check}: undecided: {self.reason}")
@@ -119,10 +119,10 @@ class CheckResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckOutcome:
-    """Stands for True or False in an assert, and says why; where it is neither, `bool` raises.
+    """True or False in an assert, with reasons; if it is undecided, `bool` raises.
 
     Attributes:
-        results: Results of everything that was looked at.
+        results: Results of all checks.
     """
 
     results: tuple[CheckResult, ...]
@@ -139,14 +139,14 @@ class CheckOutcome:
         raise UndecidedError(f"{failures[0].file}: undecided: {self._describe_first()}")
 
     def __eq__(self, other: object) -> bool:
-        """Compare with True or False, as which it stands."""
+        """Compare with True or False."""
         return bool(self) is other if isinstance(other, bool) else self is other
 
     __hash__ = None  # type: ignore[assignment]
 
     @property
     def failures(self) -> tuple[CheckResult, ...]:
-        """The results that fail, and after them those that are undecided."""
+        """The results that fail, followed by the undecided ones."""
         failed = [result for result in self.results if result.verdict is Verdict.FAIL]
         return tuple(sorted(failed, key=lambda result: not result.is_decided))
 
@@ -172,18 +172,18 @@ class CheckOutcome:
 
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
-    """Return FAIL where any fails, PASS where any passes, SKIPPED where nothing was judged."""
+    """Return FAIL if any fails, PASS if any passes, SKIPPED if nothing was judged."""
     return decide_verdict({result.verdict for result in results})
 
 
 def decide_verdict(found: Container[Verdict]) -> Verdict:
-    """Return the verdict of all where some are found, as `join_verdicts`."""
+    """Return the joint verdict from the verdicts found, as `join_verdicts`."""
     order = (Verdict.FAIL, Verdict.PASS)
     return next((verdict for verdict in order if verdict in found), Verdict.SKIPPED)
 
 
 def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
-    """Return the result of least margin in each unit, what fails first: units have no order."""
+    """Return the result with the smallest margin in each unit, failures first."""
     worst: dict[str, CheckResult] = {}
     for result in results:
         before = worst.get(result.unit, result)

@@ -1,9 +1,9 @@
-"""Formula and signals -> margin at every moment: how far a formula is from changing its verdict.
+"""Formula and signals -> robustness at every time: how far a formula is from the other verdict.
 
-The margin of `a <= b` is b - a, of `a == b` -|a - b|; and is the smaller, or the larger, not the
-negative; what has no distance (texts, truths) has a margin of inf or -inf. Signals hold each value
-until the next. After the end of a trace that is settled they hold the last one for ever; after any
-other end what is said of them is unknown.
+The margin of `a <= b` is b - a, of `a == b` -|a - b|; `and` takes the minimum, `or` the maximum,
+`not` the negative; texts and truth values have a margin of inf or -inf. Signals hold each value
+until the next. After the end of a settled trace they hold the last value forever; after any other
+end they are unknown.
 """
 
 import functools
@@ -55,20 +55,20 @@ _LONGEST_S: Final = 1e18
 def compute_robustness(
     signals: Signals, expression: Expression, *, window_ns: tuple[int, int] | None = None
 ) -> Steps:
-    """Return the margin of a formula at every moment of a trace.
+    """Return the margin of a formula at every time of a trace.
 
-    Positive where it holds, negative where it does not, nan if that is unknown.
+    Positive if it holds, negative if it does not, nan if that is unknown.
 
     Args:
         signals: Mapping from a name to (time_ns, values) of a signal, or to a constant; None for no
-            value. Times do not decrease; of values at one time the last one holds.
+            value. Times do not decrease; of several values at one time the last is used.
         expression: A formula, temporal or not.
-        window_ns: First and last time [ns] of the trace; by default from the first moment at
-            which every signal used has a value to the last time of any.
+        window_ns: First and last time [ns] of the trace; default: from the first time at which
+            every used signal has a value to the last time of any.
 
     Raises:
-        ExpressionError: If a name is not there or the kinds do not go together.
-        CheckError: If a signal is no signal, or has no value at the first time.
+        ExpressionError: If a name is unknown or operand types do not match.
+        CheckError: If a signal is invalid, or has no value at the first time.
     """
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns)
     return FormulaWalk(expression, trace).root.margins
@@ -76,11 +76,11 @@ def compute_robustness(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CriticalPart:
-    """Origin of a margin, however deep it stands.
+    """Origin of a margin in a formula, at any depth.
 
     Attributes:
-        node: A comparison of two sides, or what is true or false by itself.
-        time_ns: When its margin is that of the whole [ns].
+        node: A comparison of two sides, or a truth value.
+        time_ns: Time at which its margin equals that of the whole [ns].
     """
 
     node: Node
@@ -88,25 +88,25 @@ class CriticalPart:
 
 
 class Part(Protocol):
-    """A part of a formula, and what it comes to over the trace."""
+    """A part of a formula, with its margins over the trace."""
 
     @property
     def margins(self) -> Steps:
-        """Its margin at every moment."""
+        """Margin at every time."""
 
     def find_critical(self, time_ns: int) -> CriticalPart:
-        """Return where its margin at a time comes from; of several places the first."""
+        """Return the origin of its margin at a time; the first of several."""
 
     def find_violation(self) -> int | None:
-        """Return the first time at which it is violated [ns], once it is at the beginning.
+        """Return the first time at which it is violated [ns], if it is required at the beginning.
 
-        Of `always` this is the first time in its window at which its body fails; of `eventually`,
-        the end of its window, when what was to come has not; of `until`, the end of its window or
-        the first time at which its left side fails, whichever comes first; of `and`, the first of
-        any part's; of `or`, the last of its parts'; of `implies`, the right side's; of anything
-        else, the beginning. `not always` is an `eventually not`, and `not eventually` an
-        `always not`. A window that reaches beyond the trace's end ends there; where it begins
-        beyond, no time of the trace violates it: None.
+        For `always` this is the first time in its window at which its body fails; for `eventually`,
+        the end of its window; for `until`, the end of its window or the first time at which its
+        left side fails, whichever comes first; for `and`, the first of its parts; for `or`, the
+        last of its parts; for `implies`, that of the right side; for anything else, the beginning.
+        `not always` is an `eventually not`, and `not eventually` an `always not`. A window that
+        reaches beyond the trace's end is cut there; if it begins beyond the end, no time of the
+        trace violates it: None.
         """
 
 
@@ -117,13 +117,13 @@ _ANY_PARTS: Final = 20
 
 
 class FormulaWalk:
-    """One walk over a formula: the margin of each part, where it comes from, and its violation.
+    """One walk over a formula: the margin of each part, its origin, and its violation.
 
     Args:
         expression: A formula.
-        trace: The signals that it names.
-        exact: As of a `PartReader`.
-        unknown: As of a `PartReader`.
+        trace: Signals of the formula.
+        exact: Option of `PartReader`.
+        unknown: Option of `PartReader`.
     """
 
     def __init__(
@@ -140,28 +140,28 @@ class FormulaWalk:
 
     @property
     def margin(self) -> float:
-        """That of the whole at the beginning."""
+        """Margin of the whole formula at the beginning."""
         return float(self.root.margins.values[0])
 
     def find_critical(self) -> CriticalPart:
-        """Return where the margin at the beginning comes from, which must be known."""
+        """Return the origin of the margin at the beginning, which must be known."""
         return self.root.find_critical(self._start_ns)
 
     def find_violation(self) -> int | None:
-        """Return the first time at which the formula is violated [ns], None if it holds."""
+        """Return the first time at which the formula is violated [ns]; None if it holds."""
         return find_violation(self.root)
 
 
 class PartReader:
-    """Makes parts of a formula. It keeps none: their columns are long, and go with the walk.
+    """Makes parts of a formula. It keeps none, because their columns are long.
 
     Args:
         expression: A formula.
-        trace: The signals that it names.
-        exact: Whether to give 1 for true and -1 for false instead: this decides margins of 0,
-            where `<` and `<=` differ.
-        unknown: What an unknown part counts for: nan, which makes unknown what it touches; -inf,
-            as badly for the whole formula as it can; or inf, as well as it can.
+        trace: Signals of the formula.
+        exact: Whether to use 1 for true and -1 for false instead of margins: this decides margins
+            of 0, for which `<` and `<=` differ.
+        unknown: Value of an unknown part: nan, which makes dependent parts unknown; -inf, the worst
+            for the whole formula; or inf, the best.
     """
 
     def __init__(
@@ -181,8 +181,8 @@ class PartReader:
         """Return a part of the formula.
 
         Args:
-            node: Any part that is true or false.
-            sign: -1 where the part counts against the formula: below `not`, left of `implies`.
+            node: Any part with a truth value.
+            sign: -1 if the part is negated: below `not`, left of `implies`.
 
         Raises:
             CheckError: If its parts have too many values together.
@@ -214,7 +214,7 @@ class PartReader:
     def look_ahead(
         self, node: Temporal | Until, look: Callable[..., Steps], sides: list[Steps], sign: int
     ) -> Steps:
-        """Return what a window over some margins comes to at every moment."""
+        """Return the result of a window over margins at every time."""
         trace, (first_ns, last_ns) = self.trace, _convert_window(node)
         if trace.ending is not RunEnding.UNDECLARED or last_ns is not None:
             return look(*sides, first_ns, last_ns)
@@ -223,7 +223,7 @@ class PartReader:
         return found.end_with(sign * self._unknown, from_ns=trace.end_ns - first_ns + 1)
 
     def clip_window(self, node: Temporal | Until, time_ns: int) -> tuple[int, int]:
-        """Return the window of a node as it stands at a time [ns], cut at the trace's end."""
+        """Return the window of a node at a time [ns], cut at the trace's end."""
         first_ns, last_ns = _convert_window(node)
         end_ns = self.trace.end_ns
         last_ns = end_ns if last_ns is None else time_ns + last_ns
@@ -234,7 +234,7 @@ class PartReader:
         return self.trace.start_ns + _convert_window(node)[0] > self.trace.end_ns
 
     def measure_leaf(self, node: Node, sign: int) -> Steps:
-        """Return the margins of a comparison, or of a truth by itself."""
+        """Return the margins of a comparison, or of a truth value."""
         for part in iterate_nodes(node):
             if isinstance(part, Temporal | Until):
                 fail_at(self._expression, part, "expected no temporal operator in a comparison")
@@ -284,7 +284,7 @@ class PartReader:
         return margins
 
     def _weigh(self, truth: Operand) -> Values:
-        """Return the margins of what is true or false and has no distance between."""
+        """Return the margins of truth values, which have no distance."""
         weight = 1.0 if self._exact else math.inf
         margins = np.where(truth.data > 0, weight, -weight)
         return np.where(np.isnan(truth.data), np.nan, margins)
@@ -401,7 +401,7 @@ class _Until:
 
 
 def find_violation(part: Part) -> int | None:
-    """Return the first time at which a part that is to hold at the start is violated [ns]."""
+    """Return the first violation of a part that is required at the start [ns]."""
     return part.find_violation() if part.margins.values[0] < 0 else None
 
 
@@ -416,7 +416,7 @@ def _find_failure(part: Part, start_ns: int, end_ns: int) -> int | None:
 
 
 def _convert_window(node: Temporal | Until) -> tuple[int, int | None]:
-    """Return the ends of a node's window [ns], None for no end."""
+    """Return the ends of a node's window [ns]; None for no end."""
     last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
     return _convert(node.start_s), last_ns
 

@@ -1,4 +1,4 @@
-"""Specifications: what a team's recordings are held to, as values and as JSON Schema."""
+"""Specifications: the requirements on recordings, as values and as JSON Schema."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,17 +33,17 @@ FORMAT: Final = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One thing that is to hold.
+    """One requirement.
 
     Attributes:
         name: Name of its table.
-        kind: `expect`: over metrics and parameters; `holds`: over signals and time, too.
+        kind: `expect`: over metrics and parameters; `holds`: also over signals and time.
         formula: Formula to check.
-        phase: The segment that `holds` looks at: `pause`, or a phase of the run's law, the pause
-            after it included; None for the whole run.
-        when: Otherwise the check is skipped; None: it never is.
-        reason: Why so much and no more.
-        is_observed: Whether the bound was read off a good run and is not yet confirmed.
+        phase: Segment for `holds`: `pause`, or a phase of the run's law with the pause after it;
+            None for the whole run.
+        when: Condition without which the check is skipped; None: it is never skipped.
+        reason: Reason for the limit.
+        is_observed: Whether the bound comes from a good run and is not yet confirmed.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Check:
     is_observed: bool = False
 
     def describe(self) -> str:
-        """Return what is to hold, and where."""
+        """Return the requirement, and its segment."""
         return self.formula.text if self.phase is None else f"{self.formula.text} in {self.phase}"
 
 
@@ -101,13 +101,13 @@ class Spec:
     """A specification that recordings are checked against.
 
     Attributes:
-        checks: In the order of the file.
+        checks: Checks in the order of the file.
         tolerances: Allowed differences of signals and metrics from the reference.
-        reference: The recording that tolerances are taken from; None if there are none.
+        reference: The recording to which tolerances refer; None if there are none.
         alignment: Alignment of runs and reference.
-        trajectory: Settings of the errors of trajectories beside the reference.
+        trajectory: Settings for errors of trajectories relative to the reference.
         read: Topics, frames and goal to read from third-party files, also from the reference.
-        source: The file, for messages.
+        source: Name of the file for messages.
     """
 
     checks: tuple[Check, ...] = ()
@@ -127,12 +127,12 @@ class Spec:
 
 
 def is_known(kind: str, name: str) -> bool:
-    """Return whether runs of any law can have a signal, or a metric, of this name."""
+    """Return whether runs of any law can have a signal or metric with this name."""
     return could_be_signal(name) if kind == "signals" else find_metric_kind(name) is not None
 
 
 def list_nearby(kind: str, name: str) -> list[str]:
-    """Return the names among which a misspelled one is looked for."""
+    """Return the names among which corrections of a misspelled one are searched."""
     return list(SIGNALS) if kind == "signals" else [*METRICS, *list_ids_like(name)]
 
 
@@ -157,7 +157,7 @@ _LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
 
 
 def build_schema() -> dict[str, Any]:
-    """Return the schema, draft 2020-12. Formulas are text to it: `turtlelog check` parses them."""
+    """Return the schema, draft 2020-12. Formulas are text in it: `turtlelog check` parses them."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "turtlelog specification and tolerance file",
@@ -304,7 +304,7 @@ def _build_check() -> dict[str, Any]:
 
 
 def _build_signals() -> dict[str, Any]:
-    """Return the schema of signals by name; any law may have states of its own."""
+    """Return the schema of signals by name; any law may have further states."""
     return {
         "type": "object",
         "additionalProperties": False,
@@ -316,7 +316,7 @@ def _build_signals() -> dict[str, Any]:
 
 
 def _build_metrics() -> dict[str, Any]:
-    """Return the schema of metrics by id, those of a loop as of any law's."""
+    """Return the schema of metrics by id; those of a loop are for any law."""
     described = {
         name: _describe("metric", found.unit, found.meaning) for name, found in METRICS.items()
     }

@@ -58,7 +58,7 @@ CHECK_KEYS: Final = ("expect", "holds", "phase", "when", "reason", "observed")
 
 
 def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
-    """Return the specification in a TOML file; one of tolerances alone is one, too.
+    """Return the specification in a TOML file; it may consist of tolerances alone.
 
     Args:
         path: The file. A relative `reference` is searched in the folder of the specification.
@@ -67,7 +67,7 @@ def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
     Raises:
         CheckError: If a key or value is wrong or nothing is to be checked.
         CompareError: If the file cannot be read, or a tolerance is wrong.
-        ExpressionError: If a formula does not parse, or names what is not there.
+        ExpressionError: If a formula does not parse, or names something unknown.
     """
     tables = read_tables(path)
     named = _read_text(tables, "reference", str(path))
@@ -80,10 +80,10 @@ def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
 
 
 def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") -> Spec:
-    """Return the specification in a TOML text or its tables, its reference left out.
+    """Return the specification in a TOML text or its tables, without loading its reference.
 
     Raises:
-        CheckError: As `load_spec`, and so are the others.
+        CheckError: If `load_spec` raises it; the same is true of its other errors.
     """
     tables = text
     if isinstance(tables, str):
@@ -106,7 +106,7 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
 
 
 def require_reference(spec: Spec) -> Spec:
-    """Refuse tolerances that nothing is compared with.
+    """Raise an error if tolerances have no reference.
 
     Raises:
         CheckError: If there are tolerances and no reference.
@@ -120,11 +120,11 @@ def require_reference(spec: Spec) -> Spec:
 
 
 def load_tolerances(path: str | Path) -> Tolerances:
-    """Return the tolerances in a specification file; its other tables are left out.
+    """Return the tolerances in a specification file; its other tables are ignored.
 
     Raises:
-        CompareError: If the file cannot be read, is no TOML, a key or value is wrong, or nothing is
-            to be judged.
+        CompareError: If the file cannot be read, is not TOML, a key or value is wrong, or nothing
+            is to be judged.
     """
     tables = read_tables(path)
     own: dict[str, Any] = {key: tables[key] for key in _KINDS if key in tables}
@@ -135,11 +135,11 @@ def load_tolerances(path: str | Path) -> Tolerances:
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a specification file, its format checked and left out.
+    """Return the tables of a specification file without its format, which is checked.
 
     Raises:
-        CompareError: If the file cannot be read, is no TOML, is of another format or holds a table
-            of another name.
+        CompareError: If the file cannot be read, is not TOML, has another format or contains an
+            unknown table.
     """
     return _require_known(_read_toml(path), source=str(path))
 
@@ -155,10 +155,11 @@ def _require_known(tables: dict[str, Any], *, source: str) -> dict[str, Any]:
 
 
 def parse_tolerances(tables: Mapping[str, Any], *, source: str = "tolerances") -> Tolerances:
-    """Return the tolerances in tables of names `signals` and `metrics`, either may be missing.
+    """Return the tolerances in the tables `signals` and `metrics`; either may be missing.
 
     Raises:
-        CompareError: `source: place: expected ..., found ...`, for the first key that is wrong.
+        CompareError: If a key is wrong: `source: place: expected ..., found ...`, for the first
+            one.
     """
     own = {kind: _parse_kind(kind, tables.get(kind, {}), source) for kind in _KINDS}
     try:
@@ -183,7 +184,7 @@ def _parse_checks(entries: Mapping[str, Any], source: str) -> tuple[Check, ...]:
 
 
 def count_parts(check: Check) -> int:
-    """Return how many names, numbers and operators its formulas have; `until` counts for more."""
+    """Return the number of names, numbers and operators in formulas; `until` counts for more."""
     nodes = [
         node
         for formula in (check.formula, check.when)
@@ -256,7 +257,7 @@ def _read_alignment(tables: Mapping[str, Any], source: str) -> str:
 
 
 def _parse_trajectory(table: Any, source: str) -> TrajectorySettings:
-    """Return how errors of trajectories are measured."""
+    """Return the settings for errors of trajectories."""
     place = f"{source}: trajectory"
     if not isinstance(table, Mapping):
         raise CheckError(f"{place}: expected a table, found {describe_value(table)}")
@@ -292,7 +293,7 @@ def _parse_trajectory(table: Any, source: str) -> TrajectorySettings:
 def _choose(
     table: Mapping[str, Any], key: str, place: str, known: tuple[_Known, ...]
 ) -> _Known | None:
-    """Return the known value of a key, None where the key is not there."""
+    """Return the known value of a key; None if the key is missing."""
     value = table.get(key)
     found = next((one for one in known if one == value), None)
     if key in table and found is None:
@@ -309,7 +310,7 @@ def _read_time(table: Mapping[str, Any], key: str, place: str, usual: float) -> 
 
 
 def _parse_read(table: Any, source: str) -> ReadChoice:
-    """Return what is read of third-party files."""
+    """Return the settings for reading third-party files."""
     place = f"{source}: read"
     if not isinstance(table, Mapping):
         raise CheckError(f"{place}: expected a table, found {describe_value(table)}")
@@ -411,9 +412,9 @@ def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance
 
 
 def _suggest(kind: str, name: str, entry: Any) -> str:
-    """Say what an unknown name may have been meant to be.
+    """Return a suggestion for an unknown name.
 
-    TOML takes `[metrics.rotate.overshoot]` for a table in a table: the quotes are missing.
+    TOML reads `[metrics.rotate.overshoot]` as a nested table: the quotes are missing.
     """
     tables = entry.items() if isinstance(entry, Mapping) else ()
     inner = [f"{name}.{key}" for key, table in tables if isinstance(table, Mapping)]

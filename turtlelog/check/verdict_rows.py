@@ -51,13 +51,13 @@ class _JudgeFile:
 def plan_verdict_table(
     spec: Spec, judge: Judge, choice: ReadChoice, *, is_partial: bool
 ) -> RecordingTable:
-    """Return what `tabulate_recordings` needs for a table with a row for each file and check.
+    """Return the plan of `tabulate_recordings` for a table with a row for each file and check.
 
     Args:
-        spec: What recordings are held to.
-        judge: Returns the results of a file; it can be pickled.
-        choice: What is read of third-party files.
-        is_partial: Whether a recording of which something is lost may pass.
+        spec: Specification to check.
+        judge: Function that returns the results of a file; it can be pickled.
+        choice: Settings for reading third-party files.
+        is_partial: Whether an incomplete recording may pass.
     """
     held = hashlib.sha256(describe_values(spec).encode()).hexdigest()
     facts = {
@@ -88,11 +88,11 @@ def _build_row(result: CheckResult) -> Row:
 
 
 def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]:
-    """Yield the results that a table holds.
+    """Yield the results in a table.
 
     Args:
-        path: The table.
-        files: What results call a file, by its label in the table.
+        path: File of the table.
+        files: Names of the files in results, by label in the table.
     """
     keys = (FILE, *_KEYS, _DECIDED)
     names = [key.name for key in keys]

@@ -29,14 +29,14 @@ _NO_BAND: Final = "what is compared is no band around a signal"
 
 
 def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:
-    """Return the signal that violated a check, or why none did.
+    """Return the signal that violated a check, or the reason why there is none.
 
-    Of a formula with several comparisons it is that of the one which decides. A metric belongs to a
-    signal where its value is that signal's at the moment at which it is taken.
+    For a formula with several comparisons, it is the signal of the deciding one. A metric belongs
+    to a signal if its value is that signal's at the time of the metric.
 
     Args:
-        run: That was checked.
-        result: What came of it.
+        run: Run that was checked.
+        result: Result of the check.
     """
     if result.verdict is not Verdict.FAIL:
         return SignalSearch(reason="the check was not violated")
@@ -44,13 +44,13 @@ def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:
 
 
 def find_judged_signal(run: Run, result: CheckResult) -> SignalSearch:
-    """Return the signal that a check holds to a band, or why there is none.
+    """Return the signal that a check limits to a band, or the reason why there is none.
 
-    Where the check passes, nothing is outside, and the worst moment is the nearest to the limit.
+    If the check passes, no row is outside, and the worst row is the nearest to the limit.
 
     Args:
-        run: That was checked.
-        result: What came of it.
+        run: Run that was checked.
+        result: Result of the check.
     """
     if result.verdict is Verdict.SKIPPED or not result.is_decided:
         return SignalSearch(reason=f"undecided: {result.reason}")
@@ -115,7 +115,7 @@ def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> Signal
 
 
 def _read_metric_bound(run: Run, check: Check, result: CheckResult) -> JudgedMetric | None:
-    """Return the one metric that a check bounds by a number; None where it asks something else."""
+    """Return the one metric that a check bounds by a number; None for any other check."""
     root = check.formula.root
     if not isinstance(root, Comparison) or len(root.operators) > 1 or result.limit is None:
         return None
@@ -130,7 +130,7 @@ def _read_metric_bound(run: Run, check: Check, result: CheckResult) -> JudgedMet
 
 
 def _find_of_metric(run: Run, result: CheckResult, judged: JudgedMetric) -> SignalSearch:
-    """Return the signal of which a metric is a value, its magnitude held to an upper limit."""
+    """Return the signal to which a metric's value belongs, with an upper limit on its magnitude."""
     metric = judged.metric
     if judged.operator not in {"<", "<="}:
         return SignalSearch(reason=f"{metric.id} is a metric: no signal stays below its limit")
@@ -172,7 +172,7 @@ def _find_of_metric(run: Run, result: CheckResult, judged: JudgedMetric) -> Sign
 def _find_carrier(
     run: Run, names: Sequence[str], value: float | None, at_s: float
 ) -> tuple[str, Curve, int] | None:
-    """Return the signal whose magnitude at a moment is a value, and the row; headings in deg."""
+    """Return the signal whose magnitude at a time is a value, and the row; headings in deg."""
     for name in names:
         signal = find_signal(run, name)
         if signal is None or signal.kind.compared_as == "label" or value is None:
@@ -234,18 +234,18 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Rows:
-    """Rows of a curve, which of them are outside of a band, and how far."""
+    """Rows of a curve, which of them are outside a band, and by how much."""
 
     curve: Curve
     outside: NDArray[np.bool_]
     excess: Values
 
     def find_worst(self) -> int:
-        """Return the row furthest outside."""
+        """Return the row that is furthest outside."""
         return int(np.where(self.outside, self.excess, -np.inf).argmax())
 
     def find(self, time_s: float) -> int:
-        """Return the row that holds at a time; of those at one time the last one."""
+        """Return the row that holds at a time; the last one of those at one time."""
         time_ns = self.curve.start_ns + round(time_s * 1e9)
         return max(int(np.searchsorted(self.curve.time_ns, time_ns, side="right")) - 1, 0)
 

@@ -1,4 +1,4 @@
-"""The names that specifications and tests may use, and what they stand for in a run."""
+"""The names that specifications and tests may use, and their meanings in a run."""
 
 import difflib
 import re
@@ -37,33 +37,33 @@ _OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
 
 @cache
 def _list_parameters() -> tuple[str, ...]:
-    """Return the dotted keys of scenarios; a law of one's own has others."""
+    """Return the dotted keys of scenarios; user laws have others."""
     return (*flatten_scenario(Scenario()), "goal.heading_rad")
 
 
 def find_kind(run: Run, name: str) -> MetricKind | None:
-    """Return what a metric of a run is, None where the name is that of no metric.
+    """Return the kind of a run's metric; None if the name is not a metric.
 
-    That of a loop which its law does not declare is a metric without a value, unless it is the
-    name of a parameter.
+    The metric of a loop that its law does not declare has no value, unless the name is that of a
+    parameter.
     """
     own = list_metrics(run.declaration).get(name)
     return own or (None if name in run.parameters else find_metric_kind(name))
 
 
 def require_known_names(formula: Expression, *, over_time: bool, run: Run | None = None) -> None:
-    """Refuse names that no run has, or not this one.
+    """Raise an error for names that no run has, or not this run.
 
-    Until a run is known any loop may have the metrics that there are, and a law's parameters and
-    states may have any name.
+    Without a run, any loop may have the existing metrics, and the parameters and states of a law
+    may have any name.
 
     Args:
-        formula: What to look at.
-        over_time: Whether signals and temporal operators may stand in it.
-        run: Knows the parameters and states of its law.
+        formula: Formula to check.
+        over_time: Whether signals and temporal operators are allowed in it.
+        run: Run with the parameters and states of its law.
 
     Raises:
-        ExpressionError: With the column and the nearest names.
+        ExpressionError: If there is such a name, with the column and the nearest names.
     """
     for node in iterate_nodes(formula.root):
         if isinstance(node, Temporal | Until) and not over_time:
@@ -84,7 +84,7 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
 
 
 def names_metrics_alone(formula: Expression) -> bool:
-    """Return whether a formula names metrics and nothing that changes with time."""
+    """Return whether a formula names only metrics and nothing that changes with time."""
     is_temporal = any(isinstance(node, Temporal | Until) for node in iterate_nodes(formula.root))
     names = formula.names
     are_metrics = all(name in _OTHER_VALUES or find_metric_kind(name) is not None for name in names)
@@ -107,7 +107,7 @@ def _is_known(name: str, *, over_time: bool, run: Run | None) -> bool:
 
 
 def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, object]:
-    """Return the names among which that of a mistake is looked for."""
+    """Return the names among which corrections of a misspelled one are searched."""
     signals = SIGNALS if run is None else list_signals(run.declaration)
     ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
     own = () if run is None else run.parameters
@@ -116,10 +116,10 @@ def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, 
 
 
 def require_phase(phase: str, run: Run | None = None) -> None:
-    """Refuse what can be no phase that is looked at; of a run that is known, misspelled ones, too.
+    """Raise an error for an invalid phase; with a known run, also for a misspelled one.
 
     Raises:
-        CheckError: With what was expected, or the nearest phases of the run's law.
+        CheckError: If it is invalid; with valid values, or the nearest phases of the run's law.
     """
     if phase == DONE or not re.fullmatch(NAME_PATTERN, phase):
         raise CheckError(f"phase: expected one of the run's law or pause, found {phase!r}")
@@ -129,7 +129,7 @@ def require_phase(phase: str, run: Run | None = None) -> None:
 
 
 def describe_missing_phase(run: Run, phase: str) -> str:
-    """Return why a run has no such phase: it does not come to it, or its law has others."""
+    """Return why a run lacks a phase: it does not reach it, or its law has others."""
     known = [name for name in run.phase_names if name != DONE]
     if phase in known:
         return f"no_phase (the run has no phase {phase})"
@@ -137,7 +137,7 @@ def describe_missing_phase(run: Run, phase: str) -> str:
 
 
 def describe_nearest(text: str, known: Sequence[str]) -> str:
-    """Return the end of an error line for a word that is none of those known."""
+    """Return the end of an error line for an unknown word."""
     return describe_unknown_name(text, dict.fromkeys(known))
 
 
@@ -163,7 +163,7 @@ _OF_NAME: Final = {
 
 
 def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str, ...]:
-    """Return the signals of a law to look at for signals, metrics and parameters."""
+    """Return the signals of a law to show for signals, metrics and parameters."""
     known = list_signals(declaration)
     chosen: list[str] = []
     for name in names:

@@ -1,4 +1,4 @@
-"""A common clock for two runs: where time zero of each is, and which stretch both cover."""
+"""A common clock for two runs: time zero of each, and the segment that both cover."""
 
 import dataclasses
 import re
@@ -20,7 +20,7 @@ ALIGNMENTS: Final = ("first_sample", "phase:NAME", "recorded", "sample")
 
 
 class CommonClock(Protocol):
-    """What two runs are compared on."""
+    """The clock on which two runs are compared."""
 
     @property
     def tells_time(self) -> bool:
@@ -28,27 +28,27 @@ class CommonClock(Protocol):
 
     @property
     def span(self) -> tuple[int, int]:
-        """From when to when both are compared, in the clock's units, both ends included."""
+        """First and last compared time, in the clock's units, both included."""
 
     def place_signal(self, signal: Signal, run: Run) -> Signal:
-        """Return the signal of one of the two runs with its rows placed on this clock."""
+        """Return the signal of one of the two runs with its rows on this clock."""
 
     def read_ns(self, unit: int) -> int:
         """Return the time of a unit of this clock [ns]."""
 
 
 def could_be_alignment(text: str) -> bool:
-    """Return whether a text is an alignment, of whatever law the phase is."""
+    """Return whether a text is an alignment, with a phase of any law."""
     phase = text.removeprefix("phase:")
     return text in ALIGNMENTS or (phase != text and re.fullmatch(NAME_PATTERN, phase) is not None)
 
 
 def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
-    """Return the clock of one of `ALIGNMENTS` for two runs; a phase is one of their laws'.
+    """Return the clock of one of `ALIGNMENTS` for two runs; a phase is one of their laws.
 
     Raises:
-        CompareError: Where there is no such alignment, a run lacks what it asks for, or the runs
-            do not overlap.
+        CompareError: If there is no such alignment, a run lacks what it needs, or the runs do not
+            overlap.
     """
     phases = dict.fromkeys([*reference.phase_names, *run.phase_names])
     known = ["first_sample", *(f"phase:{phase}" for phase in phases), "recorded", "sample"]
@@ -84,7 +84,7 @@ class _TimeClock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _SampleClock:
-    """Numbers of samples; poses are those that the samples read. Times are the reference's."""
+    """Numbers of samples; poses are those that they read. Times are those of the reference."""
 
     time_ns: Times
     tells_time: bool = False
@@ -108,7 +108,7 @@ class _SampleClock:
 
 
 def _smooth(signal: Signal) -> Signal:
-    """Take the jumps at a full turn out of an angle, so that lines can be drawn."""
+    """Remove the jumps of an angle at full turns, so that it can be interpolated."""
     if signal.kind.compared_as != "angle":
         return signal
     return dataclasses.replace(signal, values=np.unwrap(signal.values))
@@ -143,7 +143,7 @@ def _align_by_number(reference: Run, run: Run) -> CommonClock:
 
 
 def find_zero_ns(run: Run, alignment: str) -> int:
-    """Return where time zero of an alignment stands in a run [ns]; by number: its first sample."""
+    """Return time zero of an alignment in a run [ns]; by sample number, it is the first sample."""
     if alignment == "recorded":
         return 0
     return run.start_ns if alignment == "sample" else _find_phase_ns(run, alignment)

@@ -1,4 +1,4 @@
-"""What differs between a run and a reference, signal by signal and metric by metric."""
+"""Differences between a run and a reference, signal by signal and metric by metric."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,30 +23,30 @@ from turtlelog.run import Run
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricDifference:
-    """One metric beside the reference's."""
+    """A metric of a run and that of the reference."""
 
     metric: Metric
     reference: Metric
 
     @property
     def differs_in_unit(self) -> bool:
-        """Whether loops of one name control what has another unit."""
+        """Whether loops of one name control signals with different units."""
         has_values = self.metric.value is not None and self.reference.value is not None
         return has_values and self.metric.unit != self.reference.unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunComparison:
-    """One run beside a reference.
+    """A run compared with a reference.
 
     Attributes:
-        name: The run's name.
-        alignment: How the two were brought together, one of `ALIGNMENTS`.
-        overlap_from_s: Where the stretch that is compared begins on the common clock [s].
-        overlap_s: Length of that stretch [s].
-        signals: For every signal that both hold.
-        metrics: For every metric of either law, but those that differ in their unit.
-        notes: What the reader should know of the alignment.
+        name: Name of the run.
+        alignment: Alignment of the two, one of `ALIGNMENTS`.
+        overlap_from_s: Start of the compared segment on the common clock [s].
+        overlap_s: Duration of that segment [s].
+        signals: Differences of every signal that both runs contain.
+        metrics: Differences of every metric of either law, except if their units differ.
+        notes: Notes on the alignment for the reader.
     """
 
     name: str
@@ -74,17 +74,17 @@ class RunComparison:
 
 
 def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -> RunComparison:
-    """Return what differs between a run and a reference.
+    """Return the differences between a run and a reference.
 
     Args:
-        reference: The run that differences are taken from.
-        run: The other.
+        reference: Run from which differences are taken.
+        run: Other run.
         alignment: `first_sample`: time zero is each run's first sample; `phase:NAME`: the start of
-            a phase, what stands before is not compared; `recorded`: times as recorded; `sample`:
-            samples are compared by their number, each with the pose that it read.
+            a phase, and earlier rows are not compared; `recorded`: times as recorded; `sample`:
+            samples are compared by number, each with the pose that it read.
 
     Raises:
-        CompareError: Where there is no such alignment, or the runs do not overlap.
+        CompareError: If there is no such alignment, or the runs do not overlap.
     """
     return compare_measured(reference, measure_run(reference), run, alignment=alignment)
 
@@ -92,7 +92,7 @@ def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -
 def compare_measured(
     reference: Run, metrics: Mapping[str, Metric], run: Run, *, alignment: str
 ) -> RunComparison:
-    """Return what `compare_runs` does, with a reference of which all metrics are known."""
+    """Do the same as `compare_runs` with a reference of which all metrics are known."""
     clock = align_runs(reference, run, alignment)
     start_ns, end_ns = map(clock.read_ns, clock.span)
     names = list_signal_units([reference.declaration, run.declaration])
@@ -110,7 +110,7 @@ def compare_measured(
 
 
 def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[MetricDifference]:
-    """Return metrics of a run beside a reference's; of a loop that is not declared: no value."""
+    """Return a run's metrics and a reference's; a loop that is not declared has no value."""
     measured = [measure_run(found, only=ids) if ids else {} for found in (reference, run)]
     return [MetricDifference(metric=measured[1][name], reference=measured[0][name]) for name in ids]
 
@@ -118,9 +118,9 @@ def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[Metr
 def tabulate_differences(
     comparisons: Sequence[RunComparison], *, names: Sequence[str], reference: str
 ) -> Table:
-    """Return the largest difference of every signal from the reference, and when it is reached.
+    """Return a table of the largest difference of every signal from the reference, and its time.
 
-    `names` heads the columns, one for each comparison.
+    `names` are the column titles, one for each comparison.
     """
     found = [{signal.signal: signal for signal in run.signals} for run in comparisons]
     columns = [Column(title="signal"), Column(title="unit")]
@@ -154,7 +154,7 @@ _ALIGNMENT_WORDS: Final = {
 def _pair_metrics(
     reference: tuple[Run, Mapping[str, Metric]], run: Run
 ) -> tuple[MetricDifference, ...]:
-    """Return every metric of either law; of a loop that one does not declare: `no_phase`."""
+    """Return every metric of either law; a loop that one does not declare has `no_phase`."""
     declarations = reference[0].declaration, run.declaration
     theirs, ours = reference[1], measure_run(run)
     return tuple(
@@ -195,7 +195,7 @@ def _describe_alignment(alignment: str) -> str:
 
 
 def _list_overlaps(comparisons: Sequence[RunComparison], names: Sequence[str]) -> tuple[str, ...]:
-    """Return over which stretch the runs were compared, where that is the same in one sentence."""
+    """Return the segments in which runs were compared; equal ones in one sentence."""
     stretches: dict[str, list[str]] = {}
     for name, found in zip(names, comparisons, strict=True):
         end_s = found.overlap_from_s + found.overlap_s

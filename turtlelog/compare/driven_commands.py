@@ -1,4 +1,4 @@
-"""The commands that drive a simulated robot in place of a recorded one, and pieces of its run."""
+"""Commands that drive a simulated robot instead of a recorded one, and pieces of its run."""
 
 import math
 from collections.abc import Mapping
@@ -38,7 +38,7 @@ _ROUNDING_NS: Final = 1000
 def list_commands(
     run: Run, motions: Mapping[Axis, AxisMotion], scenario: Scenario
 ) -> CommandColumns:
-    """Return the commands while poses are recorded, with a 0 where the robot stops by itself."""
+    """Return the commands during the poses, with a 0 where the robot stops by itself."""
     first_ns, last_ns = int(run.poses.time_ns[0]), int(run.poses.time_ns[-1])
     columns = run.commands
     time_ns, speed, turn_rate = columns.time_ns, columns.speed_m_s, columns.turn_rate_rad_s
@@ -74,9 +74,9 @@ def list_commands(
 
 
 def find_known(run: Run, scenario: Scenario) -> int:
-    """Return from when on the rates follow from recorded commands [ns].
+    """Return the time from which the rates follow from recorded commands [ns].
 
-    A robot that stands until its first command is known from the beginning.
+    For a robot at rest until its first command, this is the beginning.
     """
     poses, first_ns = run.poses, int(run.commands.time_ns[0])
     earlier = poses.time_ns <= first_ns
@@ -103,28 +103,28 @@ def silence(scenario: Scenario) -> Scenario:
 
 
 def is_random(scenario: Scenario) -> bool:
-    """Return whether what is sensed of a driven robot differs by the seed of its scenario.
+    """Return whether the sensed poses of a driven robot depend on the seed of its scenario.
 
-    Sensed poses are never lost or late there.
+    Sensed poses are never lost or late in it.
     """
     return bool(list_streams(scenario) - {"dropout_lose_pose", "jitter_pose_travel"})
 
 
 def _counts_commands(scenario: Scenario) -> bool:
-    """Return whether a command that repeats the one before may act: by chance, or in a queue."""
+    """Return whether a repeated command may have an effect: by chance, or in a queue."""
     loop = scenario.loop
     return loop.queue_policy != "newest" or loop != silence(scenario).loop
 
 
 def _drop_repeated(commands: CommandColumns) -> CommandColumns:
-    """Return commands without those that repeat the one before, which only take time."""
+    """Return commands without repeated ones, which only take time."""
     changes = np.diff(commands.speed_m_s) != 0.0
     changes |= np.diff(commands.turn_rate_rad_s) != 0.0
     return take_rows(commands, np.concatenate([[True], changes]))
 
 
 def _find_delay(scenario: Scenario, axis: Axis, command: float, left: float) -> float:
-    """Return after what time a share of the rate that a command led to is left [s]."""
+    """Return the time until the response to a command has decayed to a given fraction [s]."""
     values, loop = flatten_scenario(scenario), scenario.loop
     key = PLANT_KEYS[axis]
     transport_s: float = loop.transport_delay_s
@@ -144,7 +144,7 @@ def _find_delay(scenario: Scenario, axis: Axis, command: float, left: float) -> 
 
 
 def _stands(run: Run, axis: Axis, earlier: NDArray[np.bool_], seen_s: float) -> bool:
-    """Return whether a robot stands meanwhile, or an axis is never commanded."""
+    """Return whether a robot is at rest meanwhile, or an axis is never commanded."""
     largest = float(np.abs(get_commands(run, axis)).max())
     poses = run.poses
     if axis == "speed":
@@ -183,9 +183,9 @@ _MOST_GROWTH: Final = 20
 
 
 def cut_pieces(time_ns: Rows, horizon_ns: int, known_ns: int) -> tuple[Rows, int]:
-    """Return the rows at which pieces begin and end, shape (2, n), and how many gaps are between.
+    """Return the first and last rows of pieces, shape (2, n), and the number of gaps between them.
 
-    Each piece begins where the one before it ends.
+    Each piece begins where the previous one ends.
     """
     row, gaps = int(np.searchsorted(time_ns, known_ns)), 0
     begins, ends = [], []
@@ -209,7 +209,7 @@ def cut_pieces(time_ns: Rows, horizon_ns: int, known_ns: int) -> tuple[Rows, int
 
 
 def list_growth_rows(time_ns: Rows, cut: Rows, horizon_s: float) -> Rows:
-    """Return the rows at equal times after each begin, shape (pieces, points)."""
+    """Return rows at equal times after each beginning, shape (pieces, points)."""
     usual_s = float(np.median(np.diff(time_ns))) / 1e9
     points = max(min(_MOST_GROWTH, int(horizon_s / (2.0 * usual_s))), 1)
     share = np.arange(points + 1) / points
@@ -222,7 +222,7 @@ def list_growth_rows(time_ns: Rows, cut: Rows, horizon_s: float) -> Rows:
 
 
 def drop_jumps(cut: Rows, jumps: Rows) -> tuple[Rows, int]:
-    """Return the pieces without a jump in them, and how many have one."""
+    """Return the pieces that contain no jump, and the number of the others."""
     inside = np.searchsorted(jumps, cut[1], side="right") - np.searchsorted(
         jumps, cut[0], side="right"
     )
@@ -230,7 +230,7 @@ def drop_jumps(cut: Rows, jumps: Rows) -> tuple[Rows, int]:
 
 
 def find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) -> Rows:
-    """Return the rows of poses to which no robot can have come from the pose before."""
+    """Return the rows of poses that no robot can have reached from the previous pose."""
     poses = run.poses
     if len(poses) < 2:
         return np.zeros(0, dtype=np.int64)
@@ -250,14 +250,14 @@ def find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) 
 
 
 def measure_errors(actual: Values, predicted: Values) -> Values:
-    """Return distance [m] and turn [rad] between ends, the predicted pieces moved to the begins.
+    """Return distance [m] and turn [rad] between ends, with predictions moved to the begins.
 
     Args:
-        actual: States at begins and ends of pieces, shape (2, n, 3).
-        predicted: Likewise.
+        actual: States at the beginnings and ends of pieces, shape (2, n, 3).
+        predicted: Predicted states, shape (2, n, 3).
 
     Returns:
-        Shape (2, n).
+        Errors, shape (2, n).
     """
     turn_rad = actual[0, :, 2] - predicted[0, :, 2]
     cosine, sine = np.cos(turn_rad), np.sin(turn_rad)

@@ -1,8 +1,8 @@
-"""Which loops of different laws are alike, so that tables put their metrics beside each other.
+"""Equivalent loops of different laws, whose metrics are put next to each other in tables.
 
-Loops of one name stand in the same rows. Others are alike where they control the same (the heading,
-the way to the goal, the offset from the line) by the same command, and both answer a step or both
-follow a reference. Loops of one law are never mixed: a run has both.
+Loops with the same name share rows. Other loops are equivalent if they control the same quantity
+(the heading, the distance to the goal, the offset from the line) with the same command, and both
+answer a step or both follow a reference. Loops of one law are never merged, because a run has both.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,9 +13,9 @@ _Kind = tuple[str, str, bool]
 
 
 def order_ids(ids: Iterable[str], declarations: Iterable[Declaration] = ()) -> tuple[str, ...]:
-    """Return ids of several laws, each once: loop by loop, then those of the end and the run.
+    """Return the ids of several laws, each once: loop by loop, then those of the end and the run.
 
-    Loops that are alike in the laws' declarations take turns, metric by metric.
+    Equivalent loops in the laws' declarations alternate, metric by metric.
     """
     return tuple(name for group in group_ids(ids, declarations) for name in group)
 
@@ -23,7 +23,7 @@ def order_ids(ids: Iterable[str], declarations: Iterable[Declaration] = ()) -> t
 def group_ids(
     ids: Iterable[str], declarations: Iterable[Declaration] = ()
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the ids in the groups in which `order_ids` puts them."""
+    """Return the ids in groups, in the order of `order_ids`."""
     by_loop: dict[str, list[str]] = {}
     for name in dict.fromkeys(ids):
         by_loop.setdefault(name.rpartition(".")[0], []).append(name)
@@ -35,7 +35,7 @@ def group_ids(
 def group_loops(
     names: Iterable[str], declarations: Iterable[Declaration]
 ) -> tuple[tuple[str, ...], ...]:
-    """Return names of loops in groups of those that are alike, groups of one kind in a row."""
+    """Return the names of equivalent loops in groups; groups of one kind follow each other."""
     declared = tuple(dict.fromkeys(declarations))
     kinds: dict[str, _Kind] = {}
     for loop in (loop for declaration in declared for loop in declaration.loops):
@@ -61,7 +61,7 @@ def _find_kind(loop: ControlLoop) -> _Kind:
 
 
 def _take_turns(columns: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return ids of several loops metric by metric, in the order in which metrics first come."""
+    """Return the ids of several loops metric by metric, in order of first appearance."""
     by_metric: dict[str, list[str]] = {}
     for name in (name for column in columns for name in column):
         by_metric.setdefault(name.rpartition(".")[2], []).append(name)

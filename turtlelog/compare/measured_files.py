@@ -1,4 +1,4 @@
-"""Summaries of the runs in files, read one by one in one process or several."""
+"""Summaries of the runs in files, read one by one in one or several processes."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
@@ -30,25 +30,24 @@ def summarise_files(
     jobs: "int | Executor" = 1,
     with_parameters: bool = True,
 ) -> Iterator[RunSummary | TurtlelogError]:
-    """Yield the summary of every file in the order given, or the error where one cannot be read.
+    """Yield the summary of every file in the given order, or the error if it cannot be read.
 
-    One run at a time is in memory, with `jobs` one in each process.
+    Each process has one run at a time in memory.
 
     Args:
         paths: Any files that `read_run` takes.
-        settings: As in `measure_run`.
-        only: As in `measure_run`, where a pattern stands for the metrics that each run has; or a
+        settings: Settings of the metrics, as in `measure_run`.
+        only: Metrics, as in `measure_run`; a pattern selects the metrics that each run has. Or a
             function that chooses the metrics of a run.
-        topics: What to read of bags, for all files alike.
-        jobs: Processes to measure in, at least 1, or what takes the work.
-            Processes import the module that runs: a script that asks for more than one keeps its
-            own work under `if __name__ == "__main__":`.
+        topics: Topics to read from bags, the same for all files.
+        jobs: Number of processes, at least 1, or a pool. Processes import the main module: a script
+            that asks for more than one keeps its own work under `if __name__ == "__main__":`.
         with_parameters: Whether summaries keep all parameters, which are half of their size, or
             the laws' gains alone.
 
     Raises:
-        MeasureError: Where `only` names no metric.
-        CompareError: Where `jobs` is no number of processes.
+        MeasureError: If `only` names no metric.
+        CompareError: If `jobs` is not a number of processes.
     """
     if isinstance(jobs, int) and jobs < 1:
         raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
@@ -88,9 +87,9 @@ def complete_summaries(
     *,
     topics: ReadChoice | None = None,
 ) -> tuple[RunSummary, ...]:
-    """Return runs with the metrics of `final` and `run` that any of them was measured for.
+    """Return runs with the metrics of `final` and `run` that were measured for any of them.
 
-    Only where bags of somebody else's stand beside runs of a law: their files are read again.
+    Only if third-party bags are compared with runs of a law: their files are then read again.
     """
     if len({found.is_lawless for found in summaries}) < 2:
         return tuple(summaries)

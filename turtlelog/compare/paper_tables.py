@@ -1,4 +1,4 @@
-"""The paper's tables: its Table 1, and the same without its window."""
+"""The paper's tables: its Table 1, and Table 1 without its time window."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -30,10 +30,10 @@ _CLOCK_NOTE: Final = (
 
 
 def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table:
-    """Return the paper's Table 1: errors 15 s after the first sample; tau and 4 tau are theory.
+    """Return the paper's Table 1: errors 15 s after the first sample; tau and 4 tau from theory.
 
-    Rows are sorted by gain; with `beside_paper` the paper's own values stand beside ours. Theory's
-    columns are there where a law has loops that it holds for.
+    Rows are sorted by gain; with `beside_paper`, the paper's values are shown too. The columns of
+    theory exist if a law has loops to which it applies.
     """
     has_theory = _have_theory(runs)
     theory = (_KP, Column(title="tau", unit="s", digits=2), _FOUR_TAU) if has_theory else ()
@@ -68,7 +68,7 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
 
 
 def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
-    """Return Table 1 without its window: each run to its own end, how its loops answered."""
+    """Return Table 1 without its window: each run to its end, with the response of its loops."""
     has_theory, of_loops = _have_theory(runs), _list_loop_columns(runs)
     has_goal = any(run.declaration.uses_goal for run in runs)
     of_run = {name: _WHOLE_RUN[name] for name in _WHOLE_RUN if has_goal or "error" not in name}
@@ -120,8 +120,8 @@ _ANSWERS: Final = MappingProxyType(
 def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
     """Return the columns of the loops that the runs have, by metric.
 
-    Settling times of all that answer a step, overshoots of those of them that turn the robot, and
-    rms errors of all that follow a reference.
+    They are the settling times of loops that answer a step, the overshoots of those that turn the
+    robot, and the rms errors of loops that follow a reference.
     """
     declared = {loop.name: loop for run in runs for loop in run.declaration.loops}
     groups = group_loops(declared, [run.declaration for run in runs])
@@ -144,22 +144,22 @@ def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
 
 
 def _have_theory(runs: Sequence[Run]) -> bool:
-    """Return whether theory's lines hold for a loop of any run."""
+    """Return whether theory applies to a loop of any run."""
     return any(_list_theory_loops(run) for run in runs)
 
 
 def _list_theory_loops(run: Run) -> list[ControlLoop]:
-    """Return the loops with a gain that theory knows: a way by speed, a heading by turns.
+    """Return the loops with a gain and a theory: position by speed, heading by turn rate.
 
-    A cross-track error, a heading that the speed acts on, and what has an integral or a derivative
-    answer otherwise; a reference that moves is no step.
+    A cross-track error, a heading controlled by speed, and a loop with an integral or derivative
+    respond differently; a moving reference is not a step.
     """
     loops = [loop for loop in run.declaration.loops if loop.gain is not None and not loop.moves]
     return [loop for loop in loops if loop.has_theory]
 
 
 def _get_gain(run: Run) -> float | None:
-    """Return the one gain of all loops, None where unknown, not one, or theory holds for none."""
+    """Return the common gain of all loops; None if unknown, unequal, or without theory."""
     keys = run.declaration.list_gains() if _list_theory_loops(run) else ()
     gains = {run.parameters.get(key) for key in keys}
     gain = gains.pop() if gains else None

@@ -1,4 +1,4 @@
-"""Whether runs may be ranked: what must be alike before one of them is called the best."""
+"""Whether runs may be ranked: the conditions that must agree before one is called the best."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -45,16 +45,16 @@ Keys = tuple[tuple[str, Any], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conditions:
-    """Under which a run was driven. None: not known.
+    """Conditions of a run; None: unknown.
 
     Attributes:
-        goal: x, y [m] and heading [rad], which is None where none is asked for; () where the law
-            uses no goal.
+        goal: x, y [m] and heading [rad] of the goal; the heading is None if it has none; () if the
+            law uses no goal.
         start: x, y [m] and heading [rad] of the first pose that was read.
-        plant: `turtlesim`, `lagged` or `robot`; None: not known.
-        tables: Keys of path, plant and limits, each None where it is not known.
-        reach_m: Resolution of positions: what the law's tolerances leave [m].
-        reach_rad: Likewise of headings [rad].
+        plant: `turtlesim`, `lagged` or `robot`; None: unknown.
+        tables: Keys of path, plant and limits, each None if unknown.
+        reach_m: Resolution of positions from the law's tolerances [m].
+        reach_rad: Resolution of headings from the law's tolerances [rad].
     """
 
     goal: tuple[float, float, float | None] | tuple[()] | None
@@ -67,13 +67,13 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConditionDifference:
-    """A condition that forbids to call a run the best.
+    """A condition that prevents a ranking.
 
     Attributes:
         condition: One of `CONDITIONS`.
-        key: Of the scenario (`limits.speed_m_s`), else the condition itself.
-        values: Of each run, in order; None where it is not known.
-        is_unknown: Whether it forbids because it is not known of a run.
+        key: Key of the scenario (`limits.speed_m_s`), otherwise the condition itself.
+        values: Value of each run, in order; None if unknown.
+        is_unknown: Whether the reason is that the condition of a run is unknown.
     """
 
     condition: str
@@ -87,9 +87,9 @@ class Ranking:
     """Whether runs may be ranked.
 
     Attributes:
-        varied: Keys that were varied on purpose and differ: gains, and those that were named.
-        differences: What forbids to call a run the best, in order of `CONDITIONS`.
-        unknown: Conditions that are not known of any run and forbid nothing, with those runs.
+        varied: Keys that were varied intentionally and differ: gains, and named keys.
+        differences: Conditions that prevent a ranking, in order of `CONDITIONS`.
+        unknown: Conditions that are unknown for all runs and prevent nothing, with those runs.
     """
 
     varied: tuple[str, ...]
@@ -103,11 +103,11 @@ class Ranking:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Keys that differ, those that were varied on purpose first."""
+        """Keys that differ; those varied intentionally come first."""
         return (*self.varied, *(found.key for found in self.differences))
 
     def describe(self) -> str:
-        """Return what forbids to call a run the best, as a clause; empty where nothing does."""
+        """Return why no run may be called the best, as a clause; empty if one may."""
         known = [one.condition for one in self.differences if not one.is_unknown]
         unknown = [one.condition for one in self.differences if one.is_unknown]
         clauses = [
@@ -118,10 +118,10 @@ class Ranking:
         return f"{' and '.join(clauses)}, so nothing is called best" if clauses else ""
 
     def list_notes(self, names: Sequence[str]) -> list[str]:
-        """Return each difference with its values, and what is not known, as sentences.
+        """Return each difference with its values, and unknown conditions, as sentences.
 
         Args:
-            names: Of the runs, in order.
+            names: Names of the runs, in order.
         """
         notes = [_describe_values(found, names) for found in self.differences]
         runs = {
@@ -156,8 +156,8 @@ def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
     """Return the conditions of a run.
 
     Args:
-        run: Whose goal, start and plant count, not those of the scenario.
-        parameters: Its scenario, with defaults, as far as it is known.
+        run: Run with the goal, start and plant that count, instead of those of the scenario.
+        parameters: Its scenario with defaults, as far as known.
     """
     first = [*run.samples.pose_sequence[:1], 0][0]
     x_m, y_m = map(float, run.poses.xy_m[first])
@@ -180,7 +180,7 @@ def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
 
 
 def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys | None:
-    """Return the keys of a condition; None where nothing is known of it."""
+    """Return the keys of a condition; None if unknown."""
     found = tuple(
         (key, value if isinstance(value, str | int | float) else str(value))
         for key, value in sorted(parameters.items())
@@ -217,21 +217,21 @@ def _find_plant(run: Run, parameters: Mapping[str, Any], *, is_simulated: bool) 
 def judge_runs(
     summaries: "Sequence[RunSummary]", *, varied: Collection[str] = (), source: str = "varied"
 ) -> Ranking:
-    """Return whether one of some runs may be called the best: the one judgement on that.
+    """Return whether one of several runs may be called the best; the only place that decides.
 
-    Goals and starts may differ by the resolution: by what the laws' tolerances leave of a position
-    (heading tolerance times distance plus position tolerance) and of a heading. Of runs whose
-    tolerances are not known it is 2 % of the way to the goal and 0.02 rad. A goal that is not known
-    of a run forbids a ranking. A path, a plant or limits forbid it if they are known of some runs
-    alone, not if they are known of none.
+    Goals and starts may differ by the resolution, which comes from the laws' tolerances of position
+    (heading tolerance times distance plus position tolerance) and heading. If the tolerances are
+    unknown, it is 2 % of the distance to the goal and 0.02 rad. An unknown goal of a run prevents a
+    ranking. A path, a plant or limits prevent it if they are known for some runs only, not if they
+    are unknown for all.
 
     Args:
-        summaries: The runs.
-        varied: Conditions, and keys of scenarios, that were varied on purpose besides gains.
-        source: What error lines begin with.
+        summaries: Runs to judge.
+        varied: Conditions and scenario keys, in addition to gains, that were varied intentionally.
+        source: Beginning of error lines.
 
     Raises:
-        CompareError: Where one of `varied` is no condition and no key of these runs.
+        CompareError: If one of `varied` is neither a condition nor a key of these runs.
     """
     purpose = {*varied, *(key for one in summaries for key in one.declaration.list_gains())}
     differing = _list_varied(summaries, purpose)
@@ -261,7 +261,7 @@ def judge_runs(
 def _describe_partly(
     condition: str, known: Sequence[Conditions], rows: Collection[int]
 ) -> ConditionDifference:
-    """Return a condition that is not known of some rows, with its keys as text for the others."""
+    """Return a condition unknown for some rows, with its keys as text for the others."""
     values = [
         None if row in rows else _write_condition(condition, found)
         for row, found in enumerate(known)
@@ -282,7 +282,7 @@ def _write_condition(condition: str, found: Conditions) -> str:
 
 
 def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) -> tuple[str, ...]:
-    """Return the keys that were varied on purpose and do differ, in the order of the scenario."""
+    """Return the keys that were varied intentionally and differ, in the order of the scenario."""
     values: dict[str, set[str]] = {}
     for summary in summaries:
         for key, value in summary.parameters.items():
@@ -292,7 +292,7 @@ def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) ->
 
 
 def _find_condition(key: str) -> str:
-    """Return the condition that a key of a scenario belongs to, else its table."""
+    """Return the condition to which a key of a scenario belongs, otherwise its table."""
     for condition, prefixes in _TABLES.items():
         if key.startswith(prefixes):
             return condition
@@ -344,7 +344,7 @@ def _differ(condition: str, values: Sequence[Any]) -> ConditionDifference:
 def _are_near(
     known: Sequence[Conditions], places: Sequence[tuple[float, float, float | None]]
 ) -> bool:
-    """Return whether places lie within the resolution of the finest of the runs."""
+    """Return whether positions agree within the finest resolution of the runs."""
     if not places:
         return True
     x_m, y_m, headings = zip(*places, strict=True)
@@ -360,7 +360,7 @@ def _are_near(
 
 
 def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
-    """Return the keys of a table that differ between the runs of which it is known."""
+    """Return the keys of a table that differ between the runs for which it is known."""
     held = [_get_table(condition, found) for found in known]
     tables = [None if table is None else dict(table) for table in held]
     present = [table for table in tables if table is not None]
@@ -395,7 +395,7 @@ _JUDGES: Final[Mapping[str, Callable[[str, Sequence[Conditions]], list[Condition
 
 
 def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
-    """Return which runs have which value, those of one value together."""
+    """Return the value of each run, with runs of equal value together."""
     groups: dict[str, list[str]] = {}
     for name, value in zip(names, found.values, strict=True):
         groups.setdefault(_show(found, value), []).append(name)
@@ -409,7 +409,7 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
 
 
 def _advise_goal(found: ConditionDifference) -> str:
-    """Return what gives a goal to the runs without one: the option is for all files at once."""
+    """Return the option that gives a goal to runs without one; it applies to all files."""
     is_of_all = all(value is None for value in found.values)
     return "--goal X,Y" if is_of_all else "turtlelog convert FILE --goal X,Y -o NEW.mcap"
 

@@ -1,4 +1,4 @@
-"""How far a simulated robot is from a recorded one: errors, noise, and whether it explains them."""
+"""Deviation of a simulated robot from a recorded one: errors, and whether noise explains them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -35,18 +35,17 @@ Quantity = Literal["position", "heading"]
 class ErrorBand:
     """Recorded errors after a time, and those of simulations of the same pieces.
 
-    An error is the magnitude of what lies between the pose and the prediction: the simulation
-    without noise, which begins at the pose one horizon before.
+    An error is the magnitude of the difference between the pose and the prediction: the simulation
+    without noise that starts at the pose one horizon before.
 
     Attributes:
         quantity: `position` [m] or `heading` [rad].
-        horizon_s: After which time [s].
-        time_s: Of the end of each piece, since the run's time zero [s], shape (n,).
+        horizon_s: Prediction time [s].
+        time_s: End time of each piece, since the run's time zero [s], shape (n,).
         recorded: Recorded errors, shape (n,).
-        simulated: Median of the simulated errors of each piece, shape (n,); None: no noise acts on
-            them.
-        low: The least of them, shape (n,); None likewise.
-        high: The largest of them, shape (n,); None likewise.
+        simulated: Median of the simulated errors of each piece, shape (n,); None: without noise.
+        low: The smallest simulated error of each piece, shape (n,); None: without noise.
+        high: The largest simulated error of each piece, shape (n,); None: without noise.
     """
 
     quantity: Quantity
@@ -59,44 +58,44 @@ class ErrorBand:
 
     @property
     def median(self) -> float:
-        """Median of the recorded errors [m] or [rad]."""
+        """Median of the recorded errors [m or rad]."""
         return float(np.median(self.recorded))
 
     @property
     def largest(self) -> float:
-        """The largest recorded error [m] or [rad]."""
+        """The largest recorded error [m or rad]."""
         return float(self.recorded.max())
 
     @property
     def largest_at_s(self) -> float:
-        """When it is reached, since the run's time zero [s]."""
+        """Time of the largest error, since the run's time zero [s]."""
         return float(self.time_s[int(self.recorded.argmax())])
 
     @property
     def simulated_median(self) -> float | None:
-        """Median of the medians of simulated errors [m] or [rad]; None without noise."""
+        """Median of the simulated medians [m or rad]; None without noise."""
         return None if self.simulated is None else float(np.median(self.simulated))
 
     @property
     def above(self) -> int | None:
-        """How many recorded errors are larger than the central 95 % of simulated ones."""
+        """Number of recorded errors above the central 95 % of the simulated ones."""
         return None if self.high is None else int(np.count_nonzero(self.recorded > self.high))
 
     @property
     def below(self) -> int | None:
-        """How many recorded errors are smaller than these."""
+        """Number of recorded errors below the central 95 % of the simulated ones."""
         return None if self.low is None else int(np.count_nonzero(self.recorded < self.low))
 
     @property
     def within_share(self) -> float | None:
-        """Share of recorded errors within the central 95 % of simulated ones; None: no noise."""
+        """Fraction of recorded errors in the central 95 % of simulated ones; None without noise."""
         if self.above is None or self.below is None:
             return None
         return 1.0 - (self.above + self.below) / len(self.recorded)
 
     @property
     def verdict(self) -> Literal["as simulated", "larger", "smaller", "no noise"]:
-        """Whether the recorded errors may be of the simulated robot, or which way they differ."""
+        """Whether the recorded errors agree with the simulation, or in which way they differ."""
         from scipy.special import bdtr
 
         if self.above is None or self.below is None:
@@ -108,7 +107,7 @@ class ErrorBand:
 
     @property
     def text(self) -> str:
-        """What the verdict means, in a sentence."""
+        """Meaning of the verdict, in a sentence."""
         head = f"{self.quantity.capitalize()} after {self.horizon_s:g} s: "
         count = len(self.recorded)
         if self.above is None or self.below is None:
@@ -132,14 +131,14 @@ class ErrorBand:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorGrowth:
-    """How errors grow from an anchor on.
+    """Growth of the errors from an anchor on.
 
     Attributes:
         quantity: `position` [m] or `heading` [rad].
         since_s: Time since the anchor [s], shape (k,).
-        recorded: Of the recorded errors of all pieces 2.5 %, half and 97.5 % are smaller, shape
-            (k, 3).
-        simulated: Likewise of the errors of all pieces and seeds; None: no noise acts on them.
+        recorded: Percentiles 2.5, 50 and 97.5 of the recorded errors of all pieces, shape (k, 3).
+        simulated: The same percentiles of simulated errors over all pieces and seeds; None: without
+            noise.
     """
 
     quantity: Quantity
@@ -153,15 +152,15 @@ Level = Literal["as simulated", "noisier", "quieter"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseLevel:
-    """The noise of a recorded robot beside that of the simulated one.
+    """The noise of a recorded robot compared with that of the simulated one.
 
     Attributes:
         quantity: `position` or `heading`.
-        after_s: The time over which motions are compared [s].
-        ratio: Median recorded error by median simulated error [1].
-        low: 2.5 % of the ratio's distribution over seeds [1].
-        high: 97.5 % likewise [1].
-        level: `as simulated`, or in which way the noise differs.
+        after_s: Time over which motions are compared [s].
+        ratio: Median recorded error divided by median simulated error [1].
+        low: Lower end of the 95 % interval of the ratio over seeds [1].
+        high: Upper end of the interval [1].
+        level: `as simulated`, or how the noise differs.
     """
 
     quantity: Quantity
@@ -173,7 +172,7 @@ class NoiseLevel:
 
     @property
     def text(self) -> str:
-        """What the noise is beside that of the scenario, in a sentence; empty where it is right."""
+        """Comparison of the noise with the scenario's, in a sentence; empty if they agree."""
         if self.level == "as simulated":
             return ""
         more = "more" if self.level == "noisier" else "less"
@@ -185,25 +184,26 @@ class NoiseLevel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobotComparison:
-    """A recorded robot beside a simulated one that is driven with the recorded commands.
+    """A recorded robot compared with a simulated one driven by the recorded commands.
 
     Attributes:
-        name: Of the run.
+        name: Name of the run.
         scenario: Name of the scenario.
-        seeds: Simulations of each motion; 0 where the scenario has no noise.
-        clock: What times the poses; None where there is but one clock.
+        seeds: Number of simulations of each motion; 0 if the scenario has no noise.
+        clock: Clock of the poses; None if there is only one clock.
         bands: Errors of position and of heading by horizon.
-        noise: How noisy position and heading are beside the simulated ones, where that shows.
-        growth: Of position and of heading, over the pieces of the longest horizon.
-        recorded: The recorded poses, as they were sensed where that is recorded, n rows.
-        simulated: Those of the simulation without noise at the same times, from the origin on; n
-            rows. `predict_pieces` moves them to where they belong.
+        noise: Noise of position and heading compared with the simulation, if it is visible.
+        growth: Growth of the errors of position and heading, over the pieces of the longest
+            horizon.
+        recorded: Recorded poses, as sensed if that is recorded, n rows.
+        simulated: Poses of the simulation without noise at the same times, from the origin on; n
+            rows. `predict_pieces` moves them to the pieces.
         begins: Row of the pose at which each piece of the longest horizon begins.
-        ends: Row of the pose at which it ends.
-        traces: Commanded, recorded and simulated (`modelled`) rates of both axes; their times are
-            the log's own.
-        start_s: The run's time zero on the log's own clock [s].
-        notes: What else there is to know, in sentences.
+        ends: Row of the pose at which each piece ends.
+        traces: Commanded, recorded and simulated (`modelled`) rates of both axes, in the log's
+            time.
+        start_s: The run's time zero on the log's clock [s].
+        notes: Further notes, in sentences.
     """
 
     name: str
@@ -225,7 +225,7 @@ class RobotComparison:
         """Return the errors of a quantity after a time [s].
 
         Raises:
-            KeyError: Where there are none.
+            KeyError: If there are none.
         """
         for band in self.bands:
             if (band.quantity, band.horizon_s) == (quantity, horizon_s):
@@ -235,7 +235,7 @@ class RobotComparison:
     def predict_pieces(self) -> Iterator[Values]:
         """Yield the predicted positions of each piece of the longest horizon [m], shape (m, 2).
 
-        Each begins at the recorded pose.
+        Each begins at its recorded pose.
         """
         for begin, end in zip(self.begins.tolist(), self.ends.tolist(), strict=True):
             turn_rad = self.recorded.heading_rad[begin] - self.simulated.heading_rad[begin]
@@ -265,7 +265,7 @@ class RobotComparison:
 
 
 def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
-    """Return the errors of some recorded robots beside simulated ones, with what they mean."""
+    """Return a table of the errors of recorded robots and simulated ones, with their meaning."""
     first = found[0]
     rows: list[tuple[Cell, ...]] = []
     notes, breaks = [], []
@@ -346,20 +346,20 @@ ten between 0.1 s and 1 s, where that of noise grows by three at most [1]."""
 
 
 def _round(ratio: float) -> str:
-    """Return two digits of a ratio, without an exponent."""
+    """Return a ratio with two digits, without an exponent."""
     return f"{float(f'{ratio:.2g}'):g}"
 
 
 def compare_noise(
     quantity: Quantity, after_s: float, short: tuple[Values, Values], long: tuple[Values, Values]
 ) -> NoiseLevel | None:
-    """Return how noisy a recorded robot is; None where too few errors tell.
+    """Return the noise level of a recorded robot; None if there are too few errors.
 
     Args:
-        quantity: What the errors are of.
-        after_s: After which time the errors of `short` are [s].
+        quantity: Quantity of the errors.
+        after_s: Prediction time of the errors of `short` [s].
         short: Recorded errors, shape (n,), and simulated ones, shape (seeds, n).
-        long: The same after a time that is several times longer, at which a wrong model shows.
+        long: The same after a several times longer time, at which a wrong model shows.
     """
     if len(short[0]) < _FEWEST or not len(long[0]):
         return None
@@ -388,7 +388,7 @@ def _compare(
 ) -> tuple[float, float]:
     """Return the logarithm of the ratio of medians, and its standard deviation over seeds.
 
-    With `beside` the ratio of those is divided out.
+    With `beside`, it is divided by the ratio of those.
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # Without noise an error may be 0.
         one = np.log(np.median(recorded))

@@ -1,9 +1,9 @@
-"""A recorded robot beside a simulated one that its commands drive, anchored anew again and again.
+"""A recorded robot compared with a simulated one that its commands drive, with repeated anchors.
 
-What is simulated is the robot of a scenario: its plant, disturbance and sensing. The rates of such
-a robot follow from the commands, and it moves in the same way wherever it stands; so a simulation
-from the first command on, moved to the recorded pose at an anchor, is one that begins there and
-knows all earlier commands.
+The robot of a scenario is simulated: its plant, disturbance and sensing. Its rates follow from the
+commands and do not depend on its pose. Therefore, one simulation from the first command on, moved
+to the recorded pose at an anchor, equals a simulation that begins there and knows all earlier
+commands.
 """
 
 import math
@@ -80,21 +80,21 @@ _CENTRAL: Final = (0.025, 0.5, 0.975)
 def compare_robot(
     run: Run, scenario: Scenario, horizons_s: Sequence[float] = HORIZONS_S
 ) -> RobotComparison:
-    """Return how far a simulated robot is from a recorded one, driven with the same commands.
+    """Return the deviation of a simulated robot from a recorded one, driven by the same commands.
 
-    The simulation begins anew at the recorded pose after each horizon, and knows the commands from
-    before. Where the scenario has noise it is repeated over seeds: whether the recorded errors lie
-    among the simulated ones tells whether that noise is right. Use a run that the scenario was not
-    fitted to. Of a recording that holds sensed poses these are used.
+    The simulation is moved to the recorded pose after each horizon, and knows all earlier commands.
+    If the scenario has noise, it is repeated over seeds: the noise is right if the recorded errors
+    are distributed as the simulated ones. Use a run to which the scenario was not fitted. If the
+    recording contains sensed poses, these are used.
 
     Args:
-        run: With commands; its poses may be irregular, and some may be missing.
-        scenario: With the plant `lagged`; its law, goal, start and limits play no part.
-        horizons_s: After which times the simulation begins anew [s].
+        run: Run with commands; poses may be irregular or missing.
+        scenario: Scenario with the plant `lagged`; its law, goal, start and limits are not used.
+        horizons_s: Times after which the simulation is anchored again [s].
 
     Raises:
-        CompareError: Where the scenario is of another plant, or nothing can be predicted.
-        SimulationError: Where the simulated robot runs away.
+        CompareError: If the scenario has another plant, or nothing can be predicted.
+        SimulationError: If the simulated robot diverges.
     """
     _require_sense(run, scenario, horizons_s)
     zero_ns = run.start_ns
@@ -161,7 +161,7 @@ def compare_robot(
 
 
 class _Stack:
-    """The recorded states, those without noise, and those of each seed at some rows."""
+    """The recorded states, the states without noise, and those of each seed at some rows."""
 
     def __init__(
         self, recorded: PoseColumns, predicted: Values, rows: Rows, worlds: Values
@@ -171,7 +171,7 @@ class _Stack:
         self._predicted = predicted
 
     def _measure(self, cut: Rows) -> tuple[Values, Values | None]:
-        """Return recorded errors, shape (2, n), and those of each seed, shape (seeds, 2, n)."""
+        """Return the recorded errors, shape (2, n), and those of each seed, shape (seeds, 2, n)."""
         recorded = measure_errors(self._recorded[cut], self._predicted[cut])
         if not len(self._worlds):
             return recorded, None
@@ -179,7 +179,7 @@ class _Stack:
         return recorded, np.array([measure_errors(one, self._predicted[cut]) for one in found])
 
     def measure_bands(self, horizon_s: float, cut: Rows, start_ns: int) -> list[ErrorBand]:
-        """Return the errors at the ends of pieces, of position and of heading."""
+        """Return the errors of position and heading at the ends of pieces."""
         recorded, simulated = self._measure(cut)
         time_s = (self._time_ns[cut[1]] - start_ns) / 1e9
         bands = []
@@ -199,7 +199,7 @@ class _Stack:
         return bands
 
     def compare_noise(self, after_s: float, short: Rows, long: Rows) -> tuple[NoiseLevel, ...]:
-        """Return how noisy position and heading are, from pieces in which the robot moves."""
+        """Return the noise of position and heading, from pieces in which the robot moves."""
         found = []
         for cut in (short, long):
             moved = np.abs(self._predicted[cut[1]] - self._predicted[cut[0]]).max(axis=1) > _MOVED
@@ -219,7 +219,7 @@ class _Stack:
         return tuple(level for level in levels if level is not None)
 
     def measure_growth(self, grown: Rows) -> tuple[ErrorGrowth, ErrorGrowth]:
-        """Return how errors grow from the first row of each piece on, shape (pieces, points)."""
+        """Return the growth of errors from the first row of each piece, shape (pieces, points)."""
         begins = np.broadcast_to(grown[:, :1], grown.shape)
         since_s = (self._time_ns[grown] - self._time_ns[begins]).mean(axis=0) / 1e9
         recorded, simulated = self._measure(np.array([begins.ravel(), grown.ravel()]))
@@ -257,7 +257,7 @@ def _require_sense(run: Run, scenario: Scenario, horizons_s: Sequence[float]) ->
 
 
 def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
-    """Return what is simulated of a run, its poses as they were sensed, and what that leaves."""
+    """Return the comparable part of a run with sensed poses, and the part that this leaves out."""
     poses, notes = run.poses, []
     longest_s = min(LONGEST_S, MOST_TICKS * scenario.plant.facts.period_s)
     until_ns = poses.time_ns[0] + round(longest_s * 1e9)

@@ -1,4 +1,4 @@
-"""Names that tell runs apart in one table or picture, and their order in it."""
+"""Names that distinguish runs in a table or picture, and their order in it."""
 
 import math
 from collections import Counter
@@ -26,11 +26,11 @@ _MOST_TOLD: Final = 4
 
 
 def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
-    """Return one name per run, in order, no two alike.
+    """Return one name per run, in order, all different.
 
-    Runs of one name are called by their files where these are known: by the file's name, or by its
-    path where that clashes, too. Otherwise they get the one or two parameters that differ (`paper
-    Kp 4`). A number follows where that does not tell the runs apart either.
+    Runs with the same name are called by their files if known: by the file's name, or by its path
+    if the names are equal too. Otherwise the one or two parameters that differ are added (`paper Kp
+    4`). If this does not distinguish the runs, a number follows.
     """
     clashing: dict[str, list[int]] = {}
     for row, run in enumerate(runs):
@@ -43,16 +43,16 @@ def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
 
 
 def name_file(file: str | Path) -> str:
-    """Return the name of a file without its folders; with the topic, of FILE:TOPIC."""
+    """Return the name of a file without its folders; for FILE:TOPIC, with the topic."""
     path, topic = split_topic(file)
     name = path.name or str(file)
     return name if topic is None else f"{name}:{topic}"
 
 
 def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], list[str]]:
-    """Return runs whose names have at most 24 characters, and what the long names were.
+    """Return runs with names of at most 24 characters, and their original names.
 
-    A run with a longer name is called by its file, whose middle is left out where it is longer.
+    A run with a longer name is called by its file; a longer file name is cut in the middle.
     """
     names = name_runs(runs)
     long = [len(name) > _LONGEST for name in names]
@@ -78,7 +78,7 @@ def _cut(name: str) -> str:
 
 
 def _describe_changes(generated: Mapping[str, str]) -> list[str]:
-    """Return which keys runs changed, by what is left of their names."""
+    """Return the keys that runs changed, by their shortened names."""
     if len(generated) <= _MOST_TOLD:
         return [f"{name}: {full}" for name, full in generated.items()]
     words = (word for full in generated.values() for word in full.split())
@@ -87,7 +87,7 @@ def _describe_changes(generated: Mapping[str, str]) -> list[str]:
 
 
 def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:
-    """Return names for runs that have the same one."""
+    """Return different names for runs with the same name."""
     files = [run.file for run in runs if isinstance(run, RunSummary) and run.file]
     if len(runs) == 1 or len(files) < len(runs):
         differing = _find_differing(runs)
@@ -97,7 +97,7 @@ def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:
 
 
 def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
-    """Return the parameters that tell runs apart, what to call them by key; empty if too many."""
+    """Return the parameters that distinguish runs, with short names by key; empty if too many."""
     found = sorted(list_differing(runs))
     gains = {key for run in runs for key in run.declaration.list_gains()}
     if len(found) > 1 and gains == {*found} and all(has_one_gain(run) for run in runs):
@@ -109,9 +109,9 @@ def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
 
 
 def list_differing(runs: Sequence[Run | RunSummary]) -> list[str]:
-    """Return the scenario's keys that differ between runs, but for their names.
+    """Return the scenario's keys that differ between runs, without their names.
 
-    One that a file leaves out while it has its default does not.
+    A key that files leave out if it has its default does not count as different.
     """
     parameters = [_list_parameters(run) for run in runs]
     keys = dict.fromkeys(key for known in parameters for key in known if key != "name")
@@ -119,7 +119,7 @@ def list_differing(runs: Sequence[Run | RunSummary]) -> list[str]:
 
 
 def has_one_gain(run: Run | RunSummary) -> bool:
-    """Return whether all loops that declare a gain have the same."""
+    """Return whether all loops that declare a gain have the same gain."""
     return len({run.parameters.get(key) for key in run.declaration.list_gains()}) == 1
 
 
@@ -138,7 +138,7 @@ def _format(value: Parameter | None) -> str:
 
 
 def _number(wanted: Sequence[str]) -> tuple[str, ...]:
-    """Return names of which none stands twice: those that did have a number behind them."""
+    """Return names without duplicates: duplicates get a number."""
     counts = Counter(wanted)
     numbered = {name: _iterate_numbered(name, counts) for name in counts}
     return tuple(name if counts[name] == 1 else next(numbered[name]) for name in wanted)
@@ -152,10 +152,10 @@ AnyRun = TypeVar("AnyRun", Run, RunSummary)
 
 
 def order_by_gain(runs: Sequence[AnyRun]) -> tuple[AnyRun, ...]:
-    """Return runs in rising order of the gains that their laws declare, that of the speed first.
+    """Return runs sorted by the gains that their laws declare, the gain of the speed first.
 
-    Runs of the same gains stand in the natural order of their names (`run2` before `run10`), those
-    of one name as they were; a run without gains comes after those that have them.
+    Runs with equal gains are in the natural order of their names (`run2` before `run10`); runs with
+    one name keep their order. A run without gains comes after those with gains.
     """
     return tuple(sorted(runs, key=lambda run: (_get_gains(run), split_numbers(run.name))))
 

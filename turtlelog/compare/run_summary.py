@@ -1,4 +1,4 @@
-"""Runs in short, for tables of many: what they were, and how well they did, read file by file."""
+"""Short summaries of runs for large tables: conditions and results, read file by file."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -49,7 +49,7 @@ HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
 
 
 def list_lacks(run: Run) -> tuple[str, ...]:
-    """Return which of `HOLDINGS` a run does not hold."""
+    """Return the elements of `HOLDINGS` that a run lacks."""
     return tuple(name for name, holds in HOLDINGS.items() if not holds(run))
 
 
@@ -61,16 +61,16 @@ class RunSummary:
     """A run without its columns, so that thousands fit into memory; it can be pickled.
 
     Attributes:
-        name: Of the run.
-        source: As in `Run`.
-        stop_reason: As in `Run`.
-        parameters: By dotted key (`law.kp_linear`).
-        metrics: By id.
-        file: Where it was read from, empty where that is not known.
-        notes: As in `Run`.
-        declaration: As in `Run`.
-        lacks: Which of `HOLDINGS` it does not hold.
-        conditions: What must be alike before runs are ranked; None: not known.
+        name: Name of the run.
+        source: Source of the run, as in `Run`.
+        stop_reason: Stop reason, as in `Run`.
+        parameters: Parameters by dotted key (`law.kp_linear`).
+        metrics: Metrics by id.
+        file: File from which it was read; empty if unknown.
+        notes: Notes, as in `Run`.
+        declaration: Declaration of the law, as in `Run`.
+        lacks: Elements of `HOLDINGS` that it lacks.
+        conditions: Conditions that must agree before runs are ranked; None: unknown.
     """
 
     name: str
@@ -99,11 +99,11 @@ class RunSummary:
 
     @property
     def is_lawless(self) -> bool:
-        """Whether nothing is known of what controls it: a bag of somebody else's."""
+        """Whether its controller is unknown, as for a third-party bag."""
         return "samples" in self.lacks and not self.declaration.loops
 
     def find_value(self, name: str) -> Parameter | None:
-        """Return a parameter, a metric's value, `name`, `source` or `stop_reason`; None: none."""
+        """Return a parameter, a metric's value, `name`, `source` or `stop_reason`; else None."""
         if name in TEXTS:
             text: str | None = getattr(self, name)
             return text
@@ -111,9 +111,9 @@ class RunSummary:
         return self.parameters.get(name) if metric is None else metric.value
 
     def find_metric(self, name: str) -> Metric | None:
-        """Return a metric; of a loop that its law does not declare `no_phase`.
+        """Return a metric; that of a loop which its law does not declare has the status `no_phase`.
 
-        None where it was not measured, or no metric of this law has such an id and a parameter has.
+        None if it was not measured, or if no metric of this law but a parameter has this id.
         """
         if name in self.metrics or name in list_metrics(self.declaration):
             return self.metrics.get(name)
@@ -130,9 +130,9 @@ class RunSummary:
 
 
 def complete_parameters(run: Run) -> Mapping[str, Parameter]:
-    """Return the parameters of a run with those that files leave out while they have their default.
+    """Return the parameters of a run with those that files leave out if they have their default.
 
-    Of a run that does not hold its whole scenario, or of a law that is not built in, nobody knows.
+    They are unknown if a run lacks its whole scenario, or if its law is not built in.
     """
     kind = run.parameters.get("law.kind")
     if not run.scenario_is_complete or kind not in LAWS:
@@ -180,7 +180,7 @@ def _unpack(packed: _Packed) -> tuple[str, Metric]:
 
 
 def _share(value: Any) -> Any:
-    """Return a text that equals this one, the same for all that do; other values as they are."""
+    """Return a shared copy of a text that equals this one; other values unchanged."""
     return _keep_text(value) if isinstance(value, str) else value
 
 
@@ -202,14 +202,14 @@ def _share_declaration(declaration: Declaration) -> Declaration:
 def summarise_run(
     run: Run, *, file: str = "", metrics: Mapping[str, Metric] | None = None
 ) -> RunSummary:
-    """Return a run in short; `metrics`, where it has been measured already."""
+    """Return the summary of a run; `metrics` are its metrics if already measured."""
     return summarise_measured(run, file, measure_run(run) if metrics is None else metrics)
 
 
 def summarise_measured(
     run: Run, file: str, metrics: Mapping[str, Metric], *, with_parameters: bool = True
 ) -> RunSummary:
-    """Return a run in short, with all its parameters or with its gains alone."""
+    """Return the summary of a run, with all its parameters or with its gains alone."""
     known = complete_parameters(run)
     return RunSummary(
         name=run.name,
@@ -232,17 +232,17 @@ def _take_gains(run: Run, known: Mapping[str, Parameter]) -> Mapping[str, Parame
 def select_runs(
     summaries: Sequence[RunSummary], where: str, *, source: str = "where"
 ) -> tuple[tuple[RunSummary, ...], tuple[str, ...]]:
-    """Return the runs for which an expression is true, and notes on those that it says nothing of.
+    """Return the runs for which an expression is true, and notes on those that lack its values.
 
     Args:
-        summaries: To choose from.
-        where: In the expression language, over parameters, metric ids, `name`, `source` and
-            `stop_reason`: `law.kp_linear >= 2 and run.duration < 20`.
-        source: What error lines begin with.
+        summaries: Runs to choose from.
+        where: Expression over parameters, metric ids, `name`, `source` and `stop_reason`:
+            `law.kp_linear >= 2 and run.duration < 20`.
+        source: Beginning of error lines.
 
     Raises:
-        ExpressionError: Where it does not parse, or names what no run has.
-        CompareError: Where it is no condition.
+        ExpressionError: If it does not parse, or contains a name that no run has.
+        CompareError: If it is not a condition.
     """
     expression = expressions.parse_expression(where, source=source)
     others = (name for name in expression.names if find_metric_kind(name) is not None)
@@ -269,15 +269,15 @@ def sort_runs(
 ) -> tuple[RunSummary, ...]:
     """Return the runs in rising order of a metric, parameter, `name`, `source` or `stop_reason`.
 
-    Runs without a value come last; those of one value stay as they were.
+    Runs without a value come last; runs with equal values keep their order.
 
     Args:
-        summaries: To be sorted.
-        by: What by; with a minus before it, in falling order.
-        source: What error lines begin with.
+        summaries: Runs to sort.
+        by: Sort key; with a leading minus, in falling order.
+        source: Beginning of error lines.
 
     Raises:
-        CompareError: Where no run has it.
+        CompareError: If no run has the sort key.
     """
     name = by.removeprefix("-")
     if find_metric_kind(name) is None:
@@ -291,13 +291,13 @@ def sort_runs(
 def choose_columns(
     summaries: Sequence[RunSummary], only: Sequence[str], *, source: str = "only"
 ) -> tuple[str, ...]:
-    """Return the metrics and parameters that names and patterns (`translate.*`) stand for.
+    """Return the metrics and parameters that names and patterns (`translate.*`) select.
 
-    A metric of a loop that none of the runs has is chosen where it is named in full. A pattern that
-    only other laws' loops match chooses nothing.
+    A full name selects a metric also if none of the runs has its loop. A pattern that matches only
+    loops of other laws selects nothing.
 
     Raises:
-        CompareError: Where one can stand for none, or all together stand for none.
+        CompareError: If a name or pattern is invalid, or all together select nothing.
     """
     parameters, metrics = _list_parameters(summaries), _list_ids(summaries)
     chosen: dict[str, None] = {}
@@ -316,17 +316,17 @@ def choose_columns(
 
 
 def list_usual_of_run(run: Run | RunSummary) -> tuple[str, ...]:
-    """Return the ids of the metrics that tell a run from others at a glance."""
+    """Return the ids of the metrics that characterise a run."""
     has_no_law = run.is_lawless if isinstance(run, RunSummary) else is_lawless(run)
     return USUAL_OF_MOTION if has_no_law else list_usual_metrics(run.declaration)
 
 
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
-    """Return the ids of the metrics that tell runs of these laws apart at a glance.
+    """Return the ids of the metrics that characterise runs of these laws.
 
-    Of the loops that turn the robot how they answer, where a law has such loops, else of all; and
-    where the run ended. How it drove shows in the position at the end. Of laws without a goal how
-    far they drove.
+    They are the response of the loops that turn the robot, if a law has such loops, otherwise of
+    all loops, and the final state. The response of the driving loops shows in the final position.
+    For laws without a goal, the distance driven is included.
     """
     chosen: dict[str, None] = {}
     for declaration in declarations:
@@ -347,18 +347,18 @@ def list_needed_metrics(
     sort: str | None = None,
     source: str = "where",
 ) -> tuple[str, ...]:
-    """Return ids and patterns of the metrics that a table across runs is made of.
+    """Return ids and patterns of the metrics that a table across runs needs.
 
-    So no others are measured; which of them a run has, its law says.
+    No others are measured; the law of a run decides which of them it has.
 
     Args:
-        columns: As `choose_columns` takes them; none: the usual ones.
-        where: As `select_runs` does.
-        sort: As `sort_runs` does.
-        source: What error lines begin with.
+        columns: Columns as for `choose_columns`; empty: the default ones.
+        where: Expression as for `select_runs`.
+        sort: Sort key as for `sort_runs`.
+        source: Beginning of error lines.
 
     Raises:
-        ExpressionError: Where `where` does not parse; what its names stand for is not judged.
+        ExpressionError: If `where` does not parse; the meaning of its names is not checked.
     """
     named = [] if where is None else list(expressions.parse_expression(where, source=source).names)
     named += [] if sort is None else [sort.removeprefix("-")]
@@ -410,5 +410,5 @@ def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
 
 
 def _rank(value: Any) -> tuple[int, Any]:
-    """Numbers stand before texts."""
+    """Return a sort key that places numbers before texts."""
     return (0, value) if isinstance(value, int | float) else (1, str(value))

@@ -1,4 +1,4 @@
-"""Tables of metrics: of many runs as rows, of few as columns."""
+"""Tables of metrics: many runs as rows, or few runs as columns."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -52,19 +52,20 @@ def tabulate_runs(
 ) -> Table:
     """Return a row for every run: its gains, and metrics with the best and the worst marked.
 
-    The title says which run is the best. Of runs under different conditions it says what differs,
-    and nothing is marked: `judge_runs` judges that.
+    The title names the best run. If runs have different conditions, the title names these, and
+    nothing is marked: `judge_runs` decides.
 
     Args:
-        summaries: In the order of the rows.
-        only: Metrics, patterns of them (`translate.*`) and parameters; none: the usual ones.
-        title: Instead of how many runs there are.
-        notes: Sentences to stand below.
-        ranking: Whether a run may be called the best; None: as `judge_runs` judges it.
-        differing: Columns of other parameters in which runs differ; the rest is named below.
+        summaries: Runs in the order of the rows.
+        only: Metrics, patterns (`translate.*`) and parameters; empty: the default ones.
+        title: Title instead of the number of runs.
+        notes: Sentences below the table.
+        ranking: Whether a run may be called the best; None: as `judge_runs` decides.
+        differing: Largest number of columns for other parameters that differ; the rest is named
+            below.
 
     Raises:
-        CompareError: Where `only` names what there is not.
+        CompareError: If `only` contains an unknown name.
     """
     ranking = judge_runs(summaries) if ranking is None else ranking
     gains = _list_gain_columns(summaries)
@@ -136,7 +137,7 @@ def _describe_varied(
     ranking: Ranking,
     besides: Sequence[str],
 ) -> str:
-    """Return what was varied with its values, and the keys that differ besides."""
+    """Return the varied keys with their values, and the other keys that differ."""
     shown = {
         column.title: [row[place] for row in rows] for place, column in enumerate(gains, start=1)
     }
@@ -168,7 +169,7 @@ def _list_values(values: Sequence[Cell]) -> str:
 
 
 def _name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
-    """Return which run is the best in all metrics that are compared; empty where none is marked."""
+    """Return which run is the best in all compared metrics; empty if none is marked."""
     best = {
         name: {row for row, mark in found.items() if mark == "best"}
         for name, found in marks.items()
@@ -187,10 +188,10 @@ def _name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) ->
 def sort_by_column(
     summaries: Sequence[RunSummary], by: str, *, source: str = "sort"
 ) -> tuple[RunSummary, ...]:
-    """Return the runs in rising order of a gain, by the title of its column; else as `sort_runs`.
+    """Return the runs in rising order of a gain, by its column title; otherwise as `sort_runs`.
 
     Raises:
-        CompareError: Where no run has it.
+        CompareError: If no run has it.
     """
     title = by.removeprefix("-")
     titles = [column.title for column in _list_gain_columns(summaries)]
@@ -208,14 +209,14 @@ def sort_by_column(
 def mark_metric(
     summaries: Sequence[RunSummary], name: str, *, ranking: Ranking | None = None
 ) -> dict[int, Mark]:
-    """Return which runs are the best and the worst in a metric; none where all are alike.
+    """Return which runs are the best and the worst in a metric; empty if all are equal.
 
-    None either where loops of one name control signals of other units, or runs may not be ranked.
+    Empty too if loops of one name control signals with different units, or runs may not be ranked.
 
     Args:
-        summaries: The runs.
-        name: The id of the metric.
-        ranking: Whether they may be ranked, where that has been judged already.
+        summaries: Runs to mark.
+        name: Id of the metric.
+        ranking: Whether they may be ranked, if already known.
     """
     if not (judge_runs(summaries) if ranking is None else ranking).is_fair:
         return {}
@@ -235,13 +236,13 @@ def mark_metric(
 
 
 def list_units(metrics: Sequence[Metric]) -> list[str]:
-    """Return the units in which a metric has values; several where loops of one name differ."""
+    """Return the units of a metric's values; several if loops of one name differ."""
     valued = [metric.unit for metric in metrics if metric.value is not None]
     return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))
 
 
 def _list_usual(summaries: Sequence[RunSummary]) -> tuple[str, ...]:
-    """Return the usual metrics; beside or among bags of somebody else's those that some run has."""
+    """Return the default metrics; with third-party bags, those that some run has."""
     laws = [found.declaration for found in summaries if not found.is_lawless]
     if len(laws) == len(summaries):
         return list_usual_metrics(*laws)
@@ -250,9 +251,9 @@ def _list_usual(summaries: Sequence[RunSummary]) -> tuple[str, ...]:
 
 
 def drop_absent(summaries: Sequence[RunSummary], ids: Collection[str]) -> tuple[str, ...]:
-    """Return the metrics that some run holds what they are computed from.
+    """Return the metrics for which some run has the data.
 
-    Of runs of laws alone all of them: what their tables show does not depend on a run.
+    All metrics if every run has a law, so that their tables do not depend on the data.
     """
     if not any(found.is_lawless for found in summaries):
         return tuple(ids)
@@ -265,7 +266,7 @@ def _is_held(summary: RunSummary, name: str) -> bool:
 
 
 def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
-    """Return what would add metrics where all runs are bags of somebody else's that lack it."""
+    """Return which inputs would add metrics if all runs are third-party bags that lack them."""
     if not summaries or not all(found.is_lawless for found in summaries):
         return []
     return [
@@ -276,7 +277,7 @@ def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
 
 
 def can_unlock(lack: str, lacks: Sequence[str]) -> bool:
-    """Return whether something that is added where it lacks would help: a goal needs poses."""
+    """Return whether adding a missing input would help: a goal needs poses."""
     return lack != "goal" or "poses" not in lacks
 
 
@@ -298,7 +299,7 @@ _COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn", "speed": "drive"}
 
 
 def _leave_out_goal(summary: RunSummary) -> RunSummary:
-    """Return a run without errors at a goal where its law uses none: no other run has that aim."""
+    """Return a run without errors at a goal if its law uses none: no other run has that goal."""
     if summary.declaration.uses_goal:
         return summary
     kept = {name: found for name, found in summary.metrics.items() if name not in _AT_GOAL}
@@ -306,7 +307,7 @@ def _leave_out_goal(summary: RunSummary) -> RunSummary:
 
 
 def _list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
-    """Return the columns of gains: one where all loops of each run always have the same."""
+    """Return the gain columns: a single one if all loops of each run have the same gain."""
     known = [found for found in summaries if _list_known_gains(found)]
     if not known:
         return []
@@ -330,7 +331,7 @@ def _list_known_gains(summary: RunSummary) -> list[str]:
 
 
 def _title_gains(declaration: Declaration) -> dict[str, ControlLoop]:
-    """Return the loops with a gain by the title of its column: `Kp turn`, or by their own name."""
+    """Return the loops with a gain by column title: `Kp turn`, or the loop's own name."""
     loops = [loop for loop in declaration.loops if loop.gain is not None]
     keys = {(loop.command, loop.gain) for loop in loops}
     counts = {word: sum(command == word for command, _ in keys) for word in _COMMAND_WORDS}
@@ -349,9 +350,9 @@ def _get_gain(summary: RunSummary, title: str) -> Cell:
 
 
 def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[str]:
-    """Return the other parameters in which the runs differ; one that is not known does not.
+    """Return the other parameters that differ between runs; an unknown one does not differ.
 
-    Those that were varied on purpose come first, then those that forbid a ranking.
+    Those varied intentionally come first, then those that prevent a ranking.
     """
     shown = {"name", *(key for found in summaries for key in found.declaration.list_gains())}
     values: dict[str, set[str]] = {}
@@ -366,7 +367,7 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
 def order_parameters(
     summaries: Sequence[RunSummary], ranking: Ranking
 ) -> list[dict[str, Parameter]]:
-    """Return the parameters of each run: those that were varied, others that differ, the rest."""
+    """Return the parameters of each run: varied ones, others that differ, and the rest."""
     first = [*ranking.varied, *_find_differing(summaries, ranking)]
     return [
         {
@@ -379,7 +380,7 @@ def order_parameters(
 
 
 def _list_units(summaries: Sequence[RunSummary], name: str) -> list[str]:
-    """Return the units in which a metric stands in some runs; none of a parameter."""
+    """Return the units of a metric in some runs; empty for a parameter."""
     found = [summary.find_metric(name) for summary in summaries]
     return list_units([metric for metric in found if metric is not None])
 
@@ -407,12 +408,12 @@ def tabulate_metrics(
     *,
     only: Collection[str] | None = None,
 ) -> Table:
-    """Return metrics as rows and runs as columns; a status where there is no value.
+    """Return metrics as rows and runs as columns; a status if there is no value.
 
-    `only` names the metrics, by ids or patterns of them; otherwise every one is there.
+    `only` are ids or patterns of metrics; empty: all metrics.
 
     Raises:
-        MeasureError: Where `only` names no metric.
+        MeasureError: If `only` names no metric.
     """
     measured = [measure_run(run, settings, only=only) for run in runs]
     declarations = [run.declaration for run in runs]
@@ -426,16 +427,16 @@ def tabulate_measured(
     notes: Sequence[str] = (),
     declarations: Sequence[Declaration] = (),
 ) -> Table:
-    """Return runs that have been measured as `tabulate_metrics` does; at least one.
+    """Return the table of `tabulate_metrics` for at least one measured run.
 
-    Runs of several laws stand side by side; a cell is empty where a law has no such loop. Loops of
-    different laws that are alike share a group of rows, metric by metric.
+    Runs of several laws are columns of one table; a cell is empty if a law lacks the loop.
+    Equivalent loops of different laws share a group of rows, metric by metric.
 
     Args:
-        names: One for each run.
-        measured: As `measure_run` returns them.
-        notes: Sentences to stand below, before the reasons for what is missing.
-        declarations: Of their laws, which say which loops are alike.
+        names: Name of each run.
+        measured: Metrics as from `measure_run`.
+        notes: Sentences below the table, before the reasons for missing values.
+        declarations: Declarations of their laws, which show equivalent loops.
     """
     groups = group_ids((name for metrics in measured for name in metrics), declarations)
     ids = [name for group in groups for name in group]
@@ -459,14 +460,14 @@ def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
 
 
 def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return why values are missing, each reason once."""
+    """Return the reasons for missing values, each once."""
     missing = [metric for metrics in measured for metric in metrics.values() if metric.reason]
     reasons = dict.fromkeys(f"{metric.status.value}: {metric.reason}." for metric in missing)
     return tuple(reasons)
 
 
 def get_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:
-    """Return a value, with its unit where the metric has several; or why there is none."""
+    """Return a value, with its unit if the metric has several units; or why it is missing."""
     if metric is None:
         return None
     if metric.value is None:

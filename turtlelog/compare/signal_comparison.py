@@ -1,4 +1,4 @@
-"""Signals of a run beside those of a reference: how far they are off, and what they may be."""
+"""Signals of a run compared with those of a reference: their deviations and tolerances."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -35,16 +35,16 @@ def compare_signals(
     *,
     alignment: str = "first_sample",
 ) -> dict[str, SignalDifference]:
-    """Return how far signals are from the reference's, each with what it may be apart.
+    """Return the deviations of signals from the reference, each with its tolerance.
 
     Args:
-        reference: The run that differences are taken from.
-        run: The other.
-        tolerances: By the name of the signal; one that a run does not hold is left out.
-        alignment: As in `compare_runs`.
+        reference: Run from which differences are taken.
+        run: Other run.
+        tolerances: Tolerances by name of the signal; a signal that a run lacks is left out.
+        alignment: Alignment, as in `compare_runs`.
 
     Raises:
-        CompareError: As `compare_runs`.
+        CompareError: If `compare_runs` raises it.
     """
     return compare_aligned_signals(
         reference, run, align_runs(reference, run, alignment), tolerances
@@ -53,15 +53,15 @@ def compare_signals(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SignalTube:
-    """A signal of a run and where it may be beside a reference, on the rows that are compared.
+    """A signal of a run and its tolerance band around a reference, on the compared rows.
 
     Attributes:
-        time_ns: In the run's own time [ns], shape (n,), not decreasing.
-        values: The run's, in the signal's unit, shape (n,).
-        reference: The value of the reference that each row is held to, shape (n,).
-        low: Lower end of what passes, shape (n,).
-        high: Upper end, shape (n,).
-        excess: How much further from the reference than allowed, shape (n,); not positive inside.
+        time_ns: Time in the run [ns], shape (n,), not decreasing.
+        values: Values of the run, in the signal's unit, shape (n,).
+        reference: The reference value with which each row is compared, shape (n,).
+        low: Lower end of the band, shape (n,).
+        high: Upper end of the band, shape (n,).
+        excess: Distance beyond the tolerance, shape (n,); not positive inside.
     """
 
     time_ns: NDArray[np.int64]
@@ -75,19 +75,19 @@ class SignalTube:
 def trace_tube(
     reference: Run, run: Run, name: str, tolerance: Tolerance, *, alignment: str = "first_sample"
 ) -> SignalTube | None:
-    """Return a signal of numbers beside the reference's; None where they are not compared.
+    """Return a numeric signal compared with the reference's; None if they cannot be compared.
 
-    Angles of the reference are those within half a turn of the run's.
+    Angles of the reference are shifted to within half a turn of the run's.
 
     Args:
-        reference: The run that differences are taken from.
-        run: The other.
-        name: Of the signal.
-        tolerance: How far it may be off.
-        alignment: As in `compare_runs`.
+        reference: Run from which differences are taken.
+        run: Other run.
+        name: Name of the signal.
+        tolerance: Allowed difference.
+        alignment: Alignment, as in `compare_runs`.
 
     Raises:
-        CompareError: As `compare_runs`.
+        CompareError: If `compare_runs` raises it.
     """
     pair = _read_signals(name, reference, run)
     if pair[0] is None or pair[1] is None or pair[0].kind.compared_as == "label":
@@ -134,7 +134,7 @@ _BEYOND: Final = 1e12
 
 
 def explain_lack(name: str, reference: Run, run: Run) -> str:
-    """Return why a signal cannot be compared: a run does not hold it, or its law has none such."""
+    """Return why a signal cannot be compared: a run lacks it, or its law has no such signal."""
     known = list(list_signal_units([reference.declaration, run.declaration]))
     if name not in known:
         near = find_near(name, known, most=2)
@@ -158,7 +158,7 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
 def compare_aligned_signals(
     reference: Run, run: Run, clock: CommonClock, tolerances: Mapping[str, Tolerance]
 ) -> dict[str, SignalDifference]:
-    """Return what `compare_signals` does, of runs that stand on one clock."""
+    """Do the same as `compare_signals` for runs on a common clock."""
     found: dict[str, SignalDifference] = {}
     grids: dict[str, Grid] = {}
     phases = _join_phases(reference, run)
@@ -182,17 +182,17 @@ def compare_aligned_signals(
 
 
 def _find_span(placed: tuple[Signal, Signal], clock: CommonClock) -> tuple[int, int]:
-    """Return where two signals are compared: commands only from the first that both published."""
+    """Return the compared segment of two signals: commands from when both have published one."""
     start, end = clock.span
     firsts = [int(one.time_ns[0]) for one in placed if one.kind.source == "command"]
     return max([start, *firsts]), end
 
 
 def share_track(reference: Run, run: Run) -> bool:
-    """Return whether along-track and cross-track mean the same in both runs.
+    """Return whether along-track and cross-track have the same meaning in both runs.
 
-    That is where both laws track one path, by whatever time, or none: then each run has its line
-    from start to goal.
+    This is true if both laws track the same path, with any time law, or no path: each run then has
+    its line from start to goal.
     """
     paths = [
         None if who.path is None else dataclasses.replace(who.path, speed_m_s=None)
@@ -208,7 +208,7 @@ def _measure_rows(
     clock: CommonClock,
     phases: list[str],
 ) -> SignalDifference:
-    """Return how far a run's rows are from the reference's signal, both on the clock."""
+    """Return the deviation of a run's rows from the reference's signal, both on the clock."""
     half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
     nearest = find_deciding_values(reference, rows, tolerance, half_width=half_width)
     off = measure_distance(reference, rows.values, nearest)
@@ -242,12 +242,12 @@ def _measure_rows(
 
 
 def _join_phases(reference: Run, run: Run) -> list[str]:
-    """Return the phases of both laws, by which those of both are numbered."""
+    """Return the phases of both laws, by which both runs are numbered."""
     return list(dict.fromkeys([*reference.phase_names, *run.phase_names]))
 
 
 def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, Signal | None]:
-    """Return a signal of both, None of one that does not hold it; phases by one numbering."""
+    """Return a signal of both runs, None for a run that lacks it; phases with common numbers."""
     theirs, ours = (
         find_signal(who, name) if name in list_signals(who.declaration) else None
         for who in (reference, run)

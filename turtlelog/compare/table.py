@@ -1,4 +1,4 @@
-"""Tables as values: what a command prints and a file holds, before it is text."""
+"""Tables as values: the content of a printed table or of a file, before it is text."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,10 +18,10 @@ class Column:
 
     Attributes:
         title: Head of the column.
-        unit: Of its values, empty where they have none.
+        unit: Unit of its values; empty if they have none.
         digits: Decimals of its values; None: five significant digits.
-        joined: Whether it makes sense only beside the column before it.
-        lines: The title broken into lines, for where a terminal has no room for it.
+        joined: Whether it is meaningful only next to the previous column.
+        lines: Title broken into lines, for narrow terminals.
     """
 
     title: str
@@ -36,13 +36,13 @@ class Table(Tabular):
     """A table with its notes.
 
     Attributes:
-        title: One line. LaTeX counts tables itself, and leaves a `Table 1: ` out.
-        columns: At least one.
-        rows: Each as long as `columns`; None: there is no such value.
-        notes: Sentences to stand below.
-        breaks: Rows with which a new group begins; a terminal leaves a line before them.
-        marks: Which cells are the best and the worst of their column, by row and column.
-        label: Of LaTeX, to refer to it by; empty: none.
+        title: One line. LaTeX numbers tables itself, and leaves out a leading `Table 1: `.
+        columns: Columns, at least one.
+        rows: Rows, each as long as `columns`; None: there is no such value.
+        notes: Sentences below the table.
+        breaks: First rows of new groups; a terminal shows an empty line before them.
+        marks: Marks of the best and the worst cells of their column, by row and column.
+        label: Label for references in LaTeX; empty: none.
     """
 
     title: str
@@ -86,7 +86,7 @@ class Table(Tabular):
 
 
 def format_cell(cell: Cell, column: Column) -> str:
-    """Return a cell as text; `-` where there is no value."""
+    """Return a cell as text; `-` if there is no value."""
     if cell is None:
         return "-"
     if isinstance(cell, float) and column.digits is not None:
@@ -95,12 +95,13 @@ def format_cell(cell: Cell, column: Column) -> str:
 
 
 def narrow_table(table: Table, width: int, ranks: Sequence[int | None]) -> Table:
-    """Return a table with as many columns as a line of text has room for.
+    """Return a table with as many columns as fit into a line of text.
 
     Args:
-        table: With marks, which take a character each.
-        width: Characters of a line.
-        ranks: Of each column; those with None stay, the others in rising order while there is room.
+        table: Table whose marks take a character each.
+        width: Number of characters in a line.
+        ranks: Rank of each column; columns with None stay, the others are added in rising order
+            while they fit.
     """
     cells = [
         [format_cell(row[place], column) for row in table.rows]

@@ -1,4 +1,4 @@
-"""Two trajectories -> how far one is from the other: ATE and RPE, and what was compared."""
+"""Two trajectories -> the error of one relative to the other: ATE and RPE, and their basis."""
 
 import math
 import re
@@ -47,7 +47,7 @@ _LEAST_SHARE: Final = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delta:
-    """How long the relative motions of the RPE are."""
+    """Length of the relative motions of the RPE."""
 
     value: float
     unit: DeltaUnit
@@ -59,19 +59,21 @@ class Delta:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectorySettings:
-    """How two trajectories are compared.
+    """Settings for comparing two trajectories.
 
     Attributes:
-        align: Transformation of the estimate that is fitted: none; that of the first poses
-            (origin); a rotation and shift in the plane (se2) or in space (se3), with a scale (sim2,
+        align: Fitted transformation of the estimate: none; that of the first poses (origin); a
+            rotation and translation in the plane (se2) or in space (se3), with a scale (sim2,
             sim3). None: se3 if both trajectories are in space and one leaves the horizontal plane,
             otherwise se2.
         interpolates: Whether the trajectory with more poses is interpolated at the times of the
             other. Otherwise each pose takes the nearest in time.
-        most_apart_s: Largest difference in time between two poses that belong together [s].
-        offset_s: Added to the times of the estimate [s]; None brings both first poses together.
+        most_apart_s: Largest time difference between associated poses [s].
+        offset_s: Offset added to the times of the estimate [s]; None makes the times of the first
+            poses equal.
         deltas: Lengths of relative motions for the RPE, along the reference.
-        overlaps: Whether a relative motion begins at every pose; otherwise where the last ended.
+        overlaps: Whether a relative motion begins at every pose; otherwise at the end of the last
+            one.
     """
 
     align: AlignIn | None = None
@@ -89,8 +91,8 @@ class TrajectoryError:
     Attributes:
         kind: `ate` or `rpe`.
         quantity: `position` [m] or `rotation` [rad]; in the plane a rotation is a heading.
-        delta: Of the RPE.
-        statistics: In the unit of the quantity.
+        delta: Delta of the RPE.
+        statistics: Statistics in the unit of the quantity.
     """
 
     kind: Literal["ate", "rpe"]
@@ -101,21 +103,21 @@ class TrajectoryError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrajectoryComparison:
-    """How far an estimate is from its reference.
+    """Errors of an estimate relative to its reference.
 
     Attributes:
-        name: Of the estimate.
-        reference_name: Of the reference.
+        name: Name of the estimate.
+        reference_name: Name of the reference.
         space: `plane` if x, y and heading were compared, `space` if positions and rotations were.
-        align: How the estimate was aligned.
-        alignment: The transformation.
-        reference: Its associated poses.
-        estimate: The poses of the same moments, aligned.
+        align: Alignment of the estimate.
+        alignment: Transformation of the alignment.
+        reference: Associated poses of the reference.
+        estimate: Aligned poses of the estimate at the same times.
         errors: ATE of positions and rotations, then the RPE of each delta.
         absolute: The errors of the ATE, pose by pose.
         before_m: RMSE of the positions without alignment [m].
-        poses: Poses of the estimate, and of the reference.
-        notes: What one must know.
+        poses: Numbers of poses of the estimate and of the reference.
+        notes: Notes for the reader.
     """
 
     name: str
@@ -134,7 +136,7 @@ class TrajectoryComparison:
     def find_error(
         self, kind: str, quantity: str, delta: Delta | None = None
     ) -> ErrorStatistics | None:
-        """Return the statistics of an error, of the first delta unless another is named."""
+        """Return the statistics of an error; for the first delta unless another is given."""
         for one in self.errors:
             if (one.kind, one.quantity) == (kind, quantity) and delta in {None, one.delta}:
                 return one.statistics
@@ -149,7 +151,7 @@ def parse_delta(text: str) -> Delta:
     """Return a delta: a number with its unit, as in `1 m`, `30 deg`, `0.5 s` or `10 frames`.
 
     Raises:
-        CompareError: Where it is none.
+        CompareError: If it is not a delta.
     """
     match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]+)\s*", text[:60])
     unit = _UNITS.get(match[2]) if match else None
@@ -178,12 +180,12 @@ def compare_trajectories(
     """Return the absolute and relative errors of an estimate, aligned to its reference.
 
     Args:
-        reference: What is taken as true.
-        estimate: What is held against it.
-        settings: How.
+        reference: Trajectory that is taken as true.
+        estimate: Trajectory that is compared with it.
+        settings: Settings of the comparison.
 
     Raises:
-        CompareError: Where fewer than three poses belong together, the alignment is not determined,
+        CompareError: If fewer than three poses can be associated, the alignment is not determined,
             or no relative motion is as long as a delta.
     """
     settings = settings or TrajectorySettings()
@@ -285,7 +287,7 @@ def _associate(
 
 
 def _describe_times(reference: Trajectory, estimate: Trajectory, offset_s: float | None) -> str:
-    """Return from when to when both are, and what brings them together."""
+    """Return the time spans of both, and the offset between them."""
     if len(reference) < LEAST_POSES or len(estimate) < LEAST_POSES:
         return f"they have {len(estimate)} and {len(reference)} poses"
     begins, ends = zip(
@@ -343,7 +345,7 @@ _EXTENTS: Final[tuple[DeltaUnit, ...]] = ("m", "deg")
 
 
 def _describe_extent(trajectory: Trajectory) -> str:
-    """Return how far, and how long, a trajectory goes, and how much it turns."""
+    """Return the length, duration and total turn of a trajectory."""
     span_s = float(trajectory.time_ns[-1] - trajectory.time_ns[0]) / 1e9
     way_m, turn_deg = (float(measure_way_steps(trajectory, unit).sum()) for unit in _EXTENTS)
     told = [f"cover {way_m:.3g} m", *([] if trajectory.clock == "frame" else [f"{span_s:.3g} s"])]
@@ -391,7 +393,7 @@ def _list_notes(
 
 
 def tabulate_trajectories(found: Sequence[TrajectoryComparison]) -> Table:
-    """Return the statistics of all errors of some estimates, rotations in degrees."""
+    """Return the statistics of all errors of several estimates, rotations in degrees."""
     rows: list[tuple[Cell, ...]] = []
     breaks = []
     for one in found:

@@ -59,7 +59,7 @@ class ErrorStatistics:
 
 
 class DegenerateError(ValueError):
-    """Points that leave an alignment undetermined; says which direction is missing."""
+    """Points that leave an alignment undetermined; the message names the missing direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,8 +67,8 @@ class Alignment:
     """The transformation of an estimate into the frame of its reference.
 
     Attributes:
-        rotation: Shape (3, 3).
-        translation_m: Shape (3,) [m].
+        rotation: Rotation matrix, shape (3, 3).
+        translation_m: Translation [m], shape (3,).
         scale: Factor of the estimate's positions; 1 if the scale is not estimated.
     """
 
@@ -78,7 +78,7 @@ class Alignment:
 
 
 def summarise_errors(errors: Values) -> ErrorStatistics:
-    """Return the statistics of at least one error."""
+    """Return the statistics of errors, at least one."""
     squares = float((errors**2).sum())
     return ErrorStatistics(
         count=len(errors),
@@ -93,7 +93,7 @@ def summarise_errors(errors: Values) -> ErrorStatistics:
 
 
 class Associated(NamedTuple):
-    """Two trajectories of equal length, row by row of one moment."""
+    """Two trajectories of equal length with associated rows."""
 
     reference: Trajectory
     estimate: Trajectory
@@ -104,10 +104,10 @@ def associate_trajectories(
 ) -> Associated:
     """Return the poses of both at the times of the trajectory with fewer poses.
 
-    Each of its poses takes the nearest in time of the other, the earlier one of two; a pose whose
-    nearest is further away is left out. With interpolation the other is then interpolated at these
-    times, the position linearly and the rotation along the shortest arc (slerp); times outside of
-    the other are left out, because nothing is extrapolated.
+    Each of its poses takes the nearest in time of the other, or the earlier of two; a pose whose
+    nearest is further away is left out. With interpolation, the other is then interpolated at these
+    times, the position linearly and the rotation along the shortest arc (slerp); times outside the
+    other are left out, because nothing is extrapolated.
 
     Args:
         reference: One trajectory.
@@ -156,7 +156,7 @@ def _take_at(trajectory: Trajectory, rows: Rows, time_ns: Rows) -> Trajectory:
 
 
 def _interpolate(trajectory: Trajectory, time_ns: Rows) -> Trajectory:
-    """Return a trajectory at times that it covers."""
+    """Return a trajectory interpolated at times that it covers."""
     if len(trajectory) == 1:
         return _take_at(trajectory, np.zeros(len(time_ns), dtype=np.int64), time_ns)
     after = np.clip(np.searchsorted(trajectory.time_ns, time_ns), 1, len(trajectory) - 1)
@@ -174,7 +174,7 @@ def _interpolate(trajectory: Trajectory, time_ns: Rows) -> Trajectory:
 
 
 def _slerp(first: Values, second: Values, share: Values) -> Values:
-    """Return the rotations a share of the way along the shortest arc, shape (n, 4)."""
+    """Return rotations at a fraction of the shortest arc, shape (n, 4)."""
     second = np.where((first * second).sum(axis=1, keepdims=True) < 0.0, -second, second)
     # From the chord: the cosine of a small angle has lost its digits.
     chord = np.linalg.norm(second - first, axis=1, keepdims=True)
@@ -195,12 +195,12 @@ def find_alignment(
 
     Args:
         reference_m: Positions [m], shape (n, 3).
-        estimate_m: Those of the same moments [m], shape (n, 3).
-        dimensions: 2: a turn about the vertical and a shift in the plane. 3: any.
+        estimate_m: Associated positions [m], shape (n, 3).
+        dimensions: 2: a rotation about the vertical and a translation in the plane. 3: any.
         scales: Whether the scale is estimated, too.
 
     Raises:
-        DegenerateError: Where the points leave the rotation or the scale undetermined.
+        DegenerateError: If the points leave the rotation or the scale undetermined.
     """
     ours, theirs = estimate_m[:, :dimensions], reference_m[:, :dimensions]
     our_mean, their_mean = ours.mean(axis=0), theirs.mean(axis=0)
@@ -222,7 +222,7 @@ def find_alignment(
 
 
 def _require_spread(singular: Values, sizes: list[float], means: list[Values]) -> None:
-    """Refuse points that do not determine a rotation: it needs all but one direction."""
+    """Raise an error if points do not determine a rotation: it needs all but one direction."""
     for who, size, mean in zip(("reference", "estimate"), sizes, means, strict=True):
         # Rounding of coordinates far from the origin is no motion.
         if size <= _LEAST_SPREAD * max(1.0, float(np.abs(mean).max())):
@@ -232,7 +232,7 @@ def _require_spread(singular: Values, sizes: list[float], means: list[Values]) -
 
 
 def find_origin_alignment(reference: Trajectory, estimate: Trajectory) -> Alignment:
-    """Return the transformation that brings the first poses of both together."""
+    """Return the transformation that makes the first poses of both equal."""
     ours, theirs = (
         build_rotations(one.orientation_quat_wxyz[:1])[0] for one in (estimate, reference)
     )
@@ -254,7 +254,7 @@ def align_trajectory(trajectory: Trajectory, alignment: Alignment) -> Trajectory
 
 
 def project_trajectory(trajectory: Trajectory) -> Trajectory:
-    """Return x, y and the heading of the forward axis, seen from above."""
+    """Return x, y and the heading of the forward axis, projected onto the horizontal plane."""
     w, x, y, z = trajectory.orientation_quat_wxyz.T
     half_rad = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2) / 2.0
     none = np.zeros(len(trajectory))
@@ -270,7 +270,7 @@ class PoseErrors(NamedTuple):
     """Errors of poses or of pairs, row by row.
 
     Attributes:
-        position_m: [m], shape (n,).
+        position_m: Position errors [m], shape (n,).
         rotation_rad: Angle of the rotation between both, in [0, pi] [rad], shape (n,).
     """
 
@@ -290,18 +290,18 @@ def measure_absolute_errors(reference: Trajectory, estimate: Trajectory) -> Pose
 def choose_pairs(
     trajectory: Trajectory, delta: float, unit: DeltaUnit, *, overlaps: bool = False
 ) -> tuple[Rows, Rows]:
-    """Return first and second rows of the pairs whose relative motion is compared.
+    """Return the first and second rows of the pairs whose relative motion is compared.
 
-    A pair ends at the first pose that is at least the delta after its first pose: in poses, in
-    metres along the trajectory, or in degrees that it turned from pose to pose. In seconds a pair
-    ends at the pose nearest to the delta, and is left out if that is off by more than three
-    quarters of the usual step between poses: there is a gap.
+    A pair ends at the first pose at least the delta after its first pose: in poses, in metres along
+    the trajectory, or in degrees of turn summed over poses. In seconds, a pair ends at the pose
+    nearest to the delta; it is left out if that is off by more than three quarters of the usual
+    step between poses, because there is a gap.
 
     Args:
-        trajectory: The reference or the estimate, associated with the other.
-        delta: Above 0, whole for frames.
-        unit: Of the delta.
-        overlaps: Whether a pair begins at every pose; otherwise where the last one ended.
+        trajectory: The reference or the estimate, after association.
+        delta: Length of a motion, above 0, whole for frames.
+        unit: Unit of the delta.
+        overlaps: Whether a pair begins at every pose; otherwise at the end of the last one.
     """
     if unit == "s":
         return _pair_times(trajectory.time_ns, round(delta * 1e9), overlaps=overlaps)
@@ -341,7 +341,7 @@ def _pair_times(time_ns: Rows, delta_ns: int, *, overlaps: bool) -> tuple[Rows, 
 
 
 def measure_way_steps(trajectory: Trajectory, unit: DeltaUnit) -> Values:
-    """Return how far it is from each pose to the next, in the unit, shape (n - 1,)."""
+    """Return the distance from each pose to the next, in the unit, shape (n - 1,)."""
     if unit == "frames":
         return np.ones(max(len(trajectory) - 1, 0))
     if unit == "m":
@@ -363,7 +363,7 @@ def measure_relative_errors(
 
 
 def _find_motions(trajectory: Trajectory, pairs: tuple[Rows, Rows]) -> tuple[Values, Values]:
-    """Return shifts in the frame of the first poses [m], and rotations."""
+    """Return translations in the frame of the first poses [m], and rotations."""
     first, second = pairs
     turns = trajectory.orientation_quat_wxyz
     shift_m = trajectory.xyz_m[second] - trajectory.xyz_m[first]
@@ -372,7 +372,7 @@ def _find_motions(trajectory: Trajectory, pairs: tuple[Rows, Rows]) -> tuple[Val
 
 
 def build_rotations(quat_wxyz: Values) -> Values:
-    """Return rotation matrices of quaternions of length 1, shape (n, 3, 3)."""
+    """Return the rotation matrices of unit quaternions, shape (n, 3, 3)."""
     w, x, y, z = quat_wxyz.T
     rows = [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -387,7 +387,7 @@ def _conjugate(quat_wxyz: Values) -> Values:
 
 
 def _multiply(first: Values, second: Values) -> Values:
-    """Return the rotations `first` after `second`, shape (n, 4)."""
+    """Return the rotations `second` followed by `first`, shape (n, 4)."""
     w1, x1, y1, z1 = first.T
     w2, x2, y2, z2 = second.T
     return np.column_stack(

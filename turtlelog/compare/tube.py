@@ -1,11 +1,10 @@
-"""How far a run is from a reference: from its values close in time, and from its path.
+"""Deviation of a run from a reference: from its values near in time, and from its path.
 
-At time t, with a tolerance d in time, the values that count are those that the reference takes in
-[t - d, t + d], as a function of time: a signal that is read by line takes every value between the
-least and the greatest of them; one that is held takes those of its rows in the window and the one
-held at the window's start. A value passes if it is within max(abs, rel |reference|) of any of them.
-As rel <= 1, that half-width grows no faster than the distance: the nearest value below and the
-nearest above decide.
+At time t, with a time tolerance d, a value is compared with the values of the reference in [t - d,
+t + d]. A linearly interpolated signal takes every value between its minimum and maximum there; a
+held signal takes those of its rows in the window and the one held at the window's start. A value
+passes if it is within max(abs, rel |reference|) of any of them. As rel <= 1, that half-width grows
+no faster than the distance: the nearest values below and above decide.
 """
 
 import math
@@ -29,16 +28,17 @@ Times = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """How far one signal or metric may be from the reference's: max(abs, rel |reference|).
+    """Allowed difference of a signal or metric from the reference: max(abs, rel |reference|).
 
     Attributes:
-        abs: In the unit of the signal or metric, >= 0.
-        rel: As a share of the reference's magnitude, 0 to 1; an angle's is that in [0, pi].
+        abs: Absolute tolerance in the unit of the signal or metric, >= 0.
+        rel: Fraction of the reference's magnitude, 0 to 1; for an angle, of its magnitude in [0,
+            pi].
         time_s: Passes if it matches any reference value within +- time_s [s]; >= 0; signals only.
-        reason: Why so much and no more.
+        reason: Reason for the tolerance.
 
     Raises:
-        CompareError: Where a value is no finite number in its range.
+        CompareError: If a value is not a finite number in its range.
     """
 
     abs: float = 0.0
@@ -60,14 +60,14 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grid:
-    """Where a run is compared: its rows, and the times of the reference's rows between them.
+    """Points at which a run is compared: its rows, and the reference's rows between them.
 
-    Without the latter a run with few rows would be compared in few places only.
+    Without the reference's times, a run with few rows would be compared at few points only.
 
     Attributes:
-        at: Units of the clock, shape (n,), not decreasing.
-        run_row: The run's row that holds there, shape (n,); before its first one, that.
-        later: How many further rows of the run share the row's time, shape (n,).
+        at: Times in units of the clock, shape (n,), not decreasing.
+        run_row: The run's row at each point, shape (n,); the first row before it.
+        later: Number of further rows of the run with the same time, shape (n,).
     """
 
     at: Times
@@ -92,7 +92,7 @@ def _describe(value: object) -> str:
 
 
 def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
-    """Return the grid of two runs' rows in a span of their clock, both ends included."""
+    """Return the grid of two runs' rows in an interval of their clock, both ends included."""
     at = _merge_times(reference_at, run_at)
     at = at[(at >= span[0]) & (at <= span[1])]
     run_row = np.maximum(np.searchsorted(run_at, at, side="right") - 1, 0)
@@ -109,7 +109,7 @@ def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
 
 
 def read_rows(run: Signal, grid: Grid) -> GridValues:
-    """Return a placed signal's values on a grid, by line or held as fits the signal."""
+    """Return a placed signal's values on a grid, interpolated or held as its kind requires."""
     if run.kind.resampling == "line":
         return GridValues(grid=grid, values=np.interp(grid.at, run.time_ns, run.values))
     return GridValues(grid=grid, values=run.values[grid.run_row])
@@ -118,9 +118,9 @@ def read_rows(run: Signal, grid: Grid) -> GridValues:
 def find_deciding_values(
     reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
 ) -> Values:
-    """Return the value of the reference that decides over each row, shape of the rows.
+    """Return the reference value that decides for each row, shape of the rows.
 
-    Where a row is far inside its tolerance, another value that it passes by may be returned.
+    If a row is far inside its tolerance, another value within its tolerance may be returned.
     """
     if reference.kind.resampling == "line":
         return _find_nearest_on_line(reference, rows, half_width)
@@ -130,7 +130,7 @@ def find_deciding_values(
 
 
 def measure_distance(reference: Signal, values: Values, nearest: Values) -> Values:
-    """Return how far values are from values of the reference, never negative."""
+    """Return the distance between values and reference values, never negative."""
     difference = values - nearest
     if reference.kind.compared_as == "angle":
         difference = wrap_angle(difference)
@@ -140,7 +140,7 @@ def measure_distance(reference: Signal, values: Values, nearest: Values) -> Valu
 
 
 def find_limit(reference: Signal, nearest: Values, tolerance: Tolerance) -> Values:
-    """Return max(abs, rel |reference|) at values of the reference."""
+    """Return max(abs, rel |reference|) for reference values."""
     size = wrap_angle(nearest) if reference.kind.compared_as == "angle" else nearest
     return np.maximum(tolerance.abs, tolerance.rel * np.abs(size))
 
@@ -168,7 +168,7 @@ def _find_nearest_on_line(reference: Signal, rows: GridValues, half_width: int) 
 def _find_held(reference: Signal, rows: GridValues) -> Values:
     """Return the value held at each row's time.
 
-    Rows that share one time are matched from the last one backwards.
+    Rows with the same time are matched from the last one backwards.
     """
     last = np.maximum(np.searchsorted(reference.time_ns, rows.grid.at, side="right") - 1, 0)
     same = np.searchsorted(reference.time_ns, reference.time_ns[last], side="left")
@@ -179,11 +179,11 @@ def _find_held(reference: Signal, rows: GridValues) -> Values:
 def _find_nearest_held(
     reference: Signal, rows: GridValues, tolerance: Tolerance, half_width: int
 ) -> Values:
-    """Return the nearest of the rows in each window, where it can matter.
+    """Return the nearest row value in each window, if it can matter.
 
-    A value outside the range of its window has its nearest at the edge. One between may stand in
-    a gap; rows are searched for it only where the held value does not say already that the row
-    passes with more to spare than another.
+    The nearest value to a value outside the range of its window is at the edge. A value within the
+    range may lie in a gap; the rows are searched only if the held value does not already show that
+    the row passes with more margin than another.
     """
     start, end = rows.grid.at - half_width, rows.grid.at + half_width
     first = np.maximum(np.searchsorted(reference.time_ns, start, side="right") - 1, 0)
@@ -208,7 +208,7 @@ def _find_nearest_held(
 
 
 def _merge_times(one: Times, other: Times) -> Times:
-    """Return the times of both, sorted, each once."""
+    """Return the times of both, sorted and without duplicates."""
     if np.array_equal(one, other):
         both = one
     else:
@@ -218,11 +218,11 @@ def _merge_times(one: Times, other: Times) -> Times:
 
 
 def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Values]:
-    """Return the smallest and the largest value of every stretch, shape of `first`.
+    """Return the minimum and maximum of every segment, shape of `first`.
 
-    A stretch is the rows `first` to `after - 1`; none is empty, and all are answered at once. Two
-    stretches of 2^k rows that overlap cover any longer one: only the tables of the k that occur
-    are asked, one after another.
+    A segment is the rows `first` to `after - 1` and not empty; all segments are evaluated at once.
+    Two overlapping segments of 2^k rows cover any longer one: only the tables of the required k are
+    made, one after another.
     """
     level = np.frexp((after - first).astype(np.float64))[1] - 1
     low, high = values, values
@@ -242,10 +242,10 @@ def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Va
 def _find_neighbours(
     values: Values, first: Times, after: Times, wanted: Values
 ) -> tuple[Values, Values]:
-    """Return the nearest value at or below, and above `wanted` in every stretch; nan: none.
+    """Return the nearest value at or below `wanted`, and above it, in every segment; nan: none.
 
-    A tree of sorted blocks, from rows upwards; each stretch is made of at most two blocks of every
-    size, and each block is searched by bisection, all blocks of one size in one call.
+    A tree of sorted blocks, from rows upwards; each segment consists of at most two blocks of every
+    size, and all blocks of one size are searched by bisection in one call.
     """
     order = np.argsort(values, kind="stable")
     sorted_values = values[order]
@@ -294,14 +294,14 @@ _MOST_POINTS: Final = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathDeviation:
-    """How far a run is from where a reference was, over the segment that both cover.
+    """Deviation of a run from a reference's path and position, over the segment that both cover.
 
     Attributes:
         largest_m: Largest distance from the nearest point of the reference's path [m].
-        largest_at_s: When, on the common clock [s].
+        largest_at_s: Time of that distance on the common clock [s].
         rms_m: Root of the mean square over time of that distance [m].
-        largest_apart_m: Largest distance from where the reference was at the same time [m].
-        largest_apart_at_s: When [s].
+        largest_apart_m: Largest distance from the reference's position at the same time [m].
+        largest_apart_at_s: Time of that distance on the common clock [s].
         rms_apart_m: Root of the mean square over time of that distance [m].
     """
 
@@ -316,15 +316,15 @@ class PathDeviation:
 def measure_path_error(
     reference: Run, run: Run, *, alignment: str = "first_sample"
 ) -> PathDeviation:
-    """Return how far a run is from a reference's path, and from the reference at equal times.
+    """Return the deviation of a run from a reference's path, and from the reference at equal times.
 
     Args:
-        reference: The line through its poses is the path; of more than 20,000 every n-th.
-        run: The other.
-        alignment: As in `compare_runs`.
+        reference: Run whose poses, joined by lines, are the path; of more than 20,000 every n-th.
+        run: Other run.
+        alignment: Alignment, as in `compare_runs`.
 
     Raises:
-        CompareError: As `compare_runs`.
+        CompareError: If `compare_runs` raises it.
     """
     clock = align_runs(reference, run, alignment)
     columns = []

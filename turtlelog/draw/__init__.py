@@ -1,4 +1,4 @@
-"""Rerun recordings, figures, tables. The names stand in `__init__.pyi` and load on first use."""
+"""Rerun recordings, figures, tables. Public names are in `__init__.pyi` and load on first use."""
 
 from turtlelog.libraries import attach_names
 

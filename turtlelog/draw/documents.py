@@ -1,4 +1,4 @@
-"""What stands beside the pictures as text: tables and the scenario, in Markdown."""
+"""Text next to the pictures: tables and the scenario, in Markdown."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -27,11 +27,11 @@ _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run
 
 
 def document_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
-    """Return the documents of one run by title: metrics, and what is known of its scenario.
+    """Return the documents of one run by title: metrics, and the known part of its scenario.
 
     Args:
         run: Run to describe.
-        metrics: Its metrics, where it has been measured already.
+        metrics: Metrics of the run, if already measured.
     """
     metrics = measure_run(run) if metrics is None else metrics
     return {
@@ -45,7 +45,7 @@ def document_runs(
     *,
     metrics: Sequence[Mapping[str, Metric]] | None = None,
 ) -> Mapping[str, str]:
-    """Return the documents of a comparison by title: the runs side by side, metrics, Table 1.
+    """Return the documents of a comparison by title: table of runs, metrics, Table 1.
 
     The arguments are those of `document_run`, for several runs.
     """
@@ -67,9 +67,9 @@ def document_runs(
 
 
 def _put_ends_first(table: Table) -> Table:
-    """Return a table of runs with what they missed the goal by behind their gains.
+    """Return a table of runs with their final position errors directly after the gains.
 
-    Beside the pictures there is room for half of the columns.
+    There is room for only half of the columns next to the pictures.
     """
     titles = [column.title for column in table.columns]
     ends = [place for place, title in enumerate(titles) if title.startswith("final.")]
@@ -87,13 +87,13 @@ def _put_ends_first(table: Table) -> Table:
 def choose_essentials(
     runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]
 ) -> list[dict[str, Metric]]:
-    """Return of each run's metrics those to look at first; only of loops that its law declares."""
+    """Return the metrics of each run to look at first; loop metrics only of declared loops."""
     ids = list_essential_metrics(*(run.declaration for run in runs))
     return [{name: known[name] for name in ids if name in known} for known in metrics]
 
 
 def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
-    """Yield the lines of the metrics: a table for each group, what has no value below."""
+    """Yield the lines of the metrics: a table for each group, with missing values below."""
     yield escape_markdown(run.name, starts_line=True)
     groups = groupby(metrics.values(), lambda metric: metric.id.partition(".")[0])
     tables = [(group, list(found)) for group, found in groups]
@@ -115,7 +115,7 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
 
 
 def _summarise_absent(missing: Sequence[Metric]) -> Iterable[str]:
-    """Yield one line on what a robot's recording has no values of; `metrics` lists it with why."""
+    """Yield a line on the missing values of a robot's recording; `metrics` lists the reasons."""
     if missing:
         reasons = dict.fromkeys(metric.reason for metric in missing)
         first, others = next(iter(reasons)), len(reasons) - 1
@@ -125,7 +125,7 @@ def _summarise_absent(missing: Sequence[Metric]) -> Iterable[str]:
 
 
 def _head_loop(run: Run, name: str) -> str:
-    """Return the head of a loop's metrics, and that they cover its pause where they do."""
+    """Return the heading of a loop's metrics, with a note if they include its pause."""
     loop = run.declaration.find_loop(name)
     stretch = [] if loop is None else find_first_stretch(run, loop)
     has_pause = any(span.phase == PAUSE for span in stretch)
@@ -145,7 +145,7 @@ def _shorten(metric_id: str) -> str:
 
 
 def _list_scenario(run: Run) -> Iterable[str]:
-    """Yield the lines of what a run is and of its scenario, a table for each section."""
+    """Yield the lines on a run and its scenario, a table for each section."""
     head = f"{run.name}: {run.source}, {run.stop_reason or 'end not recorded'}."
     yield escape_markdown(head, starts_line=True)
     sections = sorted(run.parameters.items(), key=lambda item: item[0].rpartition(".")[0])

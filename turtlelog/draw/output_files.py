@@ -1,4 +1,4 @@
-"""Files of this stage are complete or not there; what a page of HTML may run and load."""
+"""Output files that are complete or absent; the content policy of HTML pages."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator
@@ -14,10 +14,10 @@ from turtlelog.log import replace_when_complete
 
 @contextmanager
 def replace_file(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name beside `path`, which takes its place when the block ends well.
+    """Yield a temporary name in the folder of `path`; it replaces `path` if the block succeeds.
 
     Raises:
-        ShowError: Where the place cannot be written.
+        ShowError: If the folder cannot be written.
     """
     try:
         with replace_when_complete(path) as part_path:
@@ -30,10 +30,10 @@ def replace_file(path: str | Path) -> Iterator[Path]:
 def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path]]:
     """Yield what writes files into a folder, by name; all take their places at the end together.
 
-    Where the block fails nothing is left: no file, and no folder that was not there.
+    If the block fails, nothing is left: no file, and no new folder.
 
     Raises:
-        ShowError: Where the place cannot be written.
+        ShowError: If the folder cannot be written.
     """
     folder = make_path(folder)
     with ExitStack() as undoing:

@@ -1,6 +1,7 @@
 """Tables as text for a terminal, Markdown, CSV and LaTeX.
 
-Written by hand: what is printed and stored stays the same to the byte, whatever a library changes.
+Written by hand, so that printed and stored tables stay the same to the byte with any version of a
+library.
 """
 
 import csv
@@ -59,8 +60,8 @@ class _Column:
 def format_text(table: Table, width: int | None = None) -> str:
     """Return a table for a terminal: aligned columns, units in the second line, notes below.
 
-    If it is wider than `width` names are broken into lines; where that is not enough, the columns
-    stand in several blocks, each with the columns of text that the rows begin with.
+    If it is wider than `width`, names are broken into lines; if that is not sufficient, the columns
+    are split into several blocks, each beginning with the text columns.
     """
     columns = [_build_column(table, index) for index in range(len(table.columns))]
     blocks = [columns] if width is None else _fit(columns, width)
@@ -140,9 +141,9 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
 
     Args:
         table: Table to format.
-        kind: The format.
-        width: Room for `txt` [characters]: names are broken into lines, and columns put below each
-            other in blocks, where it is too wide; None: as wide as it needs.
+        kind: Name of the format.
+        width: Line length for `txt` [characters]: if the table is too wide, names are broken into
+            lines, and columns are split into blocks; None: unlimited.
 
     Raises:
         ShowError: If there is no such format.

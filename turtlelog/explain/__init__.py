@@ -1,4 +1,4 @@
-"""From a log to the reason, by numbers. The names stand in `__init__.pyi` and load on first use."""
+"""From a log to the reason, in numbers. Names are in `__init__.pyi` and load on first use."""
 
 from turtlelog.libraries import attach_names
 

@@ -1,4 +1,4 @@
-"""An attribution in sentences, each of which is true of the run."""
+"""An attribution in sentences that are true of the run."""
 
 import math
 from typing import Final
@@ -33,16 +33,16 @@ _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
-    """Return the value, what caused it, what that depends on, and what changes it alone."""
+    """Return sentences: the value, its causes, what they depend on, and what else changes it."""
     parts = [write_part(found, one) for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
     return (write_value(found), *causes, *write_reasons(found))
 
 
 def write_headline(found: Attribution) -> str:
-    """Return the value and the largest contributions; the value in a sentence where none is named.
+    """Return the value with the largest contributions, or the value alone if none is named.
 
-    The re-simulation's value stands in brackets if it is another one than the log's.
+    The re-simulation's value follows in brackets if it differs from the log's.
     """
     if not choose_named(found):
         return write_value(found)
@@ -53,7 +53,7 @@ def write_headline(found: Attribution) -> str:
 
 
 def write_value(found: Attribution) -> str:
-    """Return the value of the log and that of the re-simulation, where they differ."""
+    """Return the value of the log, and that of the re-simulation if they differ."""
     logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
         return f"{found.metric} has no value: {found.reason}."
@@ -73,7 +73,7 @@ def write_value(found: Attribution) -> str:
 
 
 def write_cause_head(found: Attribution) -> str:
-    """Return how many effects and design parameters cause the value, for a list of them."""
+    """Return how many effects and design parameters cause the value, as the head of a list."""
     named = choose_named(found)
     sizes = [one.contribution or 0.0 for one in named]
     count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
@@ -89,7 +89,7 @@ def write_cause_head(found: Attribution) -> str:
 
 
 def write_main(found: Attribution) -> str:
-    """Return the largest contribution, with those that are about equal to it."""
+    """Return the largest contribution and those about equal to it."""
     named = choose_named(found)
     largest = abs(named[0].contribution or 0.0)
     main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
@@ -107,14 +107,14 @@ def _name_kinds(found: Attribution, named: list[Contribution]) -> str:
 
 
 def choose_named(found: Attribution) -> list[Contribution]:
-    """Return the contributions that explain the value, the largest first; none if too small."""
+    """Return the contributions that explain the value, the largest first; empty if too small."""
     if not found.acting or found.withheld or _is_negligible(found):
         return []
     return [one for one in _list_large(found) if one.is_clear]
 
 
 def write_part(found: Attribution, one: Contribution) -> str:
-    """Return a cause with its contribution."""
+    """Return a cause and its contribution."""
     return f"{one.cause} {format_contribution(found, one)}"
 
 
@@ -125,7 +125,7 @@ def format_contribution(found: Attribution, one: Contribution) -> str:
 
 
 def write_reasons(found: Attribution) -> tuple[str, ...]:
-    """Return what the causes come to, what they depend on, and what else changes the value."""
+    """Return the total of the causes, what they depend on, and what else changes the value."""
     if found.without_value:
         sentences = [_write_missing(found)]
     elif found.withheld:
@@ -162,7 +162,7 @@ def _name_set(found: Attribution, case: ValueSet) -> str:
 
 
 def _is_negligible(found: Attribution) -> bool:
-    """Return whether neither an effect nor all of them exceed the resolution."""
+    """Return whether each effect and their total are within the resolution."""
     largest = max((abs(one.contribution or 0.0) for one in found.contributions), default=0.0)
     return max(largest, abs(_sum_effects(found))) <= found.resolution.size
 
@@ -172,7 +172,7 @@ def _sum_effects(found: Attribution) -> float:
 
 
 def _write_rest(found: Attribution) -> str:
-    """Return what the value is without the effects, or that they change little."""
+    """Return the value without the effects, or that they change little."""
     if not found.causes:
         return "No effect of the implementation is in this run."
     if not found.acting and found.seeds is not None and [*found.causes] == _list_idle(found):
@@ -197,7 +197,7 @@ def _write_rest(found: Attribution) -> str:
 
 
 def _name_acting(found: Attribution) -> str:
-    """Return the causes that act: `both` where the list of causes named them."""
+    """Return the acting causes by name, or `both` if the list has just named them."""
     if len(found.acting) == 2 == len(choose_named(found)):
         return "both"
     return join_words(found.acting)
@@ -208,7 +208,7 @@ def _describe_resolution(found: Attribution) -> str:
 
 
 def _write_bound(found: Attribution) -> str:
-    """Return whether the tolerances allow as much, of the errors at the end that they bound."""
+    """Return whether the tolerances allow the value, for final errors that they bound."""
     is_bounded = found.metric in {"final.position_error", "final.heading_error"}
     is_bounded = is_bounded and "tolerance" not in found.causes
     if not is_bounded or found.without_all is None or found.without_all > found.resolution.size:
@@ -229,7 +229,7 @@ def _sum_contributions(found: Attribution) -> float:
 
 
 def _write_together(found: Attribution) -> str:
-    """Return what arises only if several act; empty if that is little."""
+    """Return the part that arises only if several causes act; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
@@ -255,7 +255,7 @@ def _write_case(found: Attribution, case: Together) -> str:
 
 
 def _write_seeds(found: Attribution) -> str:
-    """Return what the value is with other seeds."""
+    """Return the value with other seeds."""
     seeds = found.seeds
     if seeds is None:
         return ""
@@ -277,7 +277,7 @@ def _write_seeds(found: Attribution) -> str:
 
 
 def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
-    """Return that no seed changes the value, and which random effect therefore does not."""
+    """Return that no seed changes the value, and which random effects are therefore inactive."""
     idle = _list_idle(found)
     if seeds.used < seeds.count:
         return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
@@ -296,7 +296,7 @@ def _list_idle(found: Attribution) -> list[str]:
 
 
 def _write_unclear(found: Attribution) -> str:
-    """Return the contributions that would be named if they were further from 0 than chance."""
+    """Return the contributions that are too close to 0 to be distinguished from chance."""
     unclear = [one for one in _list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
@@ -333,7 +333,7 @@ def _write_starts(found: Attribution) -> str:
 
 
 def _write_parts(starts: StartRange) -> str:
-    """Return which part each cause has of what they add; that of the last follows."""
+    """Return each cause's part of their total; the last part follows from the others."""
     names = [part.cause for part in starts.parts]
     parts = [
         f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
@@ -356,7 +356,7 @@ def _format_span(found: Attribution, low: float, high: float) -> str:
 
 
 def _write_others(found: Attribution) -> list[str]:
-    """Return what alone changes the value: what lowers it is no cause of a value this large."""
+    """Return what alone changes the value; what lowers it does not explain a large value."""
     told = [one for one in found.others if _is_told(found, one)]
     lowering = [one for one in told if _lowers(found, one)]
     others = [_write_alone(found, one) for one in told if one not in lowering]
@@ -372,7 +372,7 @@ def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
 
 
 def _is_told(found: Attribution, one: Contribution) -> bool:
-    """Return whether something changes the value alone by more than little and chance."""
+    """Return whether something alone changes the value by more than the resolution and chance."""
     if one.alone is None:
         return True
     change = abs(one.alone - found.divided)
@@ -381,7 +381,7 @@ def _is_told(found: Attribution, one: Contribution) -> bool:
 
 
 def _lowers(found: Attribution, one: Contribution) -> bool:
-    """Return whether the value would be larger without a design parameter, as with the effects."""
+    """Return whether the value is larger without a design parameter, as without the effects."""
     is_design = one.cause not in found.effects and one.alone is not None and not one.ending
     return is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found)
 
@@ -398,7 +398,7 @@ def _write_alone(found: Attribution, one: Contribution) -> str:
 def format_value(
     found: Attribution, value: float | None, standard_error: float | None = None
 ) -> str:
-    """Return a value in four digits with the metric's unit, and its standard error if given."""
+    """Return a value with four digits and the metric's unit, and its standard error if given."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
 

@@ -1,4 +1,4 @@
-"""Attribute a value to its causes: Shapley values over simulations without them."""
+"""Attribute a value to its causes: Shapley values from simulations without them."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -73,24 +73,24 @@ def attribute_run(
     trust_law: bool = False,
     work: Work | None = None,
 ) -> Attribution:
-    """Attribute a value of a run to causes of the scenario that stands for it.
+    """Attribute a value of a run to causes in the scenario that reproduces it.
 
-    That is the identified one, or the recorded one of a law that none is identified of, where its
-    re-simulation reproduces the run. Shares are withheld where the log's value and the
-    re-simulation's differ by more than a tenth of what the effects add together; of random effects
-    whose seed is not known, where the log's lies outside of the central 95 % over seeds.
+    This is the identified scenario; for a law that cannot be identified, the recorded one, if its
+    re-simulation reproduces the run. Contributions are withheld if the values of log and
+    re-simulation differ by more than a tenth of the total of the effects; for random effects with
+    an unknown seed, if the log's value is outside the central 95 % over seeds.
 
     Args:
         run: Run whose value is explained.
-        metric: Its id; None for that which `choose_metric` finds.
-        causes: Those that take part; otherwise every effect that is in the scenario.
-        identified: Result of `identify_run`, if it is known already.
-        trust_law: Run the law that the recording names, where it is not built in: its code.
+        metric: Id of the metric; None: the choice of `choose_metric`.
+        causes: Causes that take part; None: every effect in the scenario.
+        identified: Result of `identify_run`, if already known.
+        trust_law: Whether to run the code of a recorded law that is not built in.
         work: Settings of the simulation: processes and progress.
 
     Raises:
         ExplainError: If no scenario reproduces the run, or as in `attribute_scenario`.
-        ScenarioError: If the recorded law is neither built in nor trusted, or not there.
+        ScenarioError: If the recorded law is neither built in nor trusted, or does not exist.
     """
     metric = metric or choose_metric(run.declaration)
     require_causes(run, metric, causes)
@@ -123,14 +123,15 @@ def attribute_scenario(
 ) -> Attribution:
     """Attribute a value of a scenario to causes.
 
-    All 2^n sets of n causes are simulated, with each of 32 seeds where one that is in draws random
-    numbers. If there are more than six causes, the six that change the value most take part, alone
-    out or alone in; the others stay as recorded.
+    All 2^n sets of n causes are simulated; with each of 32 seeds if the set contains a random
+    cause. If there are more than six causes, the six that change the value most, removed alone or
+    acting alone, take part; the others stay as recorded.
 
     Raises:
-        ExplainError: If a metric or cause is not known, a cause stands twice, or there are none.
-        ScenarioError: If the law cannot be loaded, or may not run.
-        SimulationError: If the law fails without one of them.
+        ExplainError: If a metric or cause is unknown, a cause is named twice, or there are no
+            causes.
+        ScenarioError: If the law cannot be loaded or may not run.
+        SimulationError: If the law fails without a cause.
     """
     scenario = resolve_scenario(scenario)
     declaration = declare_scenario(scenario)
@@ -178,7 +179,7 @@ def attribute_scenario(
 
 
 def divide_game(found: Attribution, game: Game) -> Attribution:
-    """Return an attribution with the contributions of its causes, or why there are none."""
+    """Return an attribution with the contributions of its causes, or why they are missing."""
     if game.is_random and found.resimulated is not None:
         return divide_over_seeds(found, game)
     # A run without a value has its reason in its own seed.
@@ -194,12 +195,12 @@ def divide_game(found: Attribution, game: Game) -> Attribution:
 
 
 def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
-    """Require a metric of the run, and different causes that it may have. Loads no code.
+    """Require a metric of the run and different causes that it may have. Loads no code.
 
-    The causes of a law that is not built in are known when it runs.
+    Causes of a law that is not built in are known only when it runs.
 
     Raises:
-        ExplainError: If they are not; with the names nearest to it.
+        ExplainError: If the metric or a cause is wrong; the message has the nearest names.
     """
     _require_metric(run.declaration, metric)
     _require_distinct(causes)
@@ -249,7 +250,7 @@ def _choose_causes(game: Game, causes: Sequence[str]) -> list[str]:
 
 
 def _compare(left: Outcome, right: Outcome) -> float:
-    """Return how far two outcomes are apart; infinitely where only one has a value."""
+    """Return the difference between two outcomes; infinite if only one has a value."""
     if left.value is None or right.value is None:
         return 0.0 if left.value is right.value else math.inf
     return abs(left.value - right.value)
@@ -270,7 +271,7 @@ def _divide(found: Attribution, game: Game, worth: Worth) -> Attribution:
 def _tell_what_has_no_value(
     found: Attribution, outcomes: Mapping[Coalition, Outcome]
 ) -> Attribution:
-    """Return the smallest sets that decide whether there is a value, in place of contributions."""
+    """Return the smallest sets that decide whether there is a value, instead of contributions."""
     missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
     present = [inside for inside in outcomes if inside not in missing]
 
@@ -290,7 +291,7 @@ def _tell_what_has_no_value(
 
 
 def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
-    """Return why the re-simulation says nothing of the log; empty if it does."""
+    """Return why the re-simulation does not represent the log; empty if it does."""
     logged, built, without = found.as_logged, found.resimulated, found.without_all
     if logged is None:
         return "the log has no value"
@@ -314,7 +315,7 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
 
 
 def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding]) -> Contribution:
-    """Return a property without its value where it hangs on a gain that the log does not show."""
+    """Return a property without its value if this depends on a gain that the log does not show."""
     unknown = [key for key in _list_gains(contribution.cause) if findings[key].value is None]
     if not unknown:
         return contribution
@@ -324,12 +325,12 @@ def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding])
 
 
 def _list_gains(cause: str) -> tuple[str, ...]:
-    """Return the gains that decide what a cause's absence makes: of clipped commands, any."""
+    """Return the gains on which the value without a cause depends; if clipped, any gain."""
     return ("law.kp_angular", "law.kp_linear") if cause == "saturation" else ()
 
 
 def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Cause]) -> Iterator[str]:
-    """Yield what is not proven of the settings that the acting causes take out."""
+    """Yield assumptions about settings that the removal of acting causes changes."""
     concerned = [(*found.neutral, *_list_gains(found.name)) for found in acting]
     keys = [key for names in concerned for key in names if key in findings]
     found = {findings[key].certainty for key in keys}

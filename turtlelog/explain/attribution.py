@@ -1,4 +1,4 @@
-"""What an attribution says: values, contributions, and what they depend on."""
+"""The content of an attribution: values, contributions, and what they depend on."""
 
 import math
 from dataclasses import dataclass, field
@@ -37,7 +37,7 @@ class Resolution:
     """The largest change of a metric that is negligible.
 
     Attributes:
-        size: In the metric's unit.
+        size: Size of the change, in the metric's unit.
         reason: Origin of a change of this size, in one clause.
     """
 
@@ -48,9 +48,9 @@ class Resolution:
 def find_resolution(
     scenario: Scenario, declaration: Declaration, metric: str, value: float
 ) -> Resolution:
-    """Return the resolution of a metric of a scenario, where it has this value.
+    """Return the resolution of a metric of a scenario with this value.
 
-    Of a law whose tolerances are not known a contribution of the value stands for what they leave.
+    For a law with unknown tolerances, a fraction of the value replaces their effect.
     """
     unit = list_metrics(declaration)[metric].unit
     if unit == "s":
@@ -73,7 +73,7 @@ def find_sample_period_s(scenario: Scenario) -> float:
 def _find_tolerated(
     scenario: Scenario, declaration: Declaration, metric: str, unit: str
 ) -> Resolution:
-    """Return what the tolerances of the sequential law leave."""
+    """Return the errors that the tolerances of the sequential law allow."""
     heading_rad = scenario.law.parameters.heading_tolerance_rad
     position_m = scenario.law.parameters.position_tolerance_m
     distance_m, turn_rad = _find_steps(scenario)
@@ -89,7 +89,7 @@ def _find_tolerated(
 
 
 def _find_steps(scenario: Scenario) -> tuple[float, float]:
-    """Return how far away the goal is [m], and how far the robot turns to it [rad]; never 0."""
+    """Return the distance to the goal [m] and the turn towards it [rad]; never 0."""
     start, goal = scenario.start, scenario.goal
     x_m, y_m = goal.x_m - start.x_m, goal.y_m - start.y_m
     turn_rad = math.atan2(y_m, x_m) - start.heading_rad
@@ -109,7 +109,7 @@ THIS_SEED_MEANS: Final = "the value of its own seed, less the mean over seeds"
 
 
 def is_clear(value: float, standard_error: float | None) -> bool:
-    """Return whether a mean over seeds differs from 0 by more than they do."""
+    """Return whether a mean over seeds differs from 0 significantly."""
     return abs(value) > _CLEAR * (standard_error or 0.0)
 
 
@@ -118,14 +118,14 @@ class Contribution:
     """The contribution of one cause to a value, and the value without this cause alone.
 
     Attributes:
-        cause: Its name.
+        cause: Name of the cause.
         contribution: Shapley value of the cause: its part of resimulated - without_all, in the
-            metric's unit; negative where it makes the value smaller. None if it takes no part. With
-            random effects the mean over seeds.
-        alone: The metric without this cause alone; None if it has no value. With random effects its
-            mean over seeds.
+            metric's unit; negative if it makes the value smaller. None if it takes no part. With
+            random effects, the mean over seeds.
+        alone: The metric without this cause alone; None if it has no value. With random effects,
+            the mean over seeds.
         ending: Difference in kind without the cause, in one clause: a phase that no longer ends, or
-            why there is no value. None if the run passes the same phases.
+            why there is no value. None if the run has the same phases.
         meaning: Meaning of the run without the cause, in one clause.
         standard_error: Standard error of the contribution with random effects; of the change
             without the cause if it takes no part. None otherwise.
@@ -140,7 +140,7 @@ class Contribution:
 
     @property
     def is_clear(self) -> bool:
-        """Whether it differs from 0 by more than its seeds do."""
+        """Whether the contribution differs from 0 significantly over seeds."""
         return is_clear(self.contribution or 0.0, self.standard_error)
 
 
@@ -165,7 +165,7 @@ class ValueSet:
     """A smallest set of causes that gives the metric a value, or leaves it without one.
 
     Attributes:
-        causes: Those that are in; all others that take part are out.
+        causes: Causes that act; all others that take part are removed.
         reason: Why there is no value; None if there is.
     """
 
@@ -175,10 +175,10 @@ class ValueSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CausePart:
-    """A cause's part of what all of them add, over starts; 1 is all of it.
+    """The part of a cause in the total of all causes, over starts; 1 is the total.
 
     Attributes:
-        cause: Its name.
+        cause: Name of the cause.
         low: The lowest part.
         high: The highest part.
     """
@@ -190,7 +190,7 @@ class CausePart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartRange:
-    """A value over starts that one sample's turn spans.
+    """Range of a value over starts within the turn of one sample.
 
     Attributes:
         count: Number of starts, at equal distances; the scenario's own is in the middle.
@@ -198,11 +198,11 @@ class StartRange:
         low: The smallest value, in the metric's unit.
         high: The largest value.
         without_value: Number of starts without a value.
-        is_wide: Whether the value depends on single samples: whether both its range and that of
-            what the effects add exceed half of what they add to the scenario's own. If they add no
-            more than the resolution to it, both exceed that, and half of the largest value.
-        parts: Part of each cause that changes the value, if the range is wide. Empty where they do
-            not all add to it at every start, or where it takes too many simulations.
+        is_wide: Whether the value depends on single samples: its range and the range of the
+            effects' total both exceed half of the total for the scenario's own start. If this total
+            is within the resolution, both must exceed the resolution and half of the largest value.
+        parts: Part of each cause that changes the value, if the range is wide. Empty if at some
+            start a cause acts against the total, or if too many simulations are needed.
         without_all: Smallest and largest value without all causes that act, if the range is wide.
     """
 
@@ -218,13 +218,12 @@ class StartRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeedRange:
-    """A value over seeds.
+    """Range of a value over seeds.
 
     Attributes:
-        count: Seeds that were simulated.
-        used: Those with which every combination of causes has a value: the contributions are
-            theirs.
-        mean: Mean of the value with all effects, over those.
+        count: Number of simulated seeds.
+        used: Seeds with which every combination of causes has a value; the contributions use these.
+        mean: Mean over these seeds of the value with all effects.
         standard_error: Standard error of that mean.
         low: Lower end of the central 95 % of the values with all effects.
         high: See `low`.
@@ -239,7 +238,7 @@ class SeedRange:
 
     @property
     def varies(self) -> bool:
-        """Whether seeds differ in the value by more than rounding."""
+        """Whether the value differs between seeds by more than rounding."""
         return self.high - self.low > _ROUNDING * max(abs(self.low), abs(self.high))
 
 
@@ -248,33 +247,34 @@ class Attribution:
     """Causes of a value of a run, and their contributions.
 
     Attributes:
-        metric: Its id.
-        unit: Its unit.
-        as_logged: The log's own value; None if it has none, or where there is no log.
+        metric: Id of the metric.
+        unit: Unit of the metric.
+        as_logged: Value of the log; None if it has no value, or if there is no log.
         resimulated: The value re-simulated with all effects; None if it has no value.
-        without_all: Re-simulated, with all that take part out; None if it has no value. If what is
-            left is random, the mean over seeds.
-        causes: Those that take part: the value is divided among them.
-        contributions: Theirs, in their order; none if they are withheld. `math.fsum` of them is
-            resimulated - without_all: see `compute_contributions`. With random effects they are
-            means over seeds, and `this_seed` is what is missing.
+        without_all: Value re-simulated without all causes that take part; None if it has no value.
+            If the remainder is random, the mean over seeds.
+        causes: Causes that take part: the value is divided among them.
+        contributions: Contributions of these causes, in their order; empty if withheld. Their
+            `math.fsum` is resimulated - without_all: see `compute_contributions`. With random
+            effects they are means over seeds, and `this_seed` is the difference.
         others: Other causes in the scenario, each removed alone.
         resolution: The largest change that is negligible.
-        withheld: Why there are no contributions, in one clause; None if there are.
+        withheld: Why there are no contributions, in one clause; None if there are some.
         together: Parts that several causes add only together.
         without_value: The smallest sets of causes that leave the metric without a value.
-        with_value: The smallest sets that give it one, where it has none without all.
-        starts: The value over starts within one sample's turn; None if the robot does not turn, and
-            with random effects.
-        seeds: The value over seeds; None without random effects.
-        reason: Why it has no value, in the log or else re-simulated; None if it has.
+        with_value: The smallest sets of causes that give it a value, if it has none without all.
+        starts: Range of the value over starts within the turn of one sample; None if the robot does
+            not turn, or with random effects.
+        seeds: Range of the value over seeds; None without random effects.
+        reason: Why there is no value in the log, or else in the re-simulation; None if there is
+            one.
         doubts: Assumptions of the contributions that the log does not prove, in sentences.
-        left: Effects that were to take part and stay as recorded, being more than six.
-        effects: Every effect that loop and law may have, whether it is in the scenario or not.
+        left: Effects beyond the six that take part, which stay as recorded.
+        effects: Every effect that loop and law can have, whether in the scenario or not.
         remarks: Causes that could not be removed, in sentences.
-        this_seed: Effect of the run's own seed: resimulated less the mean over seeds; None without
+        this_seed: Effect of the run's own seed: resimulated minus the mean over seeds; None without
             random effects.
-        sentences: All this in words.
+        sentences: The attribution in words.
     """
 
     metric: str
@@ -301,7 +301,7 @@ class Attribution:
     sentences: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Say what the values come to."""
+        """Write the sentences."""
         from turtlelog.explain.answer_words import write_sentences
 
         this_seed = None
@@ -312,7 +312,7 @@ class Attribution:
 
     @property
     def acting(self) -> tuple[str, ...]:
-        """Those that change the value in any combination."""
+        """Causes that change the value in any combination."""
         names = {
             contribution.cause for contribution in self.contributions if contribution.contribution
         }
@@ -321,7 +321,7 @@ class Attribution:
 
     @property
     def changing(self) -> tuple[Contribution, ...]:
-        """Contributions and others that change the value, or how the run ends."""
+        """Contributions and other causes that change the value or the ending of the run."""
         return tuple(one for one in (*self.contributions, *self.others) if self._changes(one))
 
     def _changes(self, one: Contribution) -> bool:
@@ -332,7 +332,7 @@ class Attribution:
 
     @property
     def divided(self) -> float:
-        """Sum of `without_all` and all contributions; with random effects the mean; or 0."""
+        """Sum of `without_all` and all contributions; a mean with random effects; otherwise 0."""
         return (self.resimulated or 0.0) if self.seeds is None else self.seeds.mean
 
     def __repr__(self) -> str:
@@ -369,7 +369,7 @@ class Attribution:
 
 
 def choose_metric(declaration: Declaration) -> str:
-    """Return the metric to explain where none is named: what matters most to runs of a law.
+    """Return the default metric to explain: the most important one for the run's law.
 
     With a goal: the final position error. Without a goal: the rms error of the loop that is
     declared last; for a law that tracks a path, the cross-track error; without loops, the path

@@ -1,7 +1,7 @@
-"""What an implementation adds to the ideal loop: one table of data for each scenario.
+"""Differences between an implementation and the ideal loop: one table of causes per scenario.
 
-Those of an effect stand in its file, those of a law in the law. Each says how a scenario is without
-it. Sampling is the clock's: without it the same scenario is simulated on a finer one.
+Causes of an effect are in its file, those of a law in the law. Each defines the scenario without
+it. Sampling belongs to the clock: without it, the same scenario is simulated with a finer clock.
 """
 
 from collections.abc import Iterable, Mapping
@@ -53,7 +53,7 @@ RANDOM_EFFECTS: Final = frozenset(
 
 
 def draws_random(scenario: Scenario) -> bool:
-    """Return whether a scenario's run is another one with another seed."""
+    """Return whether the run of a scenario depends on its seed."""
     values = flatten_scenario(scenario)
     return any(
         # What is certain draws nothing that counts: a probability of 1.
@@ -64,13 +64,13 @@ def draws_random(scenario: Scenario) -> bool:
 
 
 def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
-    """Return what a scenario may have, by name: causes of the loop, the plant, and the law.
+    """Return the possible causes of a scenario by name: of the loop, the plant and the law.
 
-    Without `sampling` where the clock cannot be made finer.
+    `sampling` is left out if the clock cannot be made finer.
 
     Raises:
-        ScenarioError: If the law cannot be loaded, or may not run.
-        ExplainError: If two causes have one name.
+        ScenarioError: If the law cannot be loaded or may not run.
+        ExplainError: If two causes have the same name.
     """
     law = find_law(resolve_scenario(scenario).law.kind)
     is_offered = not describe_no_sampling(scenario)
@@ -87,12 +87,12 @@ def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
 
 
 def list_effects(table: Mapping[str, Cause]) -> tuple[str, ...]:
-    """Return those that share a deviation among themselves."""
+    """Return the causes among which a deviation is divided."""
     return tuple(name for name, found in table.items() if found.kind == "effect")
 
 
 def is_present(scenario: Scenario, cause: Cause) -> bool:
-    """Return whether a cause is in a scenario: whether taking it out changes a setting."""
+    """Return whether a cause is in a scenario: whether its removal changes a setting."""
     return cause.name == SAMPLING or take_out(scenario, [cause]) != scenario
 
 
@@ -100,8 +100,8 @@ def simulate_without(scenario: Scenario, names: Iterable[str]) -> Run:
     """Simulate a scenario without some of its causes.
 
     Raises:
-        ExplainError: If the scenario has no cause of that name.
-        ScenarioError: If the law cannot be loaded, or may not run.
+        ExplainError: If the scenario has no cause with that name.
+        ScenarioError: If the law cannot be loaded or may not run.
     """
     names = [*names]
     scenario = resolve_scenario(scenario)
@@ -114,7 +114,7 @@ def find_cause(name: str, table: Mapping[str, Cause], scenario: Scenario) -> Cau
     """Return a cause of a scenario by its name.
 
     Raises:
-        ExplainError: If the table has none of that name.
+        ExplainError: If the table has no cause with that name.
     """
     if name in table:
         return table[name]
@@ -139,7 +139,7 @@ def describe_no_sampling(scenario: Scenario) -> str:
 
 
 def take_out(scenario: Scenario, causes: Iterable[Cause]) -> Scenario:
-    """Return a scenario with the settings that it has without some causes."""
+    """Return a scenario with the settings that remove some causes."""
     for cause in causes:
         source = f"{scenario.name} without {cause.name}"
         scenario = override_scenario(scenario, cause.neutral, source=source)
@@ -156,10 +156,10 @@ def simulate_finer(scenario: Scenario) -> Run:
 
 
 def _stretch_counts(scenario: Scenario) -> Scenario:
-    """Return the scenario for a finer clock: what counts ticks or samples takes as long as before.
+    """Return the scenario for a finer clock: counts of ticks or samples keep their duration.
 
-    Every pose is answered, also where a timer answered. A dead time of k ticks is k times `FINER`
-    steps, and a queue that keeps k commands makes k - 1 ticks of it.
+    Every pose is answered, even with a timer. A dead time of k ticks becomes k times `FINER` steps,
+    and a queue of k commands becomes a delay of k - 1 ticks.
     """
     loop, parameters = scenario.loop, scenario.law.parameters
     counters = list_sample_counters(find_law(scenario.law.kind)) or ()

@@ -1,4 +1,4 @@
-"""Why a metric differs between two runs in sentences, each of which is true of these runs."""
+"""Sentences on why a metric differs between two runs, each of them true of these runs."""
 
 import math
 from collections.abc import Sequence
@@ -74,7 +74,7 @@ _CODE: Final = (
 
 
 def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
-    """Return how the metric differs and why, what that depends on, and what else differs."""
+    """Return sentences: the difference, its reasons, what they depend on, and what else differs."""
     sentences = [
         write_headline(found),
         _write_resimulated(found),
@@ -94,7 +94,7 @@ def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
 
 
 def write_headline(found: "ExplainedDifference") -> str:
-    """Return both values, and what each change adds to the first or takes away."""
+    """Return both values, and how much each change adds to or subtracts from the first."""
     first, second = found.first, found.second
     if first.as_logged is None or second.as_logged is None:
         return f"{found.metric}: {_write_side(found, first)}; {_write_side(found, second)}."
@@ -112,7 +112,7 @@ def write_headline(found: "ExplainedDifference") -> str:
 
 
 def _write_parts(found: "ExplainedDifference") -> str:
-    """Return what the changes add, those that are not told in one sum."""
+    """Return the contributions of the changes; those not named in the headline in one sum."""
     parts = [_write_part(found, one) for one in choose_told(found)]
     if found.unexplained is not None:
         return join_words(parts) or ("no cause is certain" if found.contributions else "")
@@ -129,12 +129,12 @@ def _list_divided(found: "ExplainedDifference") -> list["Change"]:
 
 
 def _is_chance(found: "ExplainedDifference", one: "Change") -> bool:
-    """Return whether a part is no cause; noise that a scenario sets is one."""
+    """Return whether a part is chance, not a cause; noise set by a scenario is a cause."""
     return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
 
 
 def _write_chance(found: "ExplainedDifference") -> list[str]:
-    """Return what adds to the difference and is no cause."""
+    """Return the parts of the difference that chance adds."""
     least = _TINY * _sum(found.contributions)
     return [
         f"{_CHANCE[one.name]} {_write_move(found, one.contribution or 0.0, is_many=True)}"
@@ -150,7 +150,7 @@ def _write_side(found: "ExplainedDifference", side: "Side") -> str:
 
 
 def _write_resimulated(found: "ExplainedDifference") -> str:
-    """Return the values of the re-simulations, which contributions are of, if they are others."""
+    """Return the re-simulated values, which contributions divide, if they differ from the logs."""
     sides = (found.first, found.second)
     pairs = [(one.as_logged, one.resimulated) for one in sides]
     known = [(a, b) for a, b in pairs if a is not None and b is not None]
@@ -164,7 +164,7 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
 
 
 def choose_told(found: "ExplainedDifference") -> list["Change"]:
-    """Return the changes that the first line names: the relevant ones, of many the largest."""
+    """Return the changes that the first line names: all relevant ones, or the largest of many."""
     divided = _list_divided(found)
     if found.unexplained is not None:
         return [one for one in divided if _is_large(one, _TINY * _sum(divided))]
@@ -186,7 +186,7 @@ def _is_large(one: "Change", least: float) -> bool:
 
 
 def _write_part(found: "ExplainedDifference", one: "Change") -> str:
-    """Return a change with what it adds or takes away."""
+    """Return a change and the amount that it adds or subtracts."""
     many = one.name in _PLURALS
     return f"{name_change(one)} {_write_move(found, one.contribution or 0.0, is_many=many)}"
 
@@ -228,13 +228,13 @@ def name_change(one: "Change") -> str:
 
 
 def _is_negligible(found: "ExplainedDifference") -> bool:
-    """Return whether no contribution exceeds the resolution, nor the difference."""
+    """Return whether all contributions and the difference are within the resolution."""
     sizes = [abs(one.contribution or 0.0) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
 
 def format_magnitude(found: "ExplainedDifference", value: float) -> str:
-    """Return a value with its unit, in as many decimals as all values of this answer."""
+    """Return a value with its unit, with as many decimals as all values of this answer."""
     text = f"{value:.{_count_decimals(found)}f}"
     if not float(text):
         text = f"{value:.1g}" if value else "0"
@@ -242,7 +242,7 @@ def format_magnitude(found: "ExplainedDifference", value: float) -> str:
 
 
 def _count_decimals(found: "ExplainedDifference") -> int:
-    """Return how many decimals show four digits of the largest value, two of a contribution."""
+    """Return the decimals that show four digits of the largest value, two of a contribution."""
     sides = (found.first.as_logged, found.second.as_logged)
     sizes = [one.contribution for one in found.contributions]
     decimals = [
@@ -288,7 +288,7 @@ def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
 
 
 def _write_together(found: "ExplainedDifference") -> str:
-    """Return what arises only if several changes act; empty if that is little."""
+    """Return the part that arises only if several changes act; empty if it is small."""
     if not found.contributions or _is_negligible(found):
         return ""
     least = _NAMED * _sum(_list_divided(found))
@@ -367,13 +367,13 @@ def _write_departure(found: "ExplainedDifference") -> list[str]:
 
 
 def _has_other_code(found: "ExplainedDifference") -> bool:
-    """Return whether both recordings name the code of the law, and it differs."""
+    """Return whether both recordings contain a digest of the law's code, and these differ."""
     codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
     return None not in codes and codes[0] != codes[1]
 
 
 def _write_software(found: "ExplainedDifference") -> str:
-    """Return what differs before the runs depart: no setting, but versions, platform or code."""
+    """Return differences before the runs depart other than settings: versions, platform or code."""
     first, second = found.first.simulated_by, found.second.simulated_by
     silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
     if silent:
@@ -389,7 +389,7 @@ def _write_software(found: "ExplainedDifference") -> str:
 
 
 def _write_effects(found: "ExplainedDifference") -> str:
-    """Return how the contributions of `explain` differ; empty if none is worth a word."""
+    """Return how the contributions of `explain` differ; empty if the differences are negligible."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
     parts = [_write_shift(found, one) for one in large[:_FEW]]
     head = "As a whole, effects contribute differently in the second run (turtlelog explain)"
@@ -407,7 +407,7 @@ def _write_idle(found: "ExplainedDifference") -> str:
 
 
 def _write_basis(found: "ExplainedDifference") -> str:
-    """Return what the contributions rest on."""
+    """Return the basis of the contributions."""
     sides: Sequence[Side] = (found.first, found.second)
     if found.contributions and all(side.basis == "recorded" for side in sides):
         return "The recorded scenarios reproduce all samples of both runs."
@@ -432,12 +432,12 @@ _AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rat
 
 
 def _is_robot_part(one: "Change") -> bool:
-    """Return whether a group is a part of an identified robot's axis."""
+    """Return whether a group is a parameter of an identified robot's axis."""
     return one.keys[0].partition(".")[0] in AXES
 
 
 def _describe_robot_part(one: "Change") -> str:
-    """Return a part with its values in both logs: `dead time turning (70 -> 110 ms)`."""
+    """Return a robot parameter with its values in both logs: `dead time turning (70 -> 110 ms)`."""
     for key, before, after in zip(one.keys, one.first, one.second, strict=False):
         if before != after and not isinstance(before or after, str):
             return f"{one.name} ({_format_pair(key, before, after)})"
@@ -456,7 +456,7 @@ def _format_pair(key: str, before: Any, after: Any) -> str:
 
 
 def _write_robot_basis(found: "ExplainedDifference") -> list[str]:
-    """Return what the contributions of two robots' parts rest on; empty for simulated runs."""
+    """Return the basis of the contributions of two robots' parts; empty for simulated runs."""
     sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
     said = [f"{side.name}: {side.note}." for side in sides if side.note]
     said += [_write_unknown(side) for side in sides if side.unknown]

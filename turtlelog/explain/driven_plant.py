@@ -1,8 +1,8 @@
-"""The plant driven with the log's own commands: which queues, delays and pauses move it so.
+"""The plant driven with the log's own commands, to find its queues, delays and pauses.
 
-No law is asked, so noise in what the controller read, or in the log, does not matter: the commands
-are known exactly. What is left between the logged poses and the driven ones is noise, or says that
-the settings are not these.
+No law is asked, so noise in the poses that the controller read, or in the log, does not matter: the
+commands are known exactly. The residual between logged and driven poses is either noise, or shows
+that the settings are wrong.
 """
 
 from collections.abc import Sequence
@@ -57,9 +57,9 @@ class PlaybackParameters:
     """Commands to send, one per pose.
 
     Attributes:
-        commands: Speed [m/s] and turn rate [rad/s] of each sample.
-        pauses_at: Number of the sample after which the controller is blocked, -1 for none.
-        pause_ticks: For how long.
+        commands: Speed [m/s] and turn rate [rad/s] of each sample, shape (n, 2).
+        pauses_at: Number of the sample after which the controller is blocked; -1 for none.
+        pause_ticks: Duration of the block [ticks].
     """
 
     commands: tuple[tuple[float, float], ...]
@@ -68,7 +68,7 @@ class PlaybackParameters:
 
 
 class Playback:
-    """A law that answers with the commands of a log, whatever the pose."""
+    """A law that replays the commands of a log, whatever the pose."""
 
     Parameters: ClassVar[type[Any]] = PlaybackParameters
 
@@ -103,18 +103,18 @@ class Playback:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
-    """How a driven plant compares with the log.
+    """Comparison of a driven plant with the log.
 
     Attributes:
-        rows: Rows compared.
-        whiteness: Of what is left of x, y and heading.
-        explains: Whether what is left is noise.
-        is_rounding: Whether what is left of one axis is no more than the step of its poses.
-        noise: What is left: standard deviation of x, y [m] and heading [rad].
-        start: Pose at the start that fits best: x, y [m], heading [rad].
-        reach: Half-width of its 95 % intervals.
-        left: Logged less driven poses with that start, shape (rows, 3).
-        slopes: How these change with the start, shape (rows, 3, 3).
+        rows: Number of compared rows.
+        whiteness: Whiteness of the residuals of x, y and heading.
+        explains: Whether the residual is noise.
+        is_rounding: Whether the residual of an axis is within the step of its poses.
+        noise: Standard deviation of the residuals of x, y [m] and heading [rad].
+        start: Best-fitting start pose: x, y [m], heading [rad].
+        reach: Half-width of the 95 % intervals of the start.
+        left: Logged minus driven poses with that start, shape (rows, 3).
+        slopes: Derivatives of these by the start, shape (rows, 3, 3).
     """
 
     rows: int
@@ -129,11 +129,11 @@ class Drive:
 
     @property
     def spans(self) -> Values:
-        """From the least to the largest of what is left of x, y [m] and heading [rad]."""
+        """Range (largest minus smallest) of the residuals of x, y [m] and heading [rad]."""
         return np.asarray(np.ptp(self.left, axis=0))
 
     def compute_misfit(self, whiteness: Values) -> float:
-        """Return the negative log-likelihood, up to a constant, for noise of that whiteness."""
+        """Return the negative log-likelihood, up to a constant, for noise of this whiteness."""
         weights = 1.0 / widen_for_runs(whiteness) ** 2
         return float((self.rows * weights * np.log(np.array(self.noise))).sum())
 
@@ -141,9 +141,9 @@ class Drive:
 def drive_plant(
     trace: Trace, guess: Any, *, rows: int | None = None, reads_alike: bool = False
 ) -> Drive | None:
-    """Drive the plant with the commands of the first `rows` samples; None where it cannot be.
+    """Drive the plant with the commands of the first `rows` samples; None if that is impossible.
 
-    With `reads_alike` the samples must also read the poses that they read in the log.
+    With `reads_alike`, the samples must also read the same poses as in the log.
     """
     count = len(trace) if rows is None else rows
     driven = _drive(trace, guess, int(trace.number[count - 1]) + 1, reads_alike=reads_alike)
@@ -160,7 +160,7 @@ def drive_plant(
 
 
 def join_starts(drives: list[Drive]) -> Drive:
-    """Return the first of several that fit alike, with intervals that reach over those of all."""
+    """Return the first of several equally good fits, with intervals that cover those of all."""
     best = drives[0]
     edges = [
         abs(np.array(drive.start) - np.array(best.start)) + np.array(drive.reach)
@@ -207,7 +207,7 @@ def _drive(trace: Trace, guess: Any, samples: int, *, reads_alike: bool) -> Valu
 
 
 def _reads_as_logged(trace: Trace, read: NDArray[np.int64]) -> bool:
-    """Return whether the samples read the poses that they read in the log, where that is known."""
+    """Return whether the samples read the same poses as in the log, if these are known."""
     if not (trace.has_ticks and trace.has_exact_clock):
         return True
     known = trace.number < len(read)
@@ -265,7 +265,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
 
 
 def _list_stretches(trace: Trace, count: int) -> list[slice]:
-    """Return the rows between jumps and gaps; after a gap, from where all commands are known."""
+    """Return the rows between breaks; after a gap, from where all commands are known."""
     bounds = [0, *(row for row in list_trace_breaks(trace) if row < count), count]
     missing = {row for row, _ in trace.missing}
     skip = _UNKNOWN_TICKS // trace.period_ticks
@@ -277,9 +277,9 @@ def _list_stretches(trace: Trace, count: int) -> list[slice]:
 def _fit_offsets(
     left: Values, slopes: Values, noise: Values, logged: Values
 ) -> tuple[Values, Values]:
-    """Return the shift of the first pose that fits best, and its variances, shape (3,).
+    """Return the best-fitting shift of the first pose and its variances, shape (3,).
 
-    A coordinate that is logged unchanged, as of a robot that stands, repeats its error.
+    A coordinate that is logged unchanged, as for a robot at rest, repeats its error.
     """
     weighted = slopes / noise[None, :, None]
     inverse = np.linalg.pinv(np.einsum("nij,nik->jk", weighted, weighted))
@@ -292,7 +292,7 @@ def _fit_offsets(
 
 
 def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
-    """Return the mean square of changes by twice the mean square: 1 for noise, 0 for curves."""
+    """Return the mean square of changes over twice the mean square: 1 for noise, 0 for curves."""
     changes, squares = np.zeros(3), np.zeros(3)
     for stretch in stretches:
         part = left[stretch]
@@ -303,12 +303,12 @@ def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartBounds:
-    """A start from which every pose rounds to the logged one.
+    """Bounds of the starts from which every pose rounds to the logged one.
 
     Attributes:
-        middle: The one furthest from any edge: x, y [m], heading [rad].
-        low: The least of each.
-        high: The largest of each.
+        middle: The start furthest from any bound: x, y [m], heading [rad].
+        low: Lower bounds of x, y [m] and heading [rad].
+        high: Upper bounds of x, y [m] and heading [rad].
     """
 
     middle: tuple[float, float, float]
@@ -317,7 +317,7 @@ class StartBounds:
 
 
 def join_bounds(found: Sequence[StartBounds | None]) -> StartBounds | None:
-    """Return bounds that reach over those of several drives that fit alike, about the first."""
+    """Return bounds that cover those of several equally good drives, around the first middle."""
     known = [bounds for bounds in found if bounds is not None]
     if not known or len(known) < len(found):
         return None
@@ -329,9 +329,9 @@ def join_bounds(found: Sequence[StartBounds | None]) -> StartBounds | None:
 
 
 def bound_start(drive: Drive, trace: Trace) -> StartBounds | None:
-    """Return where a plant may start so that every pose of the log rounds as logged.
+    """Return bounds of the start for which every pose rounds to the logged one.
 
-    None where no start does, or where what is left is more than rounding.
+    None if there is no such start, or if the residual exceeds rounding.
     """
     if not drive.explains or trace.missing or trace.jumps:
         return None
@@ -349,19 +349,19 @@ def bound_start(drive: Drive, trace: Trace) -> StartBounds | None:
 
 
 def _hides_step(trace: Trace) -> bool:
-    """Return whether a coordinate has too few values to show in which step it is logged."""
+    """Return whether a coordinate has too few values to show its quantisation step."""
     columns = trace.xy_m[:, 0], trace.xy_m[:, 1], trace.heading_rad
     return min(len(np.unique(column)) for column in columns) < FEWEST_DIFFERENT
 
 
 def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the nearest pose at which a scenario may start."""
+    """Return the nearest pose that a scenario may start from."""
     x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
     return x_m, y_m, wrap_angle(pose[2])
 
 
 def _solve_bounds(drive: Drive, half_steps: Values) -> StartBounds | None:
-    """Return the bounds for half the step that each value is rounded to, shape (rows, 3)."""
+    """Return bounds from half the quantisation step of each value, shape (rows, 3)."""
     rows = drive.left.reshape(-1)
     slopes = drive.slopes.reshape(-1, 3)
     half = half_steps.reshape(-1)

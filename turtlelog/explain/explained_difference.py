@@ -23,11 +23,11 @@ class Side:
     Attributes:
         name: Name of the run.
         as_logged: The metric of the log; None if it has no value.
-        resimulated: The metric, simulated again with the run's own seed; None likewise.
+        resimulated: The metric re-simulated with the run's own seed; None if it has no value.
         reason: Why the metric has no value; empty if it has one.
         basis: Scenario that reproduces the run. `recorded`: the run's own, which reproduces every
-            sample. `identified`: one that is identified from its samples. `robot`: the model of a
-            robot that its recorded commands drive. None if nothing does.
+            sample. `identified`: a scenario identified from its samples. `robot`: the robot model,
+            driven by the recorded commands. None if no scenario does.
         note: Accuracy with which the recorded scenario reproduces the run, or why no scenario does.
         is_exact: Whether that scenario reproduces every sample.
         unknown: Keys that are not identified: the other run's values are used.
@@ -51,16 +51,17 @@ class Change:
 
     Attributes:
         name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.
-        keys: Keys of the settings in which the scenarios differ; `seed` for what the seeds make.
+        keys: Keys of the settings in which the scenarios differ; `seed` for the effect of the
+            seeds.
         first: Their values in the first run; None for a key that it does not have.
         second: Their values in the second run.
         contribution: Contribution to the difference, in the metric's unit; None if it is withheld.
         standard_error: Standard error of the contribution, if it is a mean over seeds or sampled
             orders, or rests on identified values.
-        low: Lower end of its interval of 95 %; None if the contribution is exact.
+        low: Lower end of its 95 % interval; None if the contribution is exact.
         high: Upper end of the interval.
-        undone: The metric of the second run with this group alone as in the first; None if it has
-            no value.
+        undone: The metric of the second run if only this group is as in the first run; None if it
+            has no value.
     """
 
     name: str
@@ -96,14 +97,14 @@ class EffectShift:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DifferenceRange:
-    """The difference over starts that one sample's turn spans.
+    """Range of the difference over starts within the turn of one sample.
 
     Attributes:
         count: Number of starts, at equal distances; the scenarios' own are in the middle.
         within_rad: Angle between the scenarios' own heading and the first and last start [rad].
         difference: The smallest and the largest difference, in the metric's unit.
         first: The smallest and the largest metric of the first run.
-        second: Those of the second run.
+        second: The smallest and the largest metric of the second run.
         is_wide: Whether the difference depends on single samples: whether its range exceeds half
             of the difference.
     """
@@ -118,35 +119,35 @@ class DifferenceRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplainedDifference:
-    """The difference of a metric between two runs, divided among what differs.
+    """The difference of a metric between two runs, divided among the changed settings.
 
     Attributes:
-        metric: Its id.
+        metric: Id of the metric.
         unit: Unit of all values.
-        first: The run that differences are taken from.
+        first: The run from which the difference is taken.
         second: The other run.
-        difference: The metric of the second less that of the first, as simulated again, of robots
-            as logged; None if one of them has no value.
-        contributions: Contributions of each group of settings that differs, the largest first; they
-            add up to `difference`, of robots together with `unexplained`. Empty if they are
-            withheld.
-        changes: Names and values of the settings that differ, without contributions, if these are
+        difference: The metric of the second run minus that of the first, re-simulated (for robots,
+            as logged); None if one of them has no value.
+        contributions: Contribution of each group of changed settings, the largest first; their sum
+            is `difference`; for robots, this includes `unexplained`. Empty if they are withheld.
+        changes: Names and values of the changed settings, without contributions, if these are
             withheld.
         idle: Keys that differ and change the metric in no combination.
-        unexplained: Part of the difference that the models of two robots do not explain, and the
-            contributions lack; None if no robots are identified.
-        withheld: Why there are no contributions, in one clause; None if there are.
+        unexplained: Part of the difference that neither the models of two robots nor the
+            contributions explain; None if no robots are identified.
+        withheld: Why there are no contributions, in one clause; None if there are some.
         together: Parts that several groups add only if all of them are changed.
         without_value: The smallest sets of changes that leave the metric without a value.
         with_value: The smallest sets that give it a value, if the first run has none.
         resolution: The largest change that is negligible.
-        starts: The difference over starts within one sample's turn; None with random effects.
+        starts: Range of the difference over starts within the turn of one sample; None with random
+            effects.
         seeds: Number of seeds over which the contributions are means; 1 if nothing is random.
-        orders: Number of orders of the changes that were sampled; None if all of them count.
+        orders: Number of sampled orders of the changes; None if all combinations were simulated.
         effects: Differences of the contributions of `explain`, the largest first.
         has_same_settings: Whether no setting differs that could change a run.
         departure: First difference of runs that have the same settings; None if they do not.
-        sentences: All this in words.
+        sentences: The answer in words.
     """
 
     metric: str
@@ -172,7 +173,7 @@ class ExplainedDifference:
     sentences: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Say what the values come to."""
+        """Write the sentences."""
         from turtlelog.explain.difference_report import write_sentences
 
         object.__setattr__(self, "sentences", write_sentences(self))

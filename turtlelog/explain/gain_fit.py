@@ -1,4 +1,4 @@
-"""One command of the law: its gain where it is not clipped, and its limit where it is."""
+"""One command of the law: its gain from unclipped commands, its limit from clipped ones."""
 
 import math
 from collections.abc import Callable
@@ -30,18 +30,21 @@ of three roundings each is off by a few."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainFit:
-    """A gain, as the commands tell it.
+    """A gain estimated from commands.
 
     Attributes:
-        value: The shortest decimal that reproduces every command, or else that of least squares.
-        is_exact: Whether it alone reproduces every command, bit for bit.
-        is_close: Whether several doubles do, or it does to the rounding of another platform.
-        interval: What the gain may be: all that reproduce the commands, or else 95 % of least
-            squares.
-        noise: Standard deviation of what is left of the error, in its unit; 0 where nothing is.
-        whiteness: Mean square of the changes of what is left, by twice its mean square: 1 for
-            noise, near 0 for what follows a curve.
-        rows: Commands used.
+        value: The shortest decimal that reproduces every command, otherwise the least-squares
+            value.
+        is_exact: Whether only this value reproduces every command, bit for bit.
+        is_close: Whether several doubles do, or the value does within the rounding of other
+            platforms.
+        interval: Interval of the gain: all values that reproduce the commands, otherwise the 95 %
+            interval of least squares.
+        noise: Standard deviation of the residual error, in the error's unit; 0 if there is no
+            residual.
+        whiteness: Mean square of the changes of the residual, divided by twice its mean square: 1
+            for noise, near 0 for a curve.
+        rows: Number of commands used.
     """
 
     value: float
@@ -95,9 +98,9 @@ def _widen(ratio: float) -> tuple[float, float]:
 
 
 def _fit_least_squares(command: Values, error: Values) -> GainFit:
-    """Fit the errors by the commands: these are known exactly, and noise is in the errors only.
+    """Regress the errors on the commands: these are exact, only the errors are noisy.
 
-    The other way round noise in the errors makes every gain too small.
+    The inverse regression would make every gain too small.
     """
     square = float(command @ command)
     rows = len(command)
@@ -123,14 +126,14 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
 
 
 def find_quantile(rows: int) -> float:
-    """Return how many standard errors an interval of 95 % reaches to either side."""
+    """Return the half-width of a 95 % interval in standard errors."""
     from scipy.special import stdtrit
 
     return float(stdtrit(max(rows - 1, 1), 0.975))
 
 
 def widen_for_runs(whiteness: Values) -> Values:
-    """Return by how much errors that hang on the one before spread more than independent ones."""
+    """Return the factor by which autocorrelated errors widen an interval."""
     alike = np.clip(1.0 - whiteness, 0.0, 0.99)
     return np.asarray(np.sqrt((1.0 + alike) / (1.0 - alike)))
 
@@ -175,12 +178,12 @@ _REFITS: Final = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseNoise:
-    """What the logged poses have of noise.
+    """Noise of the logged poses.
 
     Attributes:
-        size: Its standard deviation [m or rad]; also what the motion bends from row to row.
-        least: The same of fourth differences, in which the motion leaves next to nothing.
-        grain: Step in which they are logged [m or rad].
+        size: Standard deviation [m or rad]; includes the curvature of the motion between rows.
+        least: The same from fourth differences, which contain almost none of the motion.
+        grain: Quantisation step of the log [m or rad].
     """
 
     size: float
@@ -199,17 +202,17 @@ def measure_pose_noise(values: Values) -> PoseNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandFit:
-    """One command's gain and limit.
+    """Gain and limit of one command.
 
     Attributes:
-        gain: None where all commands are clipped, or the error never changes.
-        limit: Where the commands are clipped, None where none is.
-        least: The least gain that explains every command, where there is none.
-        largest: The largest magnitude published.
-        rows: Commands in the phase.
-        noise: Of the poses.
+        gain: Fitted gain; None if all commands are clipped, or the error never changes.
+        limit: Limit at which commands are clipped; None if none is clipped.
+        least: The smallest gain that explains every command, if there is no fitted gain.
+        largest: The largest published magnitude.
+        rows: Number of commands in the phase.
+        noise: Noise of the poses.
         has_signs: Whether every command has the sign of its error.
-        is_read: Whether the noise is in what the controller read, and not in the log.
+        is_read: Whether the noise is in the poses that the controller read, not in the log.
     """
 
     gain: GainFit | None
@@ -228,7 +231,7 @@ class CommandFit:
 
     @property
     def obstacle(self) -> str | None:
-        """Why the commands are not proportional to the error, None where they may be."""
+        """Why the commands are not proportional to the error; None if they may be."""
         found = self.gain
         if found is None:
             return None
@@ -254,7 +257,7 @@ _NOT_PROPORTIONAL: Final = (
 
 
 def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> CommandFit:
-    """Fit a gain to the commands that are not clipped; find out which are."""
+    """Find the clipped commands, and fit a gain to the others."""
     size, error = np.abs(command), reproduce(1.0)
     largest = float(size.max())
     below = size < largest
@@ -288,17 +291,17 @@ def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> Comm
 
 
 def _fit_noisy(command: Values, error: Values, rows: NDArray[np.bool_]) -> GainFit:
-    """Fit commands by least squares; a stretch of equal ones counts once, as rounding may too."""
+    """Fit commands by least squares; equal successive ones count once: rounding repeats too."""
     first = np.flatnonzero(np.diff(command[rows], prepend=np.nan) != 0.0)
     means = np.add.reduceat(error[rows], first) / np.diff(np.append(first, rows.sum()))
     return fit_gain(command[rows][first], lambda gain: gain * means)
 
 
 def _is_read(fit: GainFit, noise: PoseNoise) -> bool:
-    """Return whether what a fit leaves is noise that the logged poses do not have.
+    """Return whether the residual of a fit is noise that the logged poses do not contain.
 
-    Then the controller read other poses than were logged. A derivative of noisy poses also leaves
-    more than they have, but its noise alternates.
+    The controller then read other poses than the logged ones. A derivative of noisy poses also
+    leaves a larger residual, but its noise alternates.
     """
     is_white = 1.0 - _WHITE < fit.whiteness < 1.0 + _ALTERNATES
     is_more = fit.noise > _LARGER * max(noise.size, noise.grain)
@@ -306,10 +309,10 @@ def _is_read(fit: GainFit, noise: PoseNoise) -> bool:
 
 
 def _fit_read(command: Values, error: Values, fit: GainFit, limit: float) -> GainFit:
-    """Fit the commands by the logged errors: noise that was read is in the commands.
+    """Regress the commands on the logged errors: noise in the poses read is in the commands.
 
-    Rows are chosen by their errors. Chosen by their commands, those that noise has kept off the
-    limit would stand for the others.
+    Rows are selected by their errors. Selected by commands, those that noise keeps off the limit
+    would bias the fit.
     """
     found = fit
     for _ in range(_REFITS):
@@ -321,7 +324,7 @@ def _fit_read(command: Values, error: Values, fit: GainFit, limit: float) -> Gai
 
 
 def _regress(command: Values, error: Values) -> GainFit:
-    """Return the gain of noisy commands, whose noise hangs on no error that came before."""
+    """Return the gain from noisy commands whose noise is independent of earlier errors."""
     square, rows = float(error @ error), len(command)
     gain = float(error @ command) / square if square > 0.0 else 0.0
     left = command - gain * error
@@ -342,7 +345,7 @@ def _regress(command: Values, error: Values) -> GainFit:
 
 
 def _shows_clipping(error: Values, noise: float) -> bool:
-    """Return whether the error changed along equal commands by more than its noise."""
+    """Return whether the error changed during equal commands by more than its noise."""
     third = len(error) // 3
     if third < 1:
         return False
@@ -351,7 +354,7 @@ def _shows_clipping(error: Values, noise: float) -> bool:
 
 
 def describe_fitted_gain(fit: CommandFit) -> Finding:
-    """Return the gain, or by how much or why the commands do not tell it."""
+    """Return the gain in words, or why or how far the commands do not determine it."""
     if fit.gain is None:
         return miss(
             f"all {fit.rows} commands are at {fit.largest:g}: at least {fit.least:.4g}",
@@ -372,7 +375,7 @@ def describe_fitted_gain(fit: CommandFit) -> Finding:
 
 
 def describe_limit(fit: CommandFit) -> Finding:
-    """Return the limit, or the largest command where none is clipped."""
+    """Return the limit in words, or the largest command if none is clipped."""
     if fit.gain is None:
         reason = f"all {fit.rows} commands are at {fit.largest:g}: a limit, or the law's only one"
         return miss(reason, fit.largest)
@@ -383,7 +386,7 @@ def describe_limit(fit: CommandFit) -> Finding:
 
 
 def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:
-    """Return the root mean square of what a fit leaves, clipped commands included."""
+    """Return the root mean square of the residual of a fit, clipped commands included."""
     gain = math.inf if fit.gain is None else max(fit.gain.value, 0.0)
     limit = fit.largest if fit.gain is None else (fit.limit or math.inf)
     with np.errstate(invalid="ignore"):

@@ -1,7 +1,7 @@
-"""A value as a game: what some causes make, played without any set of them, over seeds.
+"""A value as a cooperative game: simulated with any set of causes removed, over seeds.
 
-If a cause that is in draws random numbers, one run says little of it: such a scenario is simulated
-with every one of `SEEDS`, and the same seeds with and without a cause.
+If an acting cause is random, one run shows little: such a scenario is simulated with all of
+`SEEDS`, and the same seeds are used with and without a cause.
 """
 
 import time
@@ -60,10 +60,10 @@ class Work:
     """Settings of the simulation.
 
     Attributes:
-        jobs: Processes, at least 1; None: as many as cores where that is quicker. They import the
-            module that runs: a script that asks for more than one keeps its own work under
-            `if __name__ == "__main__":`. A law that is not built in is simulated in one.
-        report: Called with the simulations that are done and those that are known to be needed.
+        jobs: Number of processes, at least 1; None: one per core if that is faster. Each imports
+            the main module: a script that asks for more than one keeps its own work under `if
+            __name__ == "__main__":`. A law that is not built in is simulated in one process.
+        report: Function called with the numbers of simulations done and known to be needed.
     """
 
     jobs: int | None = 1
@@ -76,13 +76,13 @@ class Work:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a simulation came to, or most of several with different seeds.
+    """Result of a simulation, or the majority result over several seeds.
 
     Attributes:
-        value: Value of the metric, None if it has none; of several their mean.
-        reason: Why it has none, else empty.
-        ended: Names of the phases that came to their end, in order.
-        end_xy_m: The last pose [m]; None of several, and where the law failed.
+        value: Value of the metric; None if it has none; over several seeds their mean.
+        reason: Why there is no value, otherwise empty.
+        ended: Names of the phases that ended, in order.
+        end_xy_m: Position of the last pose [m]; None for several seeds, or if the law failed.
     """
 
     value: float | None
@@ -92,12 +92,12 @@ class Outcome:
 
 
 class Game(ABC):
-    """Plays what some causes make with any set of them out, and remembers the outcomes.
+    """Simulates with any set of causes removed, and stores the outcomes.
 
     Attributes:
-        causes: All that may be taken out, by name.
-        present: Those that are in, in their order; to take out another changes nothing.
-        is_random: Whether one play says little, so that seeds are averaged.
+        causes: All removable causes by name.
+        present: Causes that act, in their order; removing another one changes nothing.
+        is_random: Whether a single run shows little, so that outcomes are averaged over seeds.
     """
 
     def __init__(
@@ -108,34 +108,34 @@ class Game(ABC):
         *,
         is_random: bool,
     ) -> None:
-        """Take the causes; nothing is played yet."""
+        """Take the causes; nothing is simulated yet."""
         self._work = work or Work()
         self.causes, self.present, self.is_random = causes, tuple(present), is_random
         self._outcomes: dict[_Play, Outcome] = {}
 
     @abstractmethod
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds to play with; None alone where what is left draws nothing."""
+        """Return the seeds to simulate with; None alone if what remains is not random."""
 
     @abstractmethod
     def describe_ending(self, name: str) -> str:
-        """Return what differs in kind without a cause, in one clause; empty: nothing does."""
+        """Return a difference in kind without a cause, in one clause; empty if there is none."""
 
     @abstractmethod
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
-        """Yield the outcome of each."""
+        """Yield the outcome of each play."""
 
     def play(self, inside: Coalition, causes: Sequence[str]) -> Outcome:
-        """Return the outcome with these causes in, and all others out."""
+        """Return the outcome with only these causes acting."""
         return self.take_out(name for name in causes if name not in inside)
 
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
-        """Return the outcome without these causes; of random ones that of most seeds."""
+        """Return the outcome without these causes; if random, the majority over seeds."""
         found = self.take_out_each(names)
         return found[0] if len(found) == 1 else _average(found)
 
     def take_out_each(self, names: Iterable[str] = ()) -> list[Outcome]:
-        """Return the outcomes without these causes, by seed; one where nothing is random."""
+        """Return the outcomes without these causes, by seed; a single one if nothing is random."""
         out = frozenset(names).intersection(self.present)
         self.prepare([out])
         return [self._outcomes[out, seed] for seed in self.list_seeds(out)]
@@ -147,12 +147,12 @@ class Game(ABC):
         return self._outcomes[out, None]
 
     def play_each(self, plays: Sequence[_Play]) -> list[Outcome]:
-        """Return the outcomes without each of these sets of causes, with each of these seeds."""
+        """Return the outcomes without each set of causes, with each of the seeds."""
         self._simulate(plays)
         return [self._outcomes[one] for one in plays]
 
     def prepare(self, sets: Iterable[Iterable[str]]) -> None:
-        """Simulate without each of these sets of causes."""
+        """Simulate without each of these sets of causes and store the outcomes."""
         outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
         self._simulate([(out, seed) for out in outs for seed in self.list_seeds(out)])
 
@@ -166,7 +166,7 @@ class Game(ABC):
 
 
 class ScenarioGame(Game):
-    """Simulates a scenario with some of its causes out."""
+    """Simulates a scenario with some of its causes removed."""
 
     def __init__(
         self,
@@ -176,14 +176,14 @@ class ScenarioGame(Game):
         *,
         causes: Mapping[str, Cause] | None = None,
     ) -> None:
-        """Take the scenario with all causes in: those that `find_causes` finds unless given."""
+        """Take the scenario with all causes; they are found by `find_causes` unless given."""
         self._scenario, self._metric = scenario, metric
         causes = find_causes(scenario) if causes is None else causes
         super().__init__(causes, self._list_present(causes), work, is_random=draws_random(scenario))
         self._without: dict[Coalition, Scenario] = {}
 
     def describe_ending(self, name: str) -> str:
-        """Return what differs in kind without a cause, in one clause; empty: nothing does."""
+        """Return a difference in kind without a cause, in one clause; empty if there is none."""
         built, without = self.take_out(), self.take_out([name])
         longer = [phase for phase in built.ended if phase not in without.ended]
         sooner = [phase for phase in without.ended if phase not in built.ended]
@@ -209,7 +209,7 @@ class ScenarioGame(Game):
         return take_out(self._scenario, causes)
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds to simulate with; None alone where what is left draws nothing."""
+        """Return the seeds to simulate with; None alone if what remains is not random."""
         return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
 
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
@@ -217,7 +217,7 @@ class ScenarioGame(Game):
         return iterate_outcomes(self._metric, built, self._work.jobs)
 
     def build_play(self, out: Coalition, seed: int | None = None) -> "Play":
-        """Return what is simulated without these causes, with this seed or its own."""
+        """Return the simulation without these causes, with this seed or the scenario's own."""
         scenario = self._take_out(out)
         if seed is not None:
             scenario = replace(scenario, seed=seed)
@@ -229,9 +229,9 @@ class Play:
     """A scenario to simulate.
 
     Attributes:
-        scenario: Without those that are out.
-        is_finer: Whether its clock is finer.
-        may_fail: Whether a law that fails gives no value; otherwise it ends the work.
+        scenario: Scenario without the removed causes.
+        is_finer: Whether the clock is finer.
+        may_fail: Whether a failing law only gives no value; otherwise it ends the work.
     """
 
     scenario: Scenario
@@ -240,7 +240,7 @@ class Play:
 
 
 def iterate_outcomes(metric: str, plays: Sequence[Play], jobs: int | None) -> Iterator[Outcome]:
-    """Yield the outcome of each, simulated in as many processes as `Work` says."""
+    """Yield the outcome of each play, simulated in as many processes as `Work` says."""
     outcomes = _simulate_each(metric, plays)
     if any(play.scenario.law.kind not in LAWS for play in plays):
         jobs = 1
@@ -267,7 +267,7 @@ def _simulate_block(metric: str, plays: Sequence[Play]) -> list[Outcome]:
 
 
 def _simulate_each(metric: str, plays: Sequence[Play]) -> Iterator[Outcome]:
-    """Yield the outcome of each, with one run at a time in memory."""
+    """Yield the outcome of each play, with one run at a time in memory."""
     runs = simulate_many([play.scenario for play in plays if not play.is_finer], threads=1)
     for play in plays:
         run = _simulate_finer(play.scenario) if play.is_finer else next(runs)
@@ -302,7 +302,7 @@ def _find_ended(run: Run) -> tuple[str, ...]:
 
 
 def _average(outcomes: Sequence[Outcome]) -> Outcome:
-    """Return what most outcomes have: the mean of their values, and the phases that they ended."""
+    """Return the majority outcome: the mean of the values, and the phases that ended."""
     most = len(outcomes) / 2.0
     values = [found.value for found in outcomes if found.value is not None]
     ended = Counter(phase for found in outcomes for phase in found.ended)
@@ -316,7 +316,7 @@ def _average(outcomes: Sequence[Outcome]) -> Outcome:
 
 
 def list_coalitions(causes: Sequence[str]) -> list[Coalition]:
-    """Return all sets of causes, the smaller first."""
+    """Return all sets of causes, smaller sets first."""
     return [
         frozenset(inside)
         for size in range(len(causes) + 1)

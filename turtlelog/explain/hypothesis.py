@@ -1,7 +1,7 @@
-"""The recorded scenario as a hypothesis, and what the samples of any law say of its loop.
+"""The recorded scenario as a hypothesis, and what the samples of any law show of its loop.
 
-Nothing here knows a law. A re-simulation of the recorded scenario either reproduces every sample or
-stands for nothing; dead times, limits and queues come from poses, commands and the clock.
+This module is independent of the law. A re-simulation of the recorded scenario either reproduces
+every sample or is rejected; dead times, limits and queues come from poses, commands and the clock.
 """
 
 from collections.abc import Mapping, Sequence
@@ -81,12 +81,12 @@ _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is e
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedScenario:
-    """The scenario that a run holds, tested.
+    """The recorded scenario of a run, tested.
 
     Attributes:
-        scenario: Ends where the log does; None if it does not reproduce every sample.
-        run: Simulated again; None likewise.
-        resimulation: How that compares with the log; None likewise.
+        scenario: Scenario that ends with the log; None if it does not reproduce every sample.
+        run: Re-simulated run; None if the scenario was not simulated.
+        resimulation: Comparison of this run with the log; None if the scenario was not simulated.
         reach: How far it reproduces the log, or why it was not simulated, in one clause.
     """
 
@@ -97,20 +97,21 @@ class RecordedScenario:
 
 
 def require_trust(run: Run, *, trust_law: bool) -> None:
-    """Refuse the law of a run with its whole scenario that is neither built in nor trusted.
+    """Raise an error if a run with a whole scenario has a law neither built in nor trusted.
 
     Raises:
-        ScenarioError: With its name and how to trust it; where it is trusted, why it cannot run.
+        ScenarioError: If it does, with its name and how to trust it; or if a trusted law cannot
+            run.
     """
     if run.scenario_is_complete and run.parameters.get("law.kind", DEFAULT_LAW) not in LAWS:
         resolve_scenario(restore_scenario(run), trust_law=trust_law)
 
 
 def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> RecordedScenario:
-    """Simulate the scenario that a run holds, and compare it with the log sample by sample.
+    """Simulate the recorded scenario of a run, and compare it with the log sample by sample.
 
     Raises:
-        ScenarioError: If the law may not run, or cannot.
+        ScenarioError: If the law may not or cannot run.
     """
     scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
     rows = list_rows(trace)
@@ -147,12 +148,12 @@ def _describe_reach(trace: Trace, equal: int) -> str:
 
 
 def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
-    """Return what a log tells of the loop around a law whose parameters are not identified.
+    """Return what a log shows of the loop around a law whose parameters cannot be identified.
 
     Args:
         run: Run with samples.
-        reason: Why they are not, in one clause.
-        trust_law: Whether the law that it names may run.
+        reason: Why they cannot be identified, in one clause.
+        trust_law: Whether the recorded law may run.
     """
     kind = str(run.parameters.get("law.kind", ""))
     trace = mark_breaks(trace_run(run))
@@ -211,7 +212,7 @@ def _check_if_allowed(run: Run, trace: Trace, kind: str, *, trust_law: bool) -> 
 def _fit_loop(
     trace: Trace, recorded: RecordedScenario, dead_times: Sequence[DeadTime | Missing]
 ) -> Fits:
-    """Return the settings that reproduce the log, by its law where that is known, else by none."""
+    """Return the settings that reproduce the log, with its law if known, else without a law."""
     hints = replace(read_hints(trace), pauses=())
     scenario = recorded.scenario
     if scenario is not None:
@@ -233,9 +234,9 @@ def _fit_loop(
 
 
 def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
-    """Return a dead time, or none where what it leaves is no noise: it is not the same throughout.
+    """Return a dead time, or none if its residual is not noise: it is then not constant.
 
-    So it is where a law blocks now and then: commands wait for as long as it does.
+    This happens if a law blocks sometimes: commands then wait for the duration of the block.
     """
     if isinstance(found, Missing) or abs(found.whiteness - 1.0) < WHITE:
         return found
@@ -244,10 +245,10 @@ def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
 
 
 def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> int:
-    """Return how many ticks of the dead times may be a lag of the robot instead.
+    """Return the number of ticks of the dead times that may be a time constant of the robot.
 
-    The loop that shows it best decides, as commands of all loops wait alike. A recorded scenario
-    of turtlesim has no lag.
+    The loop that shows it best decides, because commands of all loops wait equally. A recorded
+    scenario of turtlesim has no time constant.
     """
     if run.scenario_is_complete:
         return 0
@@ -256,14 +257,14 @@ def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> in
 
 
 def reject_lag(fits: Fits, dead_times: Mapping[str, DeadTime | Missing]) -> Fits:
-    """Return settings that explain no motion where the robot clearly has a lag."""
+    """Return settings that explain no motion if the robot clearly has a time constant."""
     if fits.drive is None or not any(map(shows_lag, dead_times.values())):
         return fits
     return replace(fits, drive=replace(fits.drive, explains=False))
 
 
 def find_dead_times(run: Run) -> dict[str, DeadTime | Missing]:
-    """Return the dead time of each loop; by phase where the law declares no loops."""
+    """Return the dead time of each loop; of each phase if the law declares no loops."""
     loops = run.declaration.loops
     if loops:
         return {loop.name: find_dead_time(run, loop) for loop in loops}
@@ -272,7 +273,7 @@ def find_dead_times(run: Run) -> dict[str, DeadTime | Missing]:
 
 
 def _find_dead_time_of_phase(run: Run, phase: str) -> DeadTime | Missing:
-    """Return the dead time of the turn rate in a phase, or where that tells none of the speed."""
+    """Return the dead time of the turn rate in a phase, or of the speed if that is unknown."""
     name = f"{phase}-loop" if phase in RESERVED else phase
     found: list[DeadTime | Missing] = []
     for command, signal, reference in _COMMANDS:
@@ -309,7 +310,7 @@ def _describe_limits(run: Run) -> dict[str, Finding]:
 
 
 def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
-    """Return where commands are clipped, which the unclipped ones show."""
+    """Return the limit at which commands are clipped, shown by the unclipped ones."""
     largest = float(np.abs(sent).max())
     seen = f"the largest of {len(sent)} commands is {largest:.4g}"
     if wanted is None:
@@ -323,7 +324,7 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
 
 
 def describe_stop_rule(run: Run, recorded: RecordedScenario) -> Finding:
-    """Return which rule ended the run, as it is recorded and simulated again."""
+    """Return the rule that ended the run, as recorded and as simulated again."""
     if run.stop_reason == _TIME_IS_UP:
         return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason

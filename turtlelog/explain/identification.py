@@ -1,7 +1,7 @@
 """The scenario of a run as identified from its log.
 
-Sensing, disturbances, shaping, chances and rates are not looked for: in poses and commands they
-look like one another, or like settings that are. The recorded scenario tells them, where its
+Sensing, disturbances, shaping, chances and rates are not identified: in poses and commands they
+look like one another, or like identified settings. They are taken from the recorded scenario if its
 re-simulation reproduces the run.
 """
 
@@ -45,11 +45,11 @@ class Finding:
     """One identified value.
 
     Attributes:
-        value: In the unit of its key; None exactly where `certainty` is UNKNOWN.
+        value: Value in the unit of its key; None exactly if `certainty` is UNKNOWN.
         certainty: Confidence in the value.
-        evidence: One clause: by what it is known, or why it is not.
+        evidence: Evidence for the value, or why it is unknown, in one clause.
         interval: Bounds [low, high) of a bounded value.
-        candidates: All values that fit, where several do.
+        candidates: All values that fit, if there are several.
         assumed: Value that a re-simulation uses if the value is unknown and has no visible effect.
     """
 
@@ -67,27 +67,27 @@ class Finding:
 
 
 def find_exactly(value: Any, evidence: str) -> Finding:
-    """Return a value that is beyond doubt."""
+    """Return a finding that is certain."""
     return Finding(value=value, certainty=Certainty.EXACT, evidence=evidence)
 
 
 def fit_value(value: Any, evidence: str, interval: tuple[Any, Any] | None = None) -> Finding:
-    """Return a value with its interval of 95 %, or the likeliest of those tried."""
+    """Return a finding with its 95 % interval, or the likeliest of the values tried."""
     return Finding(value=value, certainty=Certainty.FITTED, evidence=evidence, interval=interval)
 
 
 def bound_value(value: Any, evidence: str, interval: tuple[float, float]) -> Finding:
-    """Return a value of an interval in which anything fits."""
+    """Return a finding that any value within an interval fits."""
     return Finding(value=value, certainty=Certainty.BOUNDED, evidence=evidence, interval=interval)
 
 
 def _take_recorded(value: Any, evidence: str) -> Finding:
-    """Return a value of the recorded scenario."""
+    """Return a finding taken from the recorded scenario."""
     return Finding(value=value, certainty=Certainty.RECORDED, evidence=evidence)
 
 
 def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Finding:
-    """Return the likeliest of several values that fit alike."""
+    """Return a finding with the likeliest of several equally good values."""
     return Finding(
         value=likeliest,
         certainty=Certainty.AMBIGUOUS,
@@ -99,7 +99,7 @@ def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Find
 def miss(
     evidence: str, assumed: Any = None, interval: tuple[float, float] | None = None
 ) -> Finding:
-    """Return why there is no value, what a re-simulation takes instead, and bounds if known."""
+    """Return a finding without a value: why, what a re-simulation assumes, and bounds if known."""
     return Finding(
         certainty=Certainty.UNKNOWN, evidence=evidence, assumed=assumed, interval=interval
     )
@@ -146,18 +146,19 @@ class Identification:
 
     Attributes:
         name: Name of the run.
-        findings: Findings by key of the scenario (`law.kp_linear`), and beside it `dead_time.` and
-            the name of each loop, or else phase [ticks], `pause.seconds` [s],
+        findings: Findings by key of the scenario (`law.kp_linear`), and additionally `dead_time.`
+            with the name of each loop or phase [ticks], `pause.seconds` [s],
             `pause.held_turn_rate_rad_s`, `pause.turned_rad`, `pause.burst` (poses answered at once
             after it), `stop_reason`, `lost_commands`.
-        resimulation: The identified scenario, simulated again and compared; None if there is none.
-        scenario: The identified scenario, or the recorded one; None if too little is known for one,
-            or where the recorded one does not reproduce the run.
+        resimulation: Comparison of the identified scenario, simulated again, with the log; None if
+            there is none.
+        scenario: The identified scenario, or the recorded one; None if too little is known, or if
+            the recorded one does not reproduce the run.
         is_recorded: Whether it is the recorded scenario, which reproduces every sample.
-        law: Kind of the law, as recorded, else that whose parameters are identified; empty if the
-            run names none, and has other loops.
+        law: Kind of the recorded law, otherwise of the law whose parameters are identified; empty
+            if the run names no law and has other loops.
         notes: Further notes, in sentences.
-        tried: Values that were tried, by key of the loop's settings; what is exact or fitted is so
+        tried: Values that were tried, by key of the loop's settings; exact or fitted values are so
             among these.
     """
 
@@ -172,11 +173,11 @@ class Identification:
 
     @property
     def tells_law(self) -> bool:
-        """Whether the law is one whose parameters its commands show."""
+        """Whether the parameters of the law can be identified from its commands."""
         return self.law == DEFAULT_LAW
 
     def build_scenario(self) -> Scenario:
-        """Return the identified scenario; what does not show has the value that was assumed.
+        """Return the identified scenario; unknown settings have their assumed values.
 
         Raises:
             ExplainError: If too little is known.
@@ -205,9 +206,9 @@ class Identification:
 
 
 def identify_plant(run: Run) -> Identification:
-    """Return what poses and commands tell where no sample says which pose a command answers.
+    """Return what poses and commands show if no sample says which pose a command answers.
 
-    That is the largest commands, and how many of them were lost.
+    This is the largest commands and the number of lost commands.
     """
     loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
     findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
@@ -233,7 +234,7 @@ def _count_lost(run: Run) -> Finding:
 
 
 def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Finding]:
-    """Return findings that say nothing of the law, but why."""
+    """Return findings that leave the law unknown, with the reason."""
     used = {key: findings[key].used if key in findings else None for key in LAW_KEYS}
     return {**findings, **{key: miss(reason, value) for key, value in used.items()}}
 
@@ -243,8 +244,8 @@ def give_up(
 ) -> Identification:
     """Return what is known of a run that cannot be simulated again, and why it cannot.
 
-    What `findings` do not hold, of the law and of the loop, is not known for the same reason.
-    `breaks` are the log's jumps and missing rows, in sentences: they may be the cause.
+    Findings of law and loop that `findings` lacks are unknown for the same reason. `breaks` are
+    sentences on the log's jumps and missing rows, which may be the cause.
     """
     keys = (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")
     unknown = {key: miss(reason) for key in keys}
@@ -277,7 +278,7 @@ _LOOKED_FOR: Final = (Certainty.EXACT, Certainty.FITTED, Certainty.BOUNDED)
 
 
 def list_unseen(run: Run) -> list[str]:
-    """Return the causes of a run's own scenario that no identification looks for."""
+    """Return the causes in a run's recorded scenario that cannot be identified."""
     keys = [key for key in run.parameters if key.startswith(_TABLES) and key not in _USUAL]
     return list(dict.fromkeys(_NAMES[key] for key in keys if key in _NAMES))
 
@@ -287,8 +288,8 @@ def take_findings(
 ) -> dict[str, Finding]:
     """Return findings with the settings of the recorded scenario, which reproduces the run.
 
-    Settings of the loop are the recorded ones; those of the law are where the samples do not tell
-    them, or tell others.
+    Settings of the loop are the recorded ones; so are those of the law if the samples do not show
+    them, or show other values.
     """
     recorded = flatten_scenario(scenario)
     kept = {
@@ -302,7 +303,7 @@ def take_findings(
 
 
 def take_seconds(scenario: Scenario) -> dict[str, Finding]:
-    """Return the settings in ticks that the recorded scenario adds seconds to, or replaces."""
+    """Return the settings in ticks that the recorded scenario extends or replaces by seconds."""
     loop = scenario.loop
     found: dict[str, Finding] = {}
     if loop.transport_delay_s:

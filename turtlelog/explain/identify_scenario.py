@@ -1,4 +1,4 @@
-"""From a log to the scenario that made it."""
+"""From a log to the scenario that produced it."""
 
 from collections import ChainMap
 from collections.abc import Mapping
@@ -78,26 +78,25 @@ _UNEXPLAINED: Final = (
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
 
-    Only the law's name and the plant are read from the run's own parameters. For another law than
-    sequential-p, or another plant than turtlesim, no parameter is claimed. Gains, limits and
-    tolerances come from the commands; the queues and the pause from the dead times and the time
-    stamps, and from simulating every setting that agrees with them: those that reproduce all
-    samples are what fits. If none does, the plant is driven with the log's commands, and what fits
-    within the noise is marked as such. A run without samples gives almost no findings, and the
-    findings say why. If a run is too long to be simulated again, its beginning is used; no scenario
-    reproduces it.
+    From the run's parameters only the law's name and the plant are read. No parameter is identified
+    for a law other than sequential-p or a plant other than turtlesim. Gains, limits and tolerances
+    come from the commands; queues and pause from the dead times and time stamps, and from
+    simulating every setting that agrees with them and keeping those that reproduce all samples. If
+    none does, the plant is driven with the log's commands, and settings that fit within the noise
+    are marked as such. A run without samples gives almost no findings, and the findings say why. If
+    a run is too long to simulate again, only its beginning is used, and no scenario reproduces it.
 
-    If the run holds its whole scenario, that one is a hypothesis, and its re-simulation the test:
-    for another law it is accepted if it reproduces every sample, of sequential-p if what was
-    identified does not, or if it holds effects that no identification looks for.
+    A recorded scenario is a hypothesis that its re-simulation tests: for another law it is accepted
+    if it reproduces every sample; for sequential-p, if the identified scenario does not reproduce
+    it, or if it contains effects that cannot be identified.
 
     Args:
-        run: Any.
-        trust_law: Run the law that the recording names, where it is not built in: its code. Without
-            it the scenario of such a run is not tested.
+        run: Any run.
+        trust_law: Whether to run the code of a recorded law that is not built in. Otherwise the
+            scenario of such a run is not tested.
 
     Raises:
-        ScenarioError: If a law that is trusted cannot be loaded, or a parameter is wrong.
+        ScenarioError: If a trusted law cannot be loaded, or a parameter is wrong.
     """
     if not len(run.samples):
         return identify_plant(run)
@@ -116,7 +115,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
 
 
 def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identification:
-    """Return what the first minutes of a long run tell, and nothing of its end."""
+    """Return what the first minutes of a long run show, and nothing of its end."""
     end_ns = int(run.poses.time_ns[0]) + round(_BEGINNING_S * 1e9)
     found = identify_run(slice_run(run, end_ns=end_ns), trust_law=trust_law)
     reason = (
@@ -135,11 +134,10 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
 
 
 def _identify_recorded(run: Run) -> Identification | None:
-    """Return what is known of a run whose scenario holds what no identification looks for.
+    """Return what is known of a run whose scenario contains effects that cannot be identified.
 
-    An effect may show nothing in this run, or what another setting shows: where the recorded
-    scenario reproduces every sample, its settings stand. None if it does not, or holds no such
-    thing.
+    An effect may be invisible in this run, or look like another setting: if the recorded scenario
+    reproduces every sample, its settings are used. None if it does not, or contains no such effect.
     """
     unseen = list_unseen(run)
     if not (unseen and run.scenario_is_complete):
@@ -171,7 +169,7 @@ def _identify_recorded(run: Run) -> Identification | None:
 
 
 def _prefer_recorded(run: Run, found: Identification) -> Identification:
-    """Return the recorded scenario where it reproduces the run, and the identified does not."""
+    """Return the recorded scenario if it reproduces the run and the identified one does not."""
     again = found.resimulation
     if not run.scenario_is_complete or (again is not None and again.is_exact):
         return found
@@ -253,7 +251,7 @@ def _identify_samples(run: Run) -> Identification:
 def _describe_dead_times_again(
     dead_times: Mapping[str, DeadTime | Missing], fits: Fits, lag_slack: int
 ) -> dict[str, Finding]:
-    """Return the dead times that the settings found have, where noise hides the log's own."""
+    """Return the dead times of the found settings if noise hides those of the log."""
     found: dict[str, Finding] = {}
     if len(fits.scenarios) > _MOST_ALIKE:
         return found
@@ -278,7 +276,7 @@ def _describe_dead_times_again(
 def _withhold_law(
     findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
 ) -> dict[str, Finding]:
-    """Claim nothing of a loop whose every command is clipped, and which nothing reproduces."""
+    """Remove the findings of a loop whose commands are all clipped and that nothing reproduces."""
     keys = {
         "law.kp_angular": turning,
         "limits.turn_rate_rad_s": turning,
@@ -295,7 +293,7 @@ def _withhold_law(
 
 
 def _find_other_law(run: Run) -> str | None:
-    """Return why the law is not sequential-p with constant gains, by its name or by its loops."""
+    """Return why the law is not sequential-p with constant gains, by its name or its loops."""
     kind = run.parameters.get("law.kind", DEFAULT_LAW)
     told = f"parameters are identified from commands only for {DEFAULT_LAW}"
     if kind != DEFAULT_LAW:
@@ -311,7 +309,7 @@ def _find_other_law(run: Run) -> str | None:
 
 
 def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
-    """Return the scenario; where the log was cut, and no search has found its end, cut there."""
+    """Return the scenario, ended with the log if that was cut and no search found its end."""
     if fits.is_exact or fits.is_close or ending.reason.value not in {None, "cut"}:
         return fits.scenario
     return cut_where_logged(fits.scenario, trace)
@@ -320,7 +318,7 @@ def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
 def _contradict_law(
     trace: Trace, turning: CommandFit | None, driving: CommandFit | None
 ) -> str | None:
-    """Return why the commands are not those of the sequential law."""
+    """Return why the commands do not come from the sequential law."""
     for name, fit in (("rotating", turning), ("translating", driving)):
         if fit is not None and fit.obstacle:
             return f"{name}: {fit.obstacle}"
@@ -331,7 +329,7 @@ def _contradict_law(
 
 
 def _find_obstacle(trace: Trace) -> str | None:
-    """Return why this is no whole run of the sequential law, or cannot be simulated."""
+    """Return why this is not a whole run of the sequential law, or cannot be simulated."""
     if trace.rotating + trace.translating < len(trace) or not trace.rotating:
         listed = ", ".join(_list_phases(trace))
         return f"its phases are not one rotation and one translation: {listed}"
@@ -353,7 +351,7 @@ def _find_obstacle(trace: Trace) -> str | None:
 
 
 def _list_phases(trace: Trace) -> list[str]:
-    """Return the phases in the order in which they come, up to `_MOST_PHASES`."""
+    """Return the phases in order, up to `_MOST_PHASES`."""
     phases = trace.run.samples.phase
     names = trace.run.phase_names
     begins = np.flatnonzero(np.diff(phases, prepend=-1) != 0)
@@ -383,7 +381,7 @@ def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -
 
 
 def _describe_reach(trace: Trace, fits: Fits) -> str:
-    """Return how far the re-simulation goes along with the log, and where it departs."""
+    """Return how far the re-simulation agrees with the log, and where it departs."""
     rows = int(np.searchsorted(trace.number, fits.reproduced))
     if rows >= len(trace):
         return f"the re-simulation reproduces all {len(trace)} samples and goes on"

@@ -1,4 +1,4 @@
-"""What the commands of sequential-p say of it: gains, limits, tolerances, projection, wrapping."""
+"""Parameters of sequential-p from its commands: gains, limits, tolerances, projection, wrapping."""
 
 import math
 from functools import partial
@@ -50,7 +50,7 @@ def describe_phase(kind: str, phase: str) -> str:
 
 
 def describe_loop_name(kind: str, loop: str) -> str:
-    """Return what a loop of a law does, or whose it is: `rotating`, `of align`."""
+    """Return what a loop of a law does, or its name: `rotating`, `of align`."""
     adverb = _ADVERBS.get(loop) if kind == DEFAULT_LAW else None
     return adverb or f"of {loop}"
 
@@ -116,7 +116,7 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
 
 
 def _project(errors: Values, headings: Values) -> Reproduce:
-    """Return the law's own arithmetic, in its order; numpy's cosine differs in the last bit."""
+    """Return the projection in the law's order of operations; numpy's cosine differs by a bit."""
     cosine = np.array([math.cos(heading) for heading in headings.tolist()])
     sine = np.array([math.sin(heading) for heading in headings.tolist()])
     x, y = errors.T.copy()
@@ -172,7 +172,7 @@ holds always, and no interval of 95 %."""
 
 
 def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
-    """Bound it between the error that ended the rotation and the least that still turned."""
+    """Bound the tolerance: the error that ended the rotation, the least that still turned."""
     moving = slice(1, trace.rotating - trace.ended_rotation)
     ended = float(abs(error[trace.rotating - 1])) if trace.ended_rotation else 0.0
     if fit is not None and fit.gain is not None and not fit.is_certain:
@@ -191,7 +191,7 @@ def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None)
 
 
 def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
-    """Bound it between the error that ended the run and the least that still drove."""
+    """Bound the tolerance: the error that ended the run, the least that still drove."""
     larger = np.abs(errors).max(axis=1)
     is_within = command[-1] == 0.0
     if fit.gain is not None and not fit.is_certain:
@@ -208,7 +208,7 @@ def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -
 def _bound_by_noise(
     low: float, high: float, noise: float, unit: str, *, high_noise: float | None = None
 ) -> Finding:
-    """Return bounds from noisy errors, moved outwards by what noise may have done."""
+    """Return bounds from noisy errors, widened by the noise."""
     low = max(low - _SURE * noise, 0.0)
     high += _SURE * (noise if high_noise is None else high_noise)
     return miss(f"{_NOISY}: {_name_bounds(low, high, unit)}", _choose(low, high), (low, high))
@@ -223,7 +223,7 @@ def _bound_between(low: float, high: float, evidence: str, unit: str) -> Finding
 
 
 def _choose(low: float, high: float) -> float:
-    """Return the usual tolerance where it fits, else the roundest."""
+    """Return the default tolerance if it fits, otherwise the roundest number."""
     if low <= DEFAULT_TOLERANCE < high:
         return DEFAULT_TOLERANCE
     return find_round_number(low, min(high, 10.0 * low) if low > 0.0 else high)
@@ -245,7 +245,7 @@ _LEADING: Final = "1528346790"
 
 
 def find_round_number(low: float, high: float) -> float:
-    """Return the roundest number in [low, high), 0 < high: fewest digits, then the usual ones."""
+    """Return the roundest number in [low, high), 0 < high: fewest digits, then common digits."""
     if low <= 0.0:
         return _find_power_below(high)
     for digits in range(1, _DIGITS + 1):

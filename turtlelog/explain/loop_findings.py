@@ -1,4 +1,4 @@
-"""The settings that a search found, as findings."""
+"""Settings found by a search, as findings."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -39,14 +39,14 @@ _PERIOD: Final = "the usual distance of the poses answered"
 
 
 def describe_loop(trace: Trace, fits: Fits, lag_slack: int = 0) -> dict[str, Finding]:
-    """Return what lies between controller and plant, and the lost commands.
+    """Return findings on what is between controller and plant, and on the lost commands.
 
-    Where nothing is exact and no noise explains it, what fits best is no finding.
+    If no setting is exact and the residual is not noise, the best fit is not a finding.
 
     Args:
-        trace: The samples.
-        fits: The settings that fit.
-        lag_slack: How many ticks of the dead times may be a lag of the robot instead.
+        trace: Samples of the run.
+        fits: Settings that fit.
+        lag_slack: Number of ticks of the dead times that may be a time constant of the robot.
     """
     keys = [key for key in LOOP_KEYS if key in fits.guesses[0]]
     poses = np.column_stack([trace.xy_m, trace.heading_rad])
@@ -69,14 +69,14 @@ def describe_loop(trace: Trace, fits: Fits, lag_slack: int = 0) -> dict[str, Fin
 
 
 def describe_pause(trace: Trace, fits: Fits) -> dict[str, Finding]:
-    """Return what the plant did from the pause on, and how many poses were answered after it."""
+    """Return the plant's motion from the pause on, and the number of poses answered after it."""
     if not trace.shows_pause:
         return {}
     return {"pause.turned_rad": _describe_turn(trace, fits), **_describe_queues(fits)}
 
 
 def _describe_turn(trace: Trace, fits: Fits) -> Finding:
-    """Return how far the robot turned from the rotation's last sample to the log's."""
+    """Return the robot's turn from the rotation's last sample to the last of the log."""
     ended = trace.rotating - 1
     jumped = [row for row in trace.jumps if row > ended]
     if jumped:
@@ -139,7 +139,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
 
 
 def _find_obstacle(fits: Fits, key: str, chosen: Any) -> str:
-    """Return why a setting has no value; empty where it has one."""
+    """Return why a setting has no value; empty if it has one."""
     is_reproduced = fits.is_exact or fits.is_close
     if not (is_reproduced or fits.is_fitted):
         return _write_none(fits, chosen)
@@ -149,9 +149,9 @@ def _find_obstacle(fits: Fits, key: str, chosen: Any) -> str:
 
 
 def _allow_lag(findings: Mapping[str, Finding], ticks: int) -> dict[str, Finding]:
-    """Widen the intervals of what a lag of the robot would be taken for.
+    """Widen the intervals of settings that a time constant of the robot could imitate.
 
-    No lag is longer than the dead time that it would stand for.
+    A time constant is never longer than the dead time that it imitates.
     """
     waits = [findings[key].used for key in _LIKE_A_LAG if key in findings and key != PAUSE_KEY]
     ticks = min(ticks, sum(waits))
@@ -167,7 +167,7 @@ def _allow_lag(findings: Mapping[str, Finding], ticks: int) -> dict[str, Finding
 
 
 def _name_alike(key: str, chosen: Any) -> str:
-    """Return what else makes the same run as a setting; empty where nothing does."""
+    """Return which other settings make the same run; empty if there are none."""
     if key == "loop.transport_delay_ticks" and chosen:
         low_s, high_s = chosen * TICK_S, (chosen + 1) * TICK_S
         return f"; so does any delay from {low_s:.3g} s to below {high_s:.3g} s"
@@ -198,14 +198,14 @@ _GOAL_KEYS: Final = ("goal.x_m", "goal.y_m")
 
 
 def read_start(trace: Trace) -> dict[str, Any]:
-    """Return what to simulate with at first, by key of the scenario: the first pose read."""
+    """Return the initial settings to simulate with, by key of the scenario: the first pose read."""
     precision = "float32" if _is_single(trace) else "float64"
     first = (*trace.xy_m[0].tolist(), float(trace.heading_rad[0]))
     return {**dict(zip(START_KEYS, first, strict=True)), "loop.pose_precision": precision}
 
 
 def describe_goal(trace: Trace) -> dict[str, Finding]:
-    """Return the goal, as the log holds it."""
+    """Return the goal in the log."""
     if trace.goal_xy_m is None:
         return dict.fromkeys(_GOAL_KEYS, miss("the log does not hold the goal"))
     evidence = "as logged" if trace.run.goal_xy_m else "position plus error, as logged"
@@ -216,7 +216,7 @@ def describe_goal(trace: Trace) -> dict[str, Finding]:
 
 
 def describe_start(trace: Trace, fits: Fits) -> dict[str, Finding]:
-    """Return start and precision of the poses, by key of the scenario."""
+    """Return the start and the precision of the poses, by key of the scenario."""
     read = read_start(trace)
     precision = read.pop("loop.pose_precision")
     return {

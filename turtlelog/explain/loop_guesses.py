@@ -1,4 +1,4 @@
-"""What lies between controller and plant: the settings that could have made a log."""
+"""Between controller and plant: the settings that could have produced a log."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,14 +39,14 @@ _DEFAULTS: Final = LoopSettings()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hints:
-    """What time stamps and pose numbers say of the loop.
+    """Constraints on the loop from time stamps and pose numbers.
 
     Attributes:
-        backlogs: Start backlogs that agree with them.
-        pauses: Pauses that agree with them [ticks]; none where the law's own is not known.
-        pause_s: Silence after the rotation, by the clock [s]; None without an end of rotation.
-        burst: Poses answered at once after the pause.
-        pose_queue: Depth of the pose queue where poses were lost, else None.
+        backlogs: Initial queues that agree with them.
+        pauses: Pauses that agree with them [ticks]; empty if the law's own is unknown.
+        pause_s: Silence after the rotation, by the clock [s]; None if the rotation does not end.
+        burst: Number of poses answered at once after the pause.
+        pose_queue: Depth of the pose queue if poses were lost, otherwise None.
     """
 
     backlogs: tuple[int, ...]
@@ -57,7 +57,7 @@ class Hints:
 
 
 def read_hints(trace: Trace) -> Hints:
-    """Return what time stamps and pose numbers say of the loop."""
+    """Return the constraints on the loop from time stamps and pose numbers."""
     step_ns = np.diff(trace.time_ns)
     quick = step_ns < _QUICK * trace.period_ticks * TICK_NS
     ended = trace.rotating - 1
@@ -103,7 +103,7 @@ def _list_pauses(trace: Trace, pause_s: float | None) -> tuple[int, ...]:
 
 
 def agrees_with_clock(pause_ticks: int, hints: Hints, trace: Trace) -> bool:
-    """Return whether a pause is as long as the clock says, give or take its jitter."""
+    """Return whether a pause agrees with the clock, within its jitter."""
     if hints.pause_s is None:
         return True
     silence = hints.pause_s * 1e9 / TICK_NS
@@ -130,11 +130,11 @@ def _find_pose_queue(trace: Trace, burst: int) -> int | None:
 def list_queues(
     trace: Trace, hints: Hints, rotate: DeadTime | Missing, translate: DeadTime | Missing
 ) -> list[list[Guess]]:
-    """Return the settings of backlog and queues that agree with the dead times, in tiers.
+    """Return the settings of initial queue and queues that agree with the dead times, in tiers.
 
-    The first tier has the usual depths of the queues, the second those that a dead time or a burst
-    may come from, the third any other of the command queue; in each, those without a transport
-    delay come first.
+    The first tier has the usual queue depths, the second those that a dead time or a burst may come
+    from, the third all other depths of the command queue. In each tier, settings without a
+    transport delay come first.
     """
     before = rotate.ticks if isinstance(rotate, DeadTime) else None
     after = translate.ticks if isinstance(translate, DeadTime) else None
@@ -197,7 +197,7 @@ def _list_unique(*values: int | None) -> list[int]:
 
 
 def list_neighbours(guess: Guess) -> list[Guess]:
-    """Return the settings that differ from one in a single value, by one step."""
+    """Return the settings that differ in one value by one step."""
     counts = {"loop.start_backlog": 1, **dict.fromkeys(DEPTHS, 1), "loop.transport_delay_ticks": 0}
     near = [
         {**guess, key: guess[key] + step}
@@ -210,10 +210,10 @@ def list_neighbours(guess: Guess) -> list[Guess]:
 
 
 def set_pause(guess: Guess, ticks: int | None) -> Guess:
-    """Return a guess with this pause; None: of a law without a known one, as it is."""
+    """Return a guess with this pause; unchanged if None (a law without a known pause)."""
     return guess if ticks is None else {**guess, PAUSE_KEY: ticks}
 
 
 def drop_pause(guess: Guess) -> Guess:
-    """Return a guess that leaves the pause open."""
+    """Return a guess without a pause setting."""
     return {key: value for key, value in guess.items() if key != PAUSE_KEY}

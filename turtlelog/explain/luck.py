@@ -1,8 +1,8 @@
-"""What luck does to a value: with and without each effect, from every start, or with every seed.
+"""Effect of chance on a value: with and without each effect, from every start, or with every seed.
 
-A controller that samples meets its tolerance at some point of one sample's turn, and at which one
-is chance. The starts are those that `starts` spreads for the range of an attribution, four times
-as close. Of a run with random effects the seeds are varied instead: those of its contributions.
+A controller that samples meets its tolerance at a random point within the turn of one sample. The
+starts are those of `starts` for the range of an attribution, four times as dense. For a run with
+random effects, the seeds of its contributions are varied instead.
 """
 
 import math
@@ -43,9 +43,9 @@ class LuckCurve:
     """A value from each start, or with each seed, without some causes.
 
     Attributes:
-        without: The causes that are taken out; empty with all effects.
+        without: Causes that are removed; empty with all effects.
         values: Values of the metric, in its unit, shape (n,); NaN if it has none.
-        reasons: Why it has none, n of them; empty if it has.
+        reasons: Why there is no value, shape (n,); empty if there is one.
         ends_xy_m: The last pose in the world frame [m], shape (n, 2); NaN if the law failed.
     """
 
@@ -57,24 +57,24 @@ class LuckCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Luck:
-    """Values that a metric of a run would have had with other starts or seeds.
+    """Values that a metric of a run would have with other starts or seeds.
 
     Attributes:
-        metric: Its id.
-        unit: Its unit.
+        metric: Id of the metric.
+        unit: Unit of the metric.
         varied: Varied quantity: start headings, or the seed of a run with random effects.
         starts_rad: Angle between each start and the recorded one [rad], shape (n,); empty for
             seeds.
-        seeds: The seeds; of starts empty.
-        causes: Those that take part, in the order of the attribution.
-        curves: Curves with all effects; without each cause alone that changes anything; and last,
-            where these are several, without all of them.
-        recorded: The value of the run itself; None if it has none.
-        recorded_end_xy_m: Its last pose in the world frame [m].
-        goal_xy_m: Its goal [m]; None without one.
-        dependence: `wide` where the value depends on single samples, or on the seed: where it
-            ranges far and what the effects add does, as in `StartRange`, or where some starts have
-            no value; `follows` where it ranges far and what they add does not; else `steady`.
+        seeds: Varied seeds; empty for starts.
+        causes: Causes that take part, in the order of the attribution.
+        curves: Curves with all effects; without each single cause that changes the value; and last,
+            if there are several causes, without all of them.
+        recorded: Value of the run; None if it has none.
+        recorded_end_xy_m: Position of its last pose in the world frame [m].
+        goal_xy_m: Position of its goal [m]; None without a goal.
+        dependence: `wide` if the value depends on single samples or on the seed: if both its range
+            and that of the effects' total are large, as in `StartRange`, or if some starts have no
+            value. `follows` if only the range of the value is large. Otherwise `steady`.
     """
 
     metric: str
@@ -91,7 +91,7 @@ class Luck:
 
     @property
     def acting(self) -> tuple[str, ...]:
-        """The causes that change anything; the last curve is without them."""
+        """Causes that change the value; the last curve is without them."""
         return self.curves[-1].without
 
     def __repr__(self) -> str:
@@ -107,20 +107,21 @@ def measure_luck(
     trust_law: bool = False,
     work: Work | None = None,
 ) -> Luck:
-    """Measure what a value of a run would have been from other starts, or with other seeds.
+    """Measure the values that a run would have from other starts, or with other seeds.
 
     Args:
         run: Run whose value is explained.
-        metric: Its id; None for that which `choose_metric` finds.
-        identified: Result of `identify_run`, if it is known already.
-        found: Result of `attribute_run` for this metric, if it is known already.
-        trust_law: Run the law that the recording names, where it is not built in: its code.
+        metric: Id of the metric; None: the choice of `choose_metric`.
+        identified: Result of `identify_run`, if already known.
+        found: Result of `attribute_run` for this metric, if already known.
+        trust_law: Whether to run the code of a recorded law that is not built in.
         work: Settings of the simulation: processes and progress.
 
     Raises:
-        ExplainError: If no scenario reproduces the run, where its re-simulation is not what the log
-            has, where no start differs as the robot does not turn, or if none has a value.
-        ScenarioError: If the recorded law is neither built in nor trusted, or not there.
+        ExplainError: If no scenario reproduces the run, if the re-simulation disagrees with the
+            log, if the starts do not differ because the robot does not turn, or if no start has a
+            value.
+        ScenarioError: If the recorded law is neither built in nor trusted, or does not exist.
     """
     work = work or Work()
     if found is None:
@@ -174,7 +175,7 @@ class _Table:
     work: Work
 
     def simulate(self, cases: Sequence[tuple[str, ...]]) -> list[LuckCurve]:
-        """Return a curve for each set of causes that is taken out."""
+        """Return a curve for each set of removed causes."""
         plays = [self._list_plays(case) for case in cases]
         every = [play for row in plays for play in row]
         outcomes: list[Outcome] = []
@@ -211,7 +212,7 @@ def _build_curve(case: tuple[str, ...], outcomes: Sequence[Outcome]) -> LuckCurv
 
 
 def _list_curves(table: _Table, found: Attribution) -> list[LuckCurve]:
-    """Return the curves of those causes that change the value of the run, or from some start."""
+    """Return the curves of the causes that change the value of the run or of some start."""
     whole, *alone = table.simulate([(), *((name,) for name in found.causes)])
     deciding = _list_deciding(found)
     kept = [one for one in alone if one.without[0] in deciding or _differ(one, whole)]
@@ -248,25 +249,25 @@ def simulate_what_ifs(
     *,
     report: Callable[[int, int], None] | None = None,
 ) -> Mapping[str, Run]:
-    """Simulate the run without each cause that acts, and without all of them.
+    """Simulate the run without each acting cause, and without all of them.
 
-    Those are the ones that change the value, or decide whether there is one; where there is none
-    with and without any, every one that takes part. None if re-simulation and log disagree: they
-    would say nothing of the log.
+    Acting causes change the value, or decide whether there is one. If there is no value with or
+    without any of them, every cause that takes part is used. None if re-simulation and log
+    disagree, because the runs would not represent the log.
 
     Args:
         identified: Scenario that reproduces the run.
-        found: Causes among which its value was divided.
-        report: Called with the simulations that are done, and how many there are.
+        found: Attribution of its value, with the causes.
+        report: Function called with the numbers of simulations done and in total.
 
     Returns:
-        Runs by what they lack, as `name_without` writes it: one cause each, in the order of the
-        attribution; where there are several, the last is the run without all.
+        Runs by removed causes, as `name_without` writes them: one cause each, in the order of the
+        attribution; if there are several, the last is the run without all.
 
     Raises:
         ExplainError: If no scenario reproduces the run.
-        ScenarioError: If its law cannot be loaded, or may not run.
-        SimulationError: If the law fails without one of them.
+        ScenarioError: If the law cannot be loaded or may not run.
+        SimulationError: If the law fails without a cause.
     """
     if found.withheld and not found.without_value:
         return {}
@@ -293,7 +294,7 @@ def _list_deciding(found: Attribution) -> tuple[str, ...]:
 
 
 def name_without(causes: tuple[str, ...]) -> str:
-    """Return what a what-if lacks in words: `queue`, `queue and pause`, `all 5 effects`."""
+    """Return the removed causes in words: `queue`, `queue and pause`, `all 5 effects`."""
     if len(causes) > _MOST_NAMED:
         return f"all {len(causes)} effects"
     return join_words(causes)

@@ -1,4 +1,4 @@
-"""What poses and commands tell of a recording without a controller's samples."""
+"""What poses and commands show of a recording without a controller's samples."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -19,14 +19,14 @@ _SPREAD: Final = (5.0, 95.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Periods:
-    """Times from one row of a table to the next.
+    """Times between successive rows of a table.
 
     Attributes:
         usual_ns: The median [ns].
-        low_ns: Nine of ten lie between this [ns],
-        high_ns: and this [ns].
+        low_ns: Lower end of the central 90 % [ns].
+        high_ns: Upper end of the central 90 % [ns].
         longest_ns: The longest [ns].
-        longest_at_ns: Begin of the longest period [ns].
+        longest_at_ns: Start of the longest period [ns].
     """
 
     usual_ns: float
@@ -42,7 +42,7 @@ class Largest:
 
     Attributes:
         signal: `speed`, `lateral_speed` or `turn_rate`.
-        unit: Unit of it.
+        unit: Unit of the signal.
         value: Signed value of the command.
         time_ns: Time of its first publication [ns].
     """
@@ -60,7 +60,7 @@ class Delays:
     Attributes:
         counts: Number of commands by ticks of dead time: 0 is the first pose after the command.
         low_ns: The shortest time from a command to the pose that shows it [ns].
-        median_ns: The usual one [ns].
+        median_ns: The median [ns].
         high_ns: The longest [ns].
     """
 
@@ -81,10 +81,11 @@ class MotionFacts:
         commands: Times from one command to the next; None for fewer than two.
         largest: Commands of the largest magnitude on each axis that is used.
         outliers: Measured rates that their neighbours contradict.
-        jumps: Steps that a robot cannot have driven; of turtlesim the replay has them.
-        gaps: Segments without poses; likewise.
-        replay: The commands through turtlesim's plant; None of another robot.
-        refused: Why turtlesim's plant could not be replayed; empty if it was, or is another.
+        jumps: Steps that a robot cannot have driven; for turtlesim they are in the replay.
+        gaps: Segments without poses; for turtlesim they are in the replay.
+        replay: Result of replaying the commands in turtlesim's plant; None for another robot.
+        refused: Why the replay in turtlesim's plant failed; empty if it worked, or for another
+            robot.
         delays: Delays of turtlesim; None if no pose shows a command.
     """
 

@@ -1,4 +1,4 @@
-"""A scenario simulated again, sample by sample against a log, and where they first differ."""
+"""A scenario simulated again and compared with a log, and where they first differ."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -47,10 +47,10 @@ class Resimulation:
     """Comparison of the re-simulated scenario with the log.
 
     Attributes:
-        samples: Samples compared, by their order in each phase.
-        max_abs_error: Largest difference of the poses that they read.
+        samples: Number of compared samples, by their order in each phase.
+        max_abs_error: Largest difference of the poses read [m or rad].
         max_command_error: Largest difference of the published commands [m/s or rad/s].
-        is_exact: Whether there are as many samples in each phase, all without a difference.
+        is_exact: Whether each phase has the same number of samples, and none differs.
     """
 
     samples: int
@@ -61,20 +61,21 @@ class Resimulation:
 
 @dataclass(frozen=True, slots=True)
 class Depths:
-    """How many commands and poses queues hold, or must hold for a run to be as it is."""
+    """Depths of the queues for commands and poses, or the depths that a run needs."""
 
     commands: int
     poses: int
 
     def hold(self, needed: "Depths") -> bool:
-        """Return whether queues of these depths push nothing out."""
+        """Return whether queues of these depths lose nothing."""
         return self.commands >= needed.commands and self.poses >= needed.poses
 
 
 class QueueGauge:
-    """How deep the queues of a loop must be to push nothing out: deeper ones make the same run.
+    """Queue depths needed to lose nothing; deeper queues make the same run.
 
-    Follows from when poses are answered and commands published; a constant delay changes nothing.
+    They follow from the times when poses are answered and commands published; a constant delay
+    changes nothing.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -86,13 +87,13 @@ class QueueGauge:
         self._poses = self._commands = 1
 
     def receive(self, tick: int) -> None:
-        """Queue the pose of a tick, where one is read."""
+        """Queue the pose of a tick, if it is read."""
         if tick % self._period_ticks == 0:
             self._waiting += 1
             self._poses = max(self._poses, self._waiting)
 
     def answer(self, tick: Tick) -> None:
-        """Take the poses that a tick answers, and queue its commands; the plant takes one."""
+        """Remove the poses that a tick answers, and queue its commands; the plant takes one."""
         self._waiting -= len(tick.computed)
         if not self._takes_newest:
             self._queued = max(self._queued - 1, 0) + len(tick.published)
@@ -100,7 +101,7 @@ class QueueGauge:
 
     @property
     def needed(self) -> Depths:
-        """The least depths so far; beyond all where poses or commands travel for a time."""
+        """The smallest depths so far; infinite if poses or commands travel for a time."""
         return Depths(self._commands, self._poses) if self._is_known else _BEYOND_ALL
 
 
@@ -113,7 +114,7 @@ def read_depths(scenario: Scenario) -> Depths:
 
 
 def list_rows(trace: Trace) -> list[Row | None]:
-    """Return what a re-simulation must reproduce of each sample; None if one is lost."""
+    """Return the values of each sample that a re-simulation must reproduce; None if one is lost."""
     samples = trace.run.samples
     columns = [
         trace.xy_m[:, 0],
@@ -135,7 +136,7 @@ def list_rows(trace: Trace) -> list[Row | None]:
 
 
 def number_poses(trace: Trace) -> NDArray[np.int64]:
-    """Return the number of the pose that each sample read; poses may be lost as well."""
+    """Return the number of the pose that each sample read; poses may also be lost."""
     poses, read = trace.run.poses, trace.run.samples.pose_sequence
     return (
         (poses.time_ns[read] - poses.time_ns[0]) // trace.tick_ns if trace.has_exact_clock else read
@@ -145,11 +146,11 @@ def number_poses(trace: Trace) -> NDArray[np.int64]:
 def count_equal(
     scenario: Scenario, rows: list[Row | None], *, to_rounding: bool = False
 ) -> tuple[int, Depths]:
-    """Return how many samples from the first on a simulation reproduces bit for bit.
+    """Return how many samples, from the first, a simulation reproduces bit for bit.
 
-    One more than there are, where all are reproduced and the simulation goes on. `to_rounding`
-    allows poses 1e-6 and commands 1e-9, as between platforms. With it come the least depths of the
-    queues with which this is so.
+    One more than all if all are reproduced and the simulation goes on. `to_rounding` allows
+    differences of 1e-6 for poses and 1e-9 for commands, as between platforms. The second value is
+    the smallest queue depths with the same result.
     """
     width = len(rows[-1] or ())
     equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)
@@ -188,7 +189,7 @@ def _describe(sample: SampleRow, phases: tuple[str, ...]) -> Row:
 
 
 def compare_samples(trace: Trace, again: Run) -> Resimulation:
-    """Return how a simulated run compares with the log."""
+    """Return a comparison of a simulated run with the log."""
     pairs = [*_pair_phases(trace, again)]
     left = np.concatenate([rows for rows, _ in pairs])
     right = np.concatenate([rows for _, rows in pairs])
@@ -222,7 +223,7 @@ def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
 
 
 def find_end_s(trace: Trace, scenario: Scenario, samples: int) -> float:
-    """Return the time of a simulation at which the log ends, whose samples it reproduces [s]."""
+    """Return the time in a simulation at which the log ends, if it reproduces all samples [s]."""
     run, tick_s = trace.run, trace.tick_ns / 1e9
     if trace.has_exact_clock and trace.has_ticks:
         return max(float(run.end_ns - run.poses.time_ns[0]) / 1e9, tick_s)
@@ -235,7 +236,7 @@ def find_end_s(trace: Trace, scenario: Scenario, samples: int) -> float:
 
 
 def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
-    """Return the scenario, cut at the tick in which the log ends."""
+    """Return the scenario, ended at the tick in which the log ends."""
     run, loop = trace.run, scenario.loop
     first_ns = run.poses.time_ns[0] if trace.has_ticks else trace.time_ns[0]
     waited = 0 if trace.has_ticks else (loop.start_backlog - 1) * loop.period_ticks
@@ -245,10 +246,10 @@ def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
 
 
 def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
-    """Return how many commands each scenario publishes that the plant never takes.
+    """Return, for each scenario, the number of published commands that the plant never takes.
 
-    Those that are still on their way when the run ends are not counted. Of scenarios that differ by
-    queues that are deep enough, one is simulated.
+    Commands on their way at the end of the run are not counted. Scenarios that differ only in
+    queues of sufficient depth are simulated once.
     """
     known: list[tuple[Scenario, Depths, int]] = []
     counts = []
@@ -281,10 +282,10 @@ def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
-    """Return the turn rate that the plant held when the law's pause ended, and the burst then.
+    """Return the turn rate that the plant held at the end of the law's pause, and the burst then.
 
-    The rate is None if commands were still queued. The burst counts poses answered at once; 0 where
-    there is no pause.
+    The rate is None if commands were still queued. The burst is the number of poses answered at
+    once; 0 if there is no pause.
     """
     is_blocked, sent = False, 0.0
     for tick in iterate_ticks(scenario):
@@ -313,15 +314,15 @@ class Departure:
     """The earliest difference of two runs.
 
     Attributes:
-        part: Part that differs first. `start`: the first pose. `robot`: it moves otherwise after
-            equal commands. `sensor`: the pose as sensed. `controller`: it answers an equal pose
-            otherwise. `timing`: the time of a sample or command. `end`: one run is longer.
+        part: Part that differs first. `start`: the first pose. `robot`: it moves differently after
+            equal commands. `sensor`: the sensed pose. `controller`: it answers an equal pose
+            differently. `timing`: the time of a sample or command. `end`: one run is longer.
         signal: Name of the signal that differs.
         unit: Unit of the values; empty for a name or a count.
-        time_s: Time of the difference from the first sample, or else pose [s].
+        time_s: Time of the difference from the first sample, otherwise from the first pose [s].
         first: The value of the first run; None if it has none there.
         second: The value of the second run.
-        samples: Samples before it, which are equal in both runs.
+        samples: Number of samples before it, which are equal in both runs.
     """
 
     part: Part
@@ -334,10 +335,10 @@ class Departure:
 
 
 def find_departure(first: Run, second: Run) -> Departure | None:
-    """Return where two runs depart; None if all that both contain is equal.
+    """Return where two runs depart; None if all their common data are equal.
 
-    Poses are compared tick by tick if both runs contain all ticks, otherwise those that samples
-    read are.
+    Poses are compared tick by tick if both runs contain all ticks, otherwise only the poses that
+    samples read.
     """
     signals = [compare_pairing(one, tolerance=0.0) for one in _pair(first, second)]
     others = [*_compare_counts(first, second), compare_ends(first, second.stop_reason)]
@@ -357,7 +358,7 @@ def find_departure(first: Run, second: Run) -> Departure | None:
 
 
 def _pair(first: Run, second: Run) -> Iterator[Pairing]:
-    """Yield the signals row by row: causes before what follows from them at one time."""
+    """Yield the signals row by row; at equal times, causes before their consequences."""
     if count_missing_samples(second.samples):  # rows are matched by the number of their sample
         return
     by_tick = has_ticks(first) and has_ticks(second)

@@ -1,4 +1,4 @@
-"""Why two logs of robots differ: what each part of the identified robots contributes."""
+"""Why two logs of robots differ: the contribution of each part of the identified robots."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -61,7 +61,7 @@ _BY_CHANCE: Final = 2.0
 
 
 def is_robot_log(run: Run) -> bool:
-    """Return whether nothing is known of the controller, but poses and commands are there."""
+    """Return whether only poses and commands are known, and nothing of the controller."""
     return not len(run.samples) and not run.declaration.loops
 
 
@@ -70,8 +70,8 @@ def explain_robots(
 ) -> ExplainedDifference:
     """Explain why a metric differs between two logs whose robots are identified.
 
-    Each robot's model is driven with recorded commands, with every set of parts as in the other
-    log. What the models leave of the difference is a part of its own.
+    Each robot's model is driven with recorded commands, with every set of parts taken from the
+    other log. The remainder of the difference is a part of its own.
     """
     runs = [_leave_controller(run) for run in (first, second)]
     left = [run is not given for run, given in zip(runs, (first, second), strict=True)]
@@ -111,7 +111,7 @@ def explain_robots(
 
 
 def _leave_controller(run: Run) -> Run:
-    """Return a run as a robot's log: its poses and commands, goal and path."""
+    """Return a run reduced to a robot's log: its poses and commands, goal and path."""
     if is_robot_log(run):
         return run
     kept = {key: value for key, value in run.parameters.items() if key.startswith("path.")}
@@ -130,7 +130,7 @@ def _measure_side(run: Run, metric: str, note: str) -> Side:
 
 
 def _list_idle(logs: Sequence[RobotLog], axes: Sequence[Axis], row: int) -> tuple[str, ...]:
-    """Return the axes that one robot is never commanded of, and the other is."""
+    """Return the axes that are commanded in only one of the logs."""
     one, other = logs[row].model, logs[1 - row].model
     return tuple(
         axis for axis in axes if get_axis(one, axis).is_idle and get_axis(other, axis).is_known
@@ -138,7 +138,7 @@ def _list_idle(logs: Sequence[RobotLog], axes: Sequence[Axis], row: int) -> tupl
 
 
 def _find_obstacle(log: RobotLog, axis: Axis) -> str:
-    """Return why an axis is not known though it is commanded; empty where it is known, or idle."""
+    """Return why an axis is unknown though it is commanded; empty if it is known or idle."""
     model = get_axis(log.model, axis)
     if model.is_known or model.is_idle:
         return ""
@@ -151,7 +151,7 @@ def _divide(
     parts: Mapping[str, Cause],
     work: Work | None,
 ) -> ExplainedDifference:
-    """Return the difference divided among the parts that act, or why it is not."""
+    """Return the difference divided among the parts that act, or why it is withheld."""
     difference = found.difference or 0.0
     acting = _find_acting(found, logs, parts)
     game = RobotGame(logs[0], logs[1], found.metric, acting, work)
@@ -212,7 +212,7 @@ def _divide(
 def _find_acting(
     found: ExplainedDifference, logs: Sequence[RobotLog], parts: Mapping[str, Cause]
 ) -> dict[str, Cause]:
-    """Return the parts that change the metric alone, in the one log or in the other."""
+    """Return the parts that alone change the metric in one of the logs."""
     game = RobotGame(logs[0], logs[1], found.metric, parts)
     least = _ACTS * abs(found.difference or 0.0)
 
@@ -235,9 +235,9 @@ def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
 
 
 def _complete(change: Change, share: Contribution) -> Change:
-    """Return a change with its contribution; each draw may be the truth, so they are not averaged.
+    """Return a change with its contribution; the spread is that of single samples, not of means.
 
-    The error of a mean over draws is smaller than that of one by the root of their number.
+    The standard error of a mean over samples would be too small by the root of their number.
     """
     error = (share.standard_error or 0.0) * math.sqrt(len(SEEDS))
     size = share.contribution or 0.0
@@ -259,10 +259,11 @@ _MIRRORED: Final = len(SEEDS) // 2
 
 
 class RobotGame(Game):
-    """Drives one robot's model with recorded commands, with some parts as another log has them.
+    """Drives one robot's model with recorded commands, with some parts taken from another log.
 
-    Each seed is a draw: of both robots' parameters within their intervals, and of the noise. What
-    is measured is the recording whose commands are in, with the model's poses at its poses' times.
+    Each seed is a random sample of both robots' parameters within their intervals, and of the
+    noise. The measured run is the recording whose commands are used, with the model's poses at its
+    times.
     """
 
     def __init__(
@@ -273,18 +274,18 @@ class RobotGame(Game):
         parts: Mapping[str, Cause],
         work: Work | None = None,
     ) -> None:
-        """Take the logs; without a part, the second has the first one's."""
+        """Take the logs; a removed part gives the second robot the first one's values."""
         super().__init__(parts, tuple(parts), work, is_random=True)
         self._logs, self._metric = (first, second), metric
         self._models: dict[int | None, list[dict[Axis, AxisModel]]] = {}
         self._ways: dict[object, tuple[Values, Values]] = {}
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:  # noqa: ARG002
-        """Return every draw: what is left of two robots is as uncertain as all of it."""
+        """Return every seed: any set of parts of two robots is uncertain."""
         return SEEDS
 
     def describe_ending(self, name: str) -> str:  # noqa: ARG002
-        """Return nothing: a robot's log has no phases."""
+        """Return an empty text, because a robot's log has no phases."""
         return ""
 
     def _play(self, plays: Sequence[tuple[Coalition, int | None]]) -> Iterator[Outcome]:
@@ -323,11 +324,11 @@ class RobotGame(Game):
         )
 
     def _get(self, part: str, out: Coalition) -> RobotLog:
-        """Return the log that a part is of."""
+        """Return the log from which a part is taken."""
         return self._logs[part not in out]
 
     def _list_reported(self, out: Coalition) -> list[tuple[str, Axis]]:
-        """Return the rates that a robot itself reports beside its poses."""
+        """Return the rates that a robot reports in addition to its poses."""
         poses = self._get(TIMES, out).run.poses
         names: dict[str, Axis] = {
             "measured_speed_m_s": "speed",
@@ -340,7 +341,7 @@ class RobotGame(Game):
         return _place_times(base, timed)
 
     def _predict(self, axis: Axis, out: Coalition, seed: int | None) -> tuple[Values, Values]:
-        """Return the way or turn, and the rate, at each pose of what is recorded."""
+        """Return the distance or turn, and the rate, at each pose of the recording."""
         parts = frozenset(name for name in out if name.endswith(MOTIONS[axis]))
         log = self._get(COMMANDS, out)
         key = axis, parts, COMMANDS in out, TIMES in out, seed
@@ -356,7 +357,7 @@ class RobotGame(Game):
         return self._ways[key]
 
     def _exchange(self, axis: Axis, parts: Coalition, seed: int | None) -> AxisModel:
-        """Return an axis of the second robot with some parts as the first has them."""
+        """Return an axis of the second robot with some parts from the first."""
         if seed not in self._models:
             self._models[seed] = _draw_models(self._logs, seed)
         first, second = (models[axis] for models in self._models[seed])
@@ -368,7 +369,7 @@ class RobotGame(Game):
 
 
 def _draw_models(logs: Sequence[RobotLog], seed: int | None) -> list[dict[Axis, AxisModel]]:
-    """Return the axes of both robots, as identified or drawn from their intervals."""
+    """Return the axes of both robots, as identified or sampled from their intervals."""
     models = [{axis: get_axis(log.model, axis) for axis in AXES} for log in logs]
     if seed is None:
         return models
@@ -379,10 +380,10 @@ def _draw_models(logs: Sequence[RobotLog], seed: int | None) -> list[dict[Axis, 
 
 
 def _place_times(base: Run, timed: Run) -> Times:
-    """Return times for the poses of a recording [ns], at which those of another one were recorded.
+    """Return times for the poses of a recording [ns], taken from those of another recording.
 
-    The first commands of both are at one time. What the other one does not last for has its times
-    once more; half a period more or less at the ends counts for nothing.
+    The first commands of both are at one time. Beyond the end of the other recording, the recording
+    keeps its own times; half a period at either end is ignored.
     """
     time_ns = timed.poses.time_ns
     if timed is base or len(time_ns) < 2:
@@ -398,7 +399,7 @@ def _place_times(base: Run, timed: Run) -> Times:
 
 
 def _integrate(ways_m: Values, turns_rad: Values, places: Run) -> Values:
-    """Return x, y [m] and heading [rad] along steps from a recorded start on, shape (n, 3)."""
+    """Return x, y [m] and heading [rad] after each step from a recorded start, shape (n, 3)."""
     poses = np.empty((len(ways_m) + 1, 3))
     poses[0, :2], poses[0, 2] = places.poses.xy_m[0], places.poses.heading_rad[0]
     poses[1:, 2] = poses[0, 2] + np.cumsum(turns_rad)

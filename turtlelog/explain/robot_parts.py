@@ -1,7 +1,7 @@
-"""The parts of two recorded robots that can be exchanged, and what the logs allow them to be.
+"""The exchangeable parts of two recorded robots, and their uncertainty.
 
-A robot's log is what its model makes of the recorded commands, from the recorded start on. So two
-logs differ in the models' parameters, in their noise, in the commands, and in start, goal and path.
+A robot's log is the response of its model to the recorded commands, from the recorded start. Two
+logs therefore differ in the models' parameters, in noise, commands, start, goal and path.
 """
 
 import math
@@ -63,13 +63,13 @@ _DRIVES: Final = ("run.speed_", "run.measured_speed_")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogNoise:
-    """How noisy a robot is, as far as its log shows.
+    """Noise of a robot as its log shows it.
 
     Attributes:
-        position_m: Of each coordinate of a pose [m].
-        heading_rad: Of a heading [rad].
-        speed: Of the speed [m/s^0.5].
-        turn_rate: Of the turn rate [rad/s^0.5].
+        position_m: Noise of each position coordinate [m].
+        heading_rad: Noise of the heading [rad].
+        speed: Noise of the speed [m/s^0.5].
+        turn_rate: Noise of the turn rate [rad/s^0.5].
     """
 
     position_m: float = 0.0
@@ -80,13 +80,13 @@ class LogNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobotLog:
-    """A robot's log, its model, and what drives that.
+    """A robot's log, its model, and the commands that drive it.
 
     Attributes:
-        run: Without controller samples.
-        model: What `identify_robot` found.
-        noise: Of poses and rates.
-        commands: By axis, with a 0 where the robot stops by itself.
+        run: Run without controller samples.
+        model: Result of `identify_robot`.
+        noise: Noise of poses and rates.
+        commands: Commands by axis, with a 0 where the robot stops by itself.
     """
 
     run: Run
@@ -113,9 +113,9 @@ def read_robot_log(run: Run) -> RobotLog:
 
 
 def share_unseen_bounds(logs: Sequence[RobotLog]) -> list[RobotLog]:
-    """Return two logs, each with the other's bound where its own robot never goes beyond that.
+    """Return two logs, each with the other's bound if its own robot never exceeds it.
 
-    Such a log does not tell whether the bound is there: that none is identified is no difference.
+    Such a log cannot show whether the bound exists, so a missing bound is not a difference.
     """
     return [_take_bounds(log, other) for log, other in zip(logs, reversed(logs), strict=True)]
 
@@ -132,7 +132,7 @@ def _take_bounds(log: RobotLog, other: RobotLog) -> RobotLog:
 
 
 def _find_reached_rate(run: Run, axis: Axis) -> float:
-    """Return the rate that a robot exceeds for a fiftieth of its time [m/s] or [rad/s]."""
+    """Return the rate that a robot exceeds for 2 % of its time [m/s or rad/s]."""
     time_s, moved, is_sound = measure_axis_steps(run.poses, axis)
     rates = np.abs(moved / np.diff(time_s))[is_sound]
     return float(np.quantile(rates, _MOSTLY)) if len(rates) else 0.0
@@ -151,7 +151,7 @@ def get_axis(model: RobotModel, axis: Axis) -> AxisModel:
 
 
 def find_parts(first: RobotLog, second: RobotLog, axes: Iterable[Axis]) -> dict[str, Cause]:
-    """Return the parts in which two logs differ, with the first one's values as neutral ones."""
+    """Return the parts in which two logs differ, with the first one's values as neutral values."""
     values: dict[str, dict[str, object]] = {
         **{name: found for axis in axes for name, found in _list_axis_parts(first, second, axis)},
         NOISE: _list_noise(first, second),
@@ -182,12 +182,12 @@ def _list_axis_parts(
 
 
 def list_part_fields(part: str) -> tuple[str, ...]:
-    """Return the fields of an axis that a part has, by its name without the motion."""
+    """Return the fields of an axis that belong to a part, by its name without the motion."""
     return tuple(name for one in part.split(" and ") for name in FIELDS[one])
 
 
 def _can_mix(first: AxisModel, second: AxisModel) -> bool:
-    """Return whether either robot may have the other's time constant without its limits."""
+    """Return whether each robot may take the other's time constant without its limits."""
     fields = FIELDS["limits"]
     mixed = (
         replace(one, **{name: getattr(other, name) for name in fields})
@@ -197,7 +197,7 @@ def _can_mix(first: AxisModel, second: AxisModel) -> bool:
 
 
 def list_part_values(log: RobotLog, keys: Iterable[str]) -> dict[str, Any]:
-    """Return what a log has for the keys of a part."""
+    """Return the values of a log for the keys of a part."""
     run, found = log.run, {}
     for key in keys:
         axis, _, name = key.partition(".")
@@ -242,7 +242,7 @@ def _list_noise(first: RobotLog, second: RobotLog) -> dict[str, object]:
 
 
 def show_value(value: Any) -> Any:
-    """Return an estimate as its value; None for a word that is empty."""
+    """Return the value of an estimate; None for an empty word."""
     if isinstance(value, Estimate):
         return value.value
     return value or None
@@ -258,7 +258,7 @@ def _get_places(run: Run) -> dict[str, object]:
 
 
 def _list_places(first: Run, second: Run) -> dict[str, object]:
-    """Return start, goal and path where they differ and something refers to them."""
+    """Return start, goal and path if they differ and are used."""
     before, after = _get_places(first), _get_places(second)
     if not any(one["goal"] or one["path"] for one in (before, after)):
         return {}
@@ -266,10 +266,10 @@ def _list_places(first: Run, second: Run) -> dict[str, object]:
 
 
 def draw_model(model: AxisModel, rng: np.random.Generator, sign: float) -> AxisModel:
-    """Return an axis with parameters that its intervals allow: normal, and not below 0.
+    """Return an axis with parameters sampled from their intervals: normal, and not below 0.
 
-    Dead time and time constant are drawn together: the intervals of both and of their sum tell how
-    far they trade against each other. With the other sign the same numbers mirror the draw.
+    Dead time and time constant are sampled jointly: the intervals of both and of their sum give
+    their correlation. With the other sign, the same numbers give the mirrored sample.
     """
     numbers = sign * rng.standard_normal(7)
     gain, lag, dead_time, total = model.gain, model.lag_s, model.dead_time_s, model.total_delay_s
@@ -297,12 +297,12 @@ def draw_model(model: AxisModel, rng: np.random.Generator, sign: float) -> AxisM
 
 
 def _find_error(one: Estimate) -> float:
-    """Return the standard error; an interval that ends at 0 is cut there."""
+    """Return the standard error; an interval that ends at 0 is truncated there."""
     return max(one.high - one.value, one.value - one.low) / NORMAL_95
 
 
 def _find_correlation(of_total: float, of_lag: float, of_rest: float) -> float:
-    """Return how total and time constant are correlated, by the errors of both and of the rest."""
+    """Return the correlation of total and time constant, from the errors of all three."""
     if not of_total or not of_lag:
         return 0.0
     tied = (of_total**2 + of_lag**2 - of_rest**2) / (2.0 * of_total * of_lag)

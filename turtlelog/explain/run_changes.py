@@ -1,4 +1,4 @@
-"""What differs between two scenarios, in groups as a person would change them.
+"""Differences between two scenarios, in groups that a person would change together.
 
 A group is a cause of the second run's scenario whose neutral values are those of the first: the
 game of `explain` is then played between two runs.
@@ -45,15 +45,15 @@ _NAMES: Final[Mapping[str, str]] = {
 
 
 def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
-    """Return the groups of settings in which two scenarios differ, by name, in the files' order.
+    """Return the groups of settings in which two scenarios differ, by name, in the file's order.
 
-    Both gains are one group where each scenario has one value for both; the keys of an effect are
-    one, and goal, start and path. The law is one, with all of its keys, where its kind differs, and
-    so is the plant; a path that only one of two laws has belongs to the law.
+    Both gains form one group if each scenario has one value for both; so do the keys of an effect,
+    and each of goal, start and path. The law with all of its keys is one group if its kind differs,
+    and so is the plant; a path that only one of the laws has belongs to the law.
 
     Args:
-        first: Its values are the neutral ones; None for a key that it does not have.
-        second: The law of both is loaded already.
+        first: Scenario with the neutral values; None for a key that it does not have.
+        second: Other scenario. The laws of both are already loaded.
     """
     before, after = flatten_scenario(first), flatten_scenario(second)
     keys = [
@@ -78,7 +78,7 @@ def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
 
 
 def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
-    """Return the name of the group of a table or key; a key that has none is its own."""
+    """Return the name of the group of a table or key; a key without a group is its own."""
     names = {key: name for name, found in _list_effect_keys() for key in found}
     names |= {table: table for table in _WHOLE}
     if second.plant.kind != first.plant.kind:
@@ -97,7 +97,7 @@ def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
 
 
 def _list_effect_keys() -> Iterable[tuple[str, tuple[str, ...]]]:
-    """Yield the causes of the loop with their keys; the first of an effect has what none names."""
+    """Yield the causes of the loop with their keys; keys not named belong to the effect's first."""
     for effect in EFFECTS:
         keys = tuple(
             f"{table}.{field.name}"
@@ -115,7 +115,7 @@ def _has_one_value(scenario: Scenario, keys: Iterable[str]) -> bool:
 
 
 class ChangeGame(ScenarioGame):
-    """Plays the second of two scenarios with some of its changes undone: as the first has them."""
+    """Simulates the second of two scenarios with some changes undone, as in the first."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class ChangeGame(ScenarioGame):
         self._impossible: dict[Coalition, str] = {}
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds to simulate with; None alone where there is nothing to simulate."""
+        """Return the seeds to simulate with; None alone if there is nothing to simulate."""
         return (None,) if self._find_obstacle(out) else super().list_seeds(out)
 
     def _simulate(self, wanted: Any) -> None:
@@ -141,11 +141,11 @@ class ChangeGame(ScenarioGame):
         super()._simulate(wanted)
 
     def build_play(self, out: Coalition, seed: int | None = None) -> Play:
-        """Return what is simulated; a law that fails with another's settings gives no value."""
+        """Return the simulation; a law that fails with another's settings gives no value."""
         return replace(super().build_play(out, seed), may_fail=True)
 
     def _find_obstacle(self, out: Coalition) -> str:
-        """Return why these settings are no scenario together; empty where they are one."""
+        """Return why these settings are no valid scenario; empty if they are."""
         if out not in self._impossible:
             try:
                 self._take_out(out)
@@ -162,20 +162,20 @@ class ChangeGame(ScenarioGame):
 
 
 def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:
-    """Return a scenario with some groups of settings as another one has them.
+    """Return a scenario with some groups of settings taken from another scenario.
 
     Raises:
-        ScenarioError: Where they contradict each other.
+        ScenarioError: If the settings contradict each other.
     """
     values = {key: value for one in changes for key, value in one.neutral.items()}
     return set_values(second, values)
 
 
 def set_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with values of another one by dotted key; None: it has no such key.
+    """Return a scenario with values of another one by dotted key; None: the key is absent.
 
     Raises:
-        ScenarioError: Where they contradict each other.
+        ScenarioError: If the settings contradict each other.
     """
     found = {**flatten_scenario(scenario), **values}
     tables = nest_parameters({key: value for key, value in found.items() if value is not None})

@@ -74,11 +74,11 @@ class Depth:
     """Amount of simulation.
 
     Attributes:
-        most_exact: Groups of settings up to which all combinations are simulated; of more,
-            orders are sampled.
-        identifies: Whether a scenario is looked for if a run holds none that reproduces it.
-        shows_effects: Whether the contributions of `explain` are compared, too.
-        shows_starts: Whether the metric is simulated from 17 starts.
+        most_exact: Largest number of groups of settings for which all combinations are simulated;
+            beyond it, orders are sampled.
+        identifies: Whether to identify a scenario if the recorded one does not reproduce the run.
+        shows_effects: Whether to compare the contributions of `explain` too.
+        shows_starts: Whether to simulate the metric from 17 starts.
     """
 
     most_exact: int = MOST_EXACT
@@ -98,22 +98,22 @@ def explain_difference(
 ) -> ExplainedDifference:
     """Explain why a metric differs between two runs.
 
-    The settings in which their scenarios differ are grouped, and the second run is simulated with
+    The settings in which the scenarios differ are grouped, and the second run is simulated with
     each set of groups as in the first. A contribution is a Shapley value; the contributions add up
-    to the difference. If the same settings made both runs, it says where these depart.
+    to the difference. If both runs have the same settings, the answer is where they depart.
 
     Args:
-        first: The run that the difference is taken from.
+        first: The run from which the difference is taken.
         second: The other run.
-        metric: Its id. Default: the final position error, or without a goal the error of the last
-            loop.
-        trust_law: Run the laws that the recordings name, if they are not built in: their code.
+        metric: Id of the metric. Default: the final position error, or without a goal the error of
+            the last loop.
+        trust_law: Whether to run the code of recorded laws that are not built in.
         depth: Amount of simulation. Default: everything.
         work: Settings of the simulation: processes and progress.
 
     Raises:
-        ExplainError: If the metric is none of both runs.
-        ScenarioError: If a recorded law is trusted, and not there or cannot run.
+        ExplainError: If the metric does not exist for both runs.
+        ScenarioError: If a trusted recorded law does not exist or cannot run.
     """
     depth = depth or Depth()
     metric = metric or choose_common_metric(first, second)
@@ -155,7 +155,7 @@ def explain_difference(
 def _answer_without_scenario(
     found: ExplainedDifference, first: Run, second: Run, work: Work | None
 ) -> ExplainedDifference:
-    """Return what the robots' models tell of two runs, or where these depart."""
+    """Return what the robots' models show of two runs, or where these depart."""
     is_same = _hold_same_settings(first, second)
     if not (is_same or first.declaration.loops or second.declaration.loops):
         robots = explain_robots(first, second, found.metric, found.unit, work)
@@ -170,7 +170,7 @@ def _answer_without_scenario(
 
 
 def _list_untrusted(*runs: Run) -> list[str]:
-    """Return the laws in the scenarios of runs that are not built in."""
+    """Return the laws in the recorded scenarios that are not built in."""
     laws = [str(run.parameters.get("law.kind", "")) for run in runs if run.scenario_is_complete]
     return [*dict.fromkeys(law for law in laws if law and law not in LAWS)]
 
@@ -178,7 +178,7 @@ def _list_untrusted(*runs: Run) -> list[str]:
 def _name_untrusted(
     first: Run, second: Run, metric: str, unit: str, laws: Sequence[str]
 ) -> ExplainedDifference:
-    """Return the settings that differ, undivided: the code of a law may not run."""
+    """Return the settings that differ, without contributions: the code of a law may not run."""
     sides = [_begin_side(run, measure_run(run, only=[metric])[metric]) for run in (first, second)]
     is_same = _hold_same_settings(first, second)
     of_first, of_second = first.parameters, second.parameters
@@ -207,7 +207,7 @@ def _name_untrusted(
 
 
 def _begin_side(run: Run, logged: Metric) -> Side:
-    """Return what a run's log shows."""
+    """Return the values in a run's log."""
     return Side(
         name=run.name,
         as_logged=logged.value,
@@ -231,7 +231,7 @@ def _find_resolution(
 
 
 def _describe_unknown(sides: Sequence[Side]) -> str:
-    """Return of which runs no scenario is known, and why not."""
+    """Return the runs without a known scenario, and the reasons."""
     names: dict[str, list[str]] = {}
     for side in sides:
         if side.basis is None:
@@ -240,13 +240,13 @@ def _describe_unknown(sides: Sequence[Side]) -> str:
 
 
 def _take_unknown(scenario: Scenario, other: Scenario, side: Side) -> Scenario:
-    """Return a scenario with another one's values of what is not identified."""
+    """Return a scenario with another one's values for unidentified settings."""
     values = flatten_scenario(other)
     return set_values(scenario, {key: values.get(key) for key in side.unknown})
 
 
 def choose_common_metric(first: Run, second: Run) -> str:
-    """Return the metric to explain if none is named: what matters most to a run of both laws."""
+    """Return the default metric to explain: the most important one for the laws of both runs."""
     known = list_metrics(first.declaration).keys() & list_metrics(second.declaration).keys()
     if first.goal_xy_m is None or second.goal_xy_m is None:
         known = {name for name in known if not name.startswith("final.")}
@@ -258,8 +258,7 @@ def require_common_metric(first: Run, second: Run, metric: str) -> None:
     """Require a metric that both runs have.
 
     Raises:
-        ExplainError: If one of them has no such metric, with the names nearest to it, or if its
-            unit differs.
+        ExplainError: If a run lacks the metric (with the nearest names), or if the units differ.
     """
     for run in (first, second):
         known = list_metrics(run.declaration)
@@ -282,7 +281,7 @@ def _hold_same_settings(first: Run, second: Run) -> bool:
 def _stand_for(
     run: Run, metric: str, *, trust_law: bool, depth: Depth
 ) -> tuple[Side, Scenario | None]:
-    """Return what is known of a run, and the scenario that stands for it."""
+    """Return what is known of a run, and the scenario that represents it."""
     logged = measure_run(run, only=[metric])[metric]
     side = _begin_side(run, logged)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
@@ -322,7 +321,7 @@ def _divide(
     depth: Depth,
     work: Work | None,
 ) -> ExplainedDifference:
-    """Return the difference divided among the changes, or why it is not."""
+    """Return the difference divided among the changes, or why it is withheld."""
     first, second = scenarios
     game = ChangeGame(second, found.metric, changes, first, work)
     own = ChangeGame(first, found.metric, {}, first, work)
@@ -396,7 +395,7 @@ def _list_contributions(
     game: ChangeGame,
     scenarios: Sequence[Scenario],
 ) -> tuple[Change, ...]:
-    """Return what each change that acts contributes, the largest first, and what the seeds make."""
+    """Return the contribution of each acting change, the largest first, and that of the seeds."""
     listed = {one.name: one for one in found.changes}
     shares = [one for one in divided.contributions if one.cause in divided.acting]
     shares.sort(key=lambda one: -abs(one.contribution or 0.0))
@@ -421,7 +420,7 @@ def _complete(change: Change, share: Contribution) -> Change:
 
 
 def _compare_with_logs(found: ExplainedDifference) -> str:
-    """Return why the re-simulations say nothing of the logs; empty if they do."""
+    """Return why the re-simulations do not represent the logs; empty if they do."""
     for side in (found.first, found.second):
         if side.as_logged is None:
             return f"{side.name} has no value: {side.reason}"
@@ -440,7 +439,7 @@ def _compare_with_logs(found: ExplainedDifference) -> str:
 def _vary_starts(
     scenarios: Sequence[Scenario], metric: str, difference: float, resolution: float
 ) -> DifferenceRange | None:
-    """Return the difference from starts within one sample's turn of the faster run."""
+    """Return the range of the difference over starts within one sample's turn of the faster run."""
     spreads = [spread_starts(one, simulate_run(one)) for one in scenarios]
     offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
     if not offsets_rad:
@@ -481,7 +480,7 @@ def _find_span(values: Sequence[float | None]) -> tuple[float, float] | None:
 def _shift_effects(
     scenarios: Sequence[Scenario], metric: str, work: Work | None
 ) -> tuple[EffectShift, ...]:
-    """Return how the contributions of `explain` differ; none if one run has none."""
+    """Return how the contributions of `explain` differ; empty if one run has none."""
     found = [attribute_scenario(one, metric=metric, work=work) for one in scenarios]
     if any(one.withheld for one in found):
         return ()

@@ -1,4 +1,4 @@
-"""Which settings of the loop reproduce a log: simulate those that its hints allow, and compare."""
+"""Find the loop settings that reproduce a log: simulate those that its hints allow, and compare."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -70,22 +70,22 @@ _Exact = tuple[Guess, int]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fits:
-    """The settings that fit a log.
+    """Settings that fit a log.
 
     Attributes:
         guesses: Values by key of the scenario, the likeliest first; at least one.
         scenarios: The same as whole scenarios.
         is_exact: Whether they reproduce every sample bit for bit.
         is_close: Whether they reproduce every sample to rounding.
-        drive: The plant driven with the log's commands and the likeliest settings; None where it
-            was not needed, or cannot be.
-        reproduced: Samples that the likeliest reproduces, from the first one on.
-        tried: How many were simulated.
+        drive: The plant driven with the log's commands and the likeliest settings; None if it was
+            not needed or is impossible.
+        reproduced: Number of samples, from the first, that the likeliest settings reproduce.
+        tried: Number of simulated settings.
         ranges: The values of each key among the settings tried, in ascending order.
-        is_driven: Whether the plant was driven with the log's commands, and no law was asked.
+        is_driven: Whether the plant was driven with the log's commands, without a law.
         is_partial: Whether the log is too long to try all settings that may explain its motion.
         hidden: Keys whose value makes no difference in this run.
-        bounds: Of the start, where what is left is the rounding of poses alone.
+        bounds: Bounds of the start, if the residual is the rounding of poses alone.
     """
 
     guesses: tuple[Guess, ...]
@@ -103,12 +103,12 @@ class Fits:
 
     @property
     def scenario(self) -> Scenario:
-        """The likeliest."""
+        """The likeliest scenario."""
         return self.scenarios[0]
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the settings explain the motion, and what is left of it is noise."""
+        """Whether the settings explain the motion up to noise."""
         return self.drive is not None and self.drive.explains
 
     def list_values(self, key: str) -> tuple[Any, ...]:
@@ -124,19 +124,18 @@ def search_loop(
     *,
     recorded: Guess | None = None,
 ) -> Fits:
-    """Return the settings of the loop that reproduce a log, with `known` for all others.
+    """Return the loop settings that reproduce a log; `known` has all other settings.
 
-    The usual depths of the queues are tried first, others only where those do not fit, or fit with
-    a pause or a backlog that the clock contradicts.
-    Where nothing is exact, the plant is driven with the log's own commands, and the settings that
-    explain the motion best are returned.
+    The usual queue depths are tried first, others only if those do not fit, or fit only with a
+    pause or an initial queue that the clock contradicts. If no setting is exact, the plant is
+    driven with the log's own commands, and the settings that explain the motion best are returned.
 
     Args:
-        trace: The samples.
+        trace: Samples of the run.
         known: Values by key of the scenario.
-        hints: What time stamps and pose numbers say.
-        dead_times: Of the loops, in the order in which they act; at least one.
-        recorded: Settings that are known to reproduce the log, and tried first.
+        hints: Constraints from time stamps and pose numbers.
+        dead_times: Dead times of the loops, in the order in which they act; at least one.
+        recorded: Settings known to reproduce the log, which are tried first.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
@@ -153,18 +152,18 @@ def search_loop(
 
 
 def drive_loop(trace: Trace, hints: Hints, dead_times: Sequence[DeadTime | Missing]) -> Fits:
-    """Return the settings with which the log's own commands move the plant best. Asks no law."""
+    """Return the settings with which the log's commands move the plant best. Uses no law."""
     search = _Search(trace, {}, hints)
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
     return search.drive_only([guess for tier in tiers for guess in tier])
 
 
 class _Search:
-    """Builds and simulates scenarios; counts them.
+    """Builds, simulates and counts scenarios.
 
     Attributes:
-        to_rounding: Whether samples need to be reproduced to rounding only.
-        is_driven: Whether no law is asked: then the poses that were answered count as well.
+        to_rounding: Whether samples need to be reproduced only to rounding.
+        is_driven: Whether no law is used: the poses that were answered then count as well.
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
@@ -184,7 +183,7 @@ class _Search:
         self._counted: dict[tuple[Any, ...], list[tuple[Depths, int]]] = {}
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
-        """Return the scenario of a guess, which sets nothing but the loop and the pause."""
+        """Return the scenario of a guess, which sets only the loop and the pause."""
         known = {**self._known, **more}
         if self._base is None or known != self._base_values:
             self._base, self._base_values = self._build_base({**known, **guess}), known
@@ -203,7 +202,7 @@ class _Search:
         return build_scenario(tables, source=self._trace.run.name, trust_law=True)
 
     def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
-        """Return the settings that reproduce every sample, None where none does."""
+        """Return the settings that reproduce every sample; None if there are none."""
         exact: list[_Exact] = []
         for tier in tiers:
             # Once the clock agrees with one, only others that it agrees with as well count.
@@ -222,7 +221,7 @@ class _Search:
         return [g for g in queues if g["loop.start_backlog"] in self._hints.backlogs]
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
-        """Return the settings that reproduce every sample, of them those nearest to the clock."""
+        """Return, of the settings that reproduce every sample, those nearest to the clock."""
         self._note_values(queues, self._pauses)
         first, rotation = self._pauses[0], self._list_rotation()
         alike = [
@@ -240,14 +239,14 @@ class _Search:
         return []
 
     def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
-        """Return whether time stamps and pose numbers contradict the pause, and the backlog."""
+        """Return whether time stamps and pose numbers contradict the pause, and the queue."""
         return (
             guess.get(PAUSE_KEY) not in self._near,
             guess["loop.start_backlog"] not in self._hints.backlogs,
         )
 
     def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
-        """Return the settings found, as scenarios that end where the log does."""
+        """Return the found settings as scenarios that end with the log."""
         hidden = {
             key
             for key in DEPTHS
@@ -288,7 +287,7 @@ class _Search:
         return replace(found, hidden=self._find_hidden(agreeing))
 
     def drive_only(self, queues: Sequence[Guess]) -> Fits:
-        """Return the settings with which the log's commands move the plant as logged, by no law."""
+        """Return the settings with which the log's commands alone move the plant as logged."""
         self.is_driven = True
         self._note_values(queues, self._pauses)
         driven = self._drive(queues, self._pauses, rows=None)
@@ -309,7 +308,7 @@ class _Search:
         )
 
     def _find_hidden(self, driven: Sequence[tuple[Guess, Drive]]) -> frozenset[str]:
-        """Return the depths of queues that move the plant alike where they are deeper."""
+        """Return queue depths above which deeper queues move the plant equally."""
         return frozenset(
             key for key in DEPTHS if any(self._is_deeper_alike(*one, key) for one in driven)
         )
@@ -322,7 +321,7 @@ class _Search:
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
         """Return the settings that reproduce every sample from a start that is no 32-bit float.
 
-        So stands a plant that moved before, as in a second run without a reset.
+        A plant has such a start if it moved before, as in a second run without a reset.
         """
         trace = self._trace
         poses = np.column_stack([trace.xy_m, trace.heading_rad])
@@ -342,7 +341,7 @@ class _Search:
     def _drive(
         self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
     ) -> list[tuple[Guess, Drive]]:
-        """Return the settings that fit alike best, the best first."""
+        """Return the settings that fit equally well, the best first."""
         every = [
             set_pause(guess, pause)
             for pause, guess in product(pauses, [drop_pause(g) for g in guesses])
@@ -374,7 +373,7 @@ class _Search:
         ]
 
     def _list_within_steps(self, drives: Sequence[Drive], best: int) -> NDArray[np.bool_]:
-        """Return which drives leave no more than the coarse steps of the poses make."""
+        """Return which drives have residuals within the quantisation of the poses."""
         steps = np.array(self._trace.coarse_steps)
         spans = np.array([drive.spans for drive in drives])
         if not steps.any():
@@ -424,7 +423,7 @@ class _Search:
         return equal
 
     def _count_equal(self, guess: Guess, rows: list[Row | None]) -> int:
-        """Simulate a guess, unless one with other queues, deep enough as well, has been."""
+        """Simulate a guess, unless one with other sufficient queue depths was simulated."""
         scenario = self.build(guess)
         others = frozenset(pair for pair in guess.items() if pair[0] not in DEPTHS)
         start = tuple(self._known.get(key) for key in (*START_KEYS, "start.precision"))
@@ -439,7 +438,7 @@ class _Search:
         return equal
 
     def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:
-        """Let a scenario end with the log where the log was cut, else leave it the usual time."""
+        """Return the scenario ended with the log if that was cut, else with the usual duration."""
         if not goes_on:
             return replace(scenario, max_duration_s=max(_USUAL_S, ceil(self._most_s)))
         end_s = find_end_s(self._trace, scenario, len(self._rows))

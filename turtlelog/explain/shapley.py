@@ -1,8 +1,8 @@
-"""The value of a game, divided among those that play it: exactly, or from a sample of orders.
+"""The value of a game divided among its players: exactly, or from a sample of orders.
 
-A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): what a cause
-adds to the value, averaged over all orders in which they can be put in. What a set of causes
-makes only together is its dividend (Harsanyi, 1963).
+A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): the amount that a
+cause adds to the value, averaged over all orders of the causes. The part that a set of causes adds
+only together is its dividend (Harsanyi, 1963).
 """
 
 import math
@@ -24,8 +24,8 @@ Worth = Mapping[Coalition, float]
 def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, float]:
     """Return the contribution of each cause.
 
-    `math.fsum` of them is the float `worth` of all less that of none, to the last bit, except where
-    the contributions cancel: it then misses by at most one step of the floats of the smallest.
+    Their `math.fsum` is the float `worth` of all minus that of none, to the last bit, except if the
+    contributions cancel: the sum then differs by at most one float step of the smallest.
     """
     exact = [_compute_share(worth, cause, causes) for cause in causes]
     total = worth[frozenset(causes)] - worth[frozenset()]
@@ -33,7 +33,7 @@ def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, floa
 
 
 def compute_dividends(worth: Worth, causes: Sequence[str]) -> dict[tuple[str, ...], float]:
-    """Return what each set of two causes or more adds beyond all that its subsets add."""
+    """Return the amount that each set of two or more causes adds beyond its subsets."""
     exact: dict[Coalition, Fraction] = {}
     for inside in list_coalitions(causes):
         subsets = sum((exact[part] for part in exact if part < inside), Fraction())
@@ -46,7 +46,7 @@ def compute_dividends(worth: Worth, causes: Sequence[str]) -> dict[tuple[str, ..
 
 
 def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
-    """Return those of which no other one is a part."""
+    """Return the sets that contain no other set."""
     found = list(coalitions)
     return [inside for inside in found if not any(other < inside for other in found)]
 
@@ -62,10 +62,10 @@ def _compute_share(worth: Worth, cause: str, causes: Sequence[str]) -> Fraction:
 
 
 def _round_contributions(exact: list[Fraction], total: float) -> list[float]:
-    """Return the contributions as floats whose sum rounds to the total.
+    """Return the contributions as floats whose exact sum rounds to the total.
 
-    The smallest that is not 0 takes up what rounding the others leaves: its own steps are finest.
-    Where that is a tie between two floats, the next smallest does.
+    The smallest nonzero contribution absorbs the rounding of the others, because its float steps
+    are finest. If this gives a tie between two floats, the next smallest does.
     """
     rounded = [float(one) for one in exact]
     rows = sorted((row for row, one in enumerate(rounded) if one), key=lambda r: abs(exact[r]))
@@ -93,8 +93,8 @@ ORDERS: Final = 2 * _PAIRS
 def sample_game(found: Attribution, game: Game) -> Attribution:
     """Return an attribution whose contributions are means over sampled orders of its causes.
 
-    Each order comes with its reverse, which takes out what the place in an order makes. If the game
-    is random, every seed has as many pairs, and the errors are those over seeds.
+    Each order is paired with its reverse, which cancels the effect of the position in an order. If
+    the game is random, every seed has the same number of pairs, and the errors are over seeds.
     """
     orders = _list_orders(found.causes)
     seeds = SEEDS if game.is_random else (None,)
@@ -129,7 +129,7 @@ def sample_game(found: Attribution, game: Game) -> Attribution:
 
 
 def _list_orders(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the orders, the same ones each time: each is followed by its reverse."""
+    """Return the orders, the same at each call; each is followed by its reverse."""
     draw = random.Random(0)
     drawn = (tuple(draw.sample(names, len(names))) for _ in range(_PAIRS))
     return [order for one in drawn for order in (one, one[::-1])]

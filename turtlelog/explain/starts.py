@@ -1,4 +1,4 @@
-"""How steady a value is: over starts that one sample spans, and over seeds of random effects."""
+"""Range of a value over starts that one sample spans, and over seeds of random effects."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -37,17 +37,17 @@ _MOST_TICKS: Final = 200_000
 
 
 def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArray[np.float64]:
-    """Return how far starts at equal distances are turned from a scenario's own [rad], shape (n,).
+    """Return the angles of equally spaced starts from the scenario's own [rad], shape (n,).
 
     They span the largest turn from one sample to the next, with the scenario's own in the middle.
 
     Args:
-        scenario: With all causes in.
-        built: Its run.
-        count: How many starts, odd.
+        scenario: Scenario with all causes.
+        built: Run of the scenario.
+        count: Number of starts, odd.
 
     Returns:
-        The angles; empty where the robot does not turn.
+        The angles; empty if the robot does not turn.
     """
     turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max(initial=0.0))
     within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
@@ -55,17 +55,17 @@ def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArra
 
 
 def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
-    """Return a scenario whose start is turned by an angle."""
+    """Return a scenario with its start turned by an angle."""
     heading_rad = scenario.start.heading_rad + offset_rad
     return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
 
 
 def find_steady_span(values: Sequence[float | None], added: float, resolution: float) -> float:
-    """Return over how much values may range that are steady.
+    """Return the largest range of values that counts as steady.
 
     Args:
-        values: From each start.
-        added: What the causes add to the scenario's own.
+        values: Values from each start.
+        added: Total of the causes from the scenario's own start.
         resolution: The largest change that is negligible.
     """
     if abs(added) > resolution:
@@ -75,7 +75,7 @@ def find_steady_span(values: Sequence[float | None], added: float, resolution: f
 
 
 def ranges_over(values: Sequence[float | None], span: float) -> bool:
-    """Return whether those of the values that are there range over more than a span."""
+    """Return whether the values that exist range over more than a span."""
     known = [value for value in values if value is not None]
     return bool(known) and max(known) - min(known) > span
 
@@ -83,10 +83,10 @@ def ranges_over(values: Sequence[float | None], span: float) -> bool:
 def subtract_values(
     values: Sequence[float | None], without: Sequence[float | None]
 ) -> list[float | None]:
-    """Return what the causes add at each start; None where one of both has no value.
+    """Return the total of the causes at each start; None if a value is missing.
 
-    A value that only follows the start, as a turn's length does, follows it without them as well:
-    what they add is steady.
+    A value that only follows the start, such as a turn's length, also follows it without the
+    causes; their total is then steady.
     """
     return [
         None if value is None or rest is None else value - rest
@@ -97,12 +97,12 @@ def subtract_values(
 def vary_start(
     scenario: Scenario, metric: str, *, added: float, resolution: float, acting: Sequence[str]
 ) -> StartRange | None:
-    """Return the value over starts within one sample's turn, None where the robot does not turn.
+    """Return the range of the value over starts within one sample's turn; None without a turn.
 
     Args:
-        scenario: With all causes in.
-        metric: Has a value.
-        added: What the causes add together.
+        scenario: Scenario with all causes.
+        metric: Id of a metric that has a value.
+        added: Total of the causes.
         resolution: The largest change that is negligible.
         acting: The causes that change the value.
     """
@@ -132,7 +132,7 @@ def vary_start(
 
 
 def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple[CausePart, ...]:
-    """Return the lowest and highest part of each cause; none unless all add alike."""
+    """Return the lowest and highest part of each cause; empty unless all parts are positive."""
     parts = []
     for game in games:
         found = {inside: game.play(inside, causes).value for inside in list_coalitions(causes)}
@@ -161,7 +161,8 @@ _CENTRAL: Final = (0.025, 0.975)
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
     """Return the attribution with its contributions, or why there are none.
 
-    A seed counts where every combination has a value with it: combinations are compared by seed.
+    A seed is used if every combination has a value with it, because combinations are compared by
+    seed.
     """
     names = found.causes
     coalitions = list_coalitions(names)
@@ -201,7 +202,7 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
 
 
 def describe_alone(game: Game, name: str, contribution: float | None = None) -> Contribution:
-    """Return what a value is without a cause alone."""
+    """Return the value without a cause alone."""
     return Contribution(
         cause=name,
         contribution=contribution,
@@ -212,7 +213,7 @@ def describe_alone(game: Game, name: str, contribution: float | None = None) -> 
 
 
 def _list_worths(played: Mapping[Coalition, Sequence[Outcome]], count: int) -> list[Worth | None]:
-    """Return the values of all combinations by seed; None where one has none."""
+    """Return the values of all combinations by seed; None if a value is missing."""
     found: list[Worth | None] = []
     for number in range(count):
         row = {

@@ -1,4 +1,4 @@
-"""What happened between the phases, and which rule of the law ended the run."""
+"""The events between phases, and the law's rule that ended the run."""
 
 import math
 from dataclasses import dataclass
@@ -36,11 +36,11 @@ _PAUSE_KEYS: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ending:
-    """Which rule of the law ended a run.
+    """The law's rule that ended a run.
 
     Attributes:
-        reason: The finding `stop_reason`.
-        rules: Findings of the rules that are not the usual ones, by key of the scenario.
+        reason: Finding `stop_reason`.
+        rules: Findings of rules with unusual values, by key of the scenario.
     """
 
     reason: Finding
@@ -52,14 +52,14 @@ class _Rule:
     """A rule over the log's last samples.
 
     Attributes:
-        name: The law's word for it.
-        key: Of the parameter that sets how long.
-        usual: Its usual value.
-        now: How long its condition has held at the last sample.
-        before: The same at the sample before.
-        longest: The longest that it held earlier without ending the run.
-        slack: How far these may be off.
-        evidence: What was seen.
+        name: Name of the rule in the law.
+        key: Key of the parameter that sets its duration.
+        usual: Default value of the parameter.
+        now: How long the condition has been true at the last sample.
+        before: How long it had been true at the sample before.
+        longest: The longest time for which it was true earlier without ending the run.
+        slack: Uncertainty of these durations.
+        evidence: Evidence in words.
     """
 
     name: str
@@ -83,8 +83,8 @@ class _Rule:
 def find_pause(hints: Hints) -> dict[str, Finding]:
     """Return how long the controller was silent after rotating.
 
-    What the robot did meanwhile, and how many poses were answered then, a simulation tells; see
-    `describe_pause`.
+    The robot's motion meanwhile and the number of poses answered afterwards come from a simulation;
+    see `describe_pause`.
     """
     if hints.pause_s is None:
         return dict.fromkeys(_PAUSE_KEYS, miss("the log does not show the end of a rotation"))
@@ -97,14 +97,15 @@ def find_pause(hints: Hints) -> dict[str, Finding]:
 
 
 def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Ending:
-    """Return which of the law's rules the last sample meets, in the law's word, or `cut`.
+    """Return the rule of the law that the last sample meets, by its name, or `cut`.
 
-    A rule that would have ended the run earlier is not the usual one, and bounded by the log.
+    A rule that would have ended the run earlier does not have its default value, and the log bounds
+    it.
 
     Args:
-        trace: The samples.
+        trace: Samples of the run.
         is_certain: Whether the commands follow the logged poses bit for bit.
-        is_finished: Whether the log says that the controller came to its end.
+        is_finished: Whether the log shows that the controller finished.
     """
     speed = trace.speed_m_s[trace.rotating :]
     if not len(speed):
@@ -190,7 +191,7 @@ def _judge_times(trace: Trace) -> list[_Rule]:
 
 
 def _count_held(holds: Any) -> Any:
-    """Return for each row for how many rows up to it a condition has held."""
+    """Return, for each row, the number of rows up to it for which a condition has been true."""
     rows = np.arange(1, len(holds) + 1)
     return rows - np.maximum.accumulate(np.where(holds, 0, rows))
 
@@ -206,7 +207,7 @@ def _describe_beyond(rule: _Rule) -> Finding:
 
 
 def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
-    """Return the rules that may have ended a run with another value than the usual."""
+    """Return the rules that may have ended a run with other values than the defaults."""
     likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
     findings = dict(contradicted)
     # The rounder its value, the likelier that somebody typed it.

@@ -1,4 +1,4 @@
-"""A log sample by sample: pose read, command published, time; and where it breaks."""
+"""A log sample by sample: pose read, command published, time; and its breaks."""
 
 import math
 from dataclasses import dataclass, replace
@@ -25,28 +25,29 @@ _FEWEST_ANSWERS: Final = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trace:
-    """The samples of a run, one row each, and what is known of their clock.
+    """The samples of a run, one row each, and the properties of their clock.
 
     Attributes:
-        run: Where they come from.
-        number: Of each sample in the run, from 0, shape (n,); some are left out where rows are
-            lost. A log that has no such numbers counts its rows until `mark_breaks`.
-        jumps: Rows whose pose the robot cannot have reached from the one before; none until
+        run: Run of the samples.
+        number: Number of each sample in the run, from 0, shape (n,); numbers of lost rows are
+            missing. A log without numbers counts its rows until `mark_breaks`.
+        jumps: Rows whose pose the robot cannot have reached from the one before; empty until
             `mark_breaks`.
-        time_ns: Of each answer [ns], shape (n,).
-        xy_m: Of the pose read, as the plant published it [m], shape (n, 2).
-        heading_rad: Of the pose read, as the plant published it [rad], shape (n,).
-        read_xy_m: As the controller read it, where that is logged; else the same [m].
-        read_heading_rad: As the controller read it, where that is logged; else the same [rad].
-        speed_m_s: Published [m/s], shape (n,).
-        turn_rate_rad_s: Published [rad/s], shape (n,).
-        rotating: How many samples the first phase has, from the first one: of sequential-p the
-            rotation. All of a law whose phases are not known.
-        translating: How many samples the phase after it has: of sequential-p the translation.
-        goal_xy_m: Goal position [m], None where the log does not show.
-        period_ticks: Ticks between the poses that are answered.
-        has_exact_clock: Whether times are simulated: whole ticks.
-        has_ticks: Whether there is a pose per tick, whether it was answered or not.
+        time_ns: Time of each answer [ns], shape (n,).
+        xy_m: Position read, as the plant published it [m], shape (n, 2).
+        heading_rad: Heading read, as the plant published it [rad], shape (n,).
+        read_xy_m: Position as the controller read it, if logged; otherwise `xy_m` [m].
+        read_heading_rad: Heading as the controller read it, if logged; otherwise `heading_rad`
+            [rad].
+        speed_m_s: Published speed [m/s], shape (n,).
+        turn_rate_rad_s: Published turn rate [rad/s], shape (n,).
+        rotating: Number of samples in the first phase, from the first one: for sequential-p the
+            rotation. All samples if the phases of the law are unknown.
+        translating: Number of samples in the next phase: for sequential-p the translation.
+        goal_xy_m: Goal position [m]; None if the log does not show it.
+        period_ticks: Number of ticks between answered poses.
+        has_exact_clock: Whether times are simulated, in whole ticks.
+        has_ticks: Whether there is a pose for every tick, answered or not.
     """
 
     run: Run
@@ -71,17 +72,17 @@ class Trace:
 
     @property
     def tick_ns(self) -> int:
-        """Length of a tick: the period of the plant that the run is of [ns]."""
+        """Length of a tick, the period of the run's plant [ns]."""
         return find_plant(self.run).period_ns
 
     @property
     def pose_time_ns(self) -> NDArray[np.int64]:
-        """When the pose read was published [ns], shape (n,)."""
+        """Publication time of the pose read [ns], shape (n,)."""
         return self.run.poses.time_ns[self.run.samples.pose_sequence]
 
     @property
     def ended_rotation(self) -> bool:
-        """Whether the rotation came to its end, with a command of 0."""
+        """Whether the rotation ended with a command of 0."""
         return self.rotating > 1 and float(self.turn_rate_rad_s[self.rotating - 1]) == 0.0
 
     @property
@@ -91,34 +92,34 @@ class Trace:
 
     @property
     def bearing_rad(self) -> float:
-        """The goal bearing, as logged [rad]: noise may have hidden the pose that gave it.
+        """The goal bearing as logged [rad]: noise may hide the pose from which it was computed.
 
-        NaN where the log holds none.
+        NaN if the log lacks it.
         """
         logged = self.run.samples.bearing_rad
         return math.nan if logged is None else float(logged[0])
 
     @property
     def grain_m(self) -> float:
-        """Step in which positions are logged [m]."""
+        """Quantisation step of logged positions [m]."""
         return max(find_pose_resolution(self.xy_m[:, 0]), find_pose_resolution(self.xy_m[:, 1]))
 
     @property
     def grain_rad(self) -> float:
-        """Step in which headings are logged [rad]."""
+        """Quantisation step of logged headings [rad]."""
         return find_pose_resolution(self.heading_rad)
 
     @property
     def coarse_steps(self) -> tuple[float, float, float]:
-        """Steps of x, y [m] and heading [rad] in which poses are logged; 0 where not coarse."""
+        """Quantisation steps of x, y [m] and heading [rad]; 0 if not coarse."""
         x_m, y_m = (find_coarse_step(self.xy_m[:, axis]) for axis in (0, 1))
         return x_m, y_m, find_coarse_step(self.heading_rad)
 
     @property
     def answered_after_s(self) -> float:
-        """Usual time from a pose to its answer [s], bursts left out; 0 where there is little else.
+        """Usual time from a pose to its answer without bursts [s]; 0 if almost all are bursts.
 
-        Of a burst all but the newest pose have waited.
+        In a burst, all poses but the newest have waited.
         """
         is_other = np.diff(self.time_ns) != 0
         alone = np.r_[True, is_other] & np.r_[is_other, True]
@@ -128,7 +129,7 @@ class Trace:
 
     @property
     def missing(self) -> list[tuple[int, int]]:
-        """Rows before which others are missing, and how many."""
+        """Rows before which other rows are missing, and how many."""
         steps = np.diff(self.number)
         return [(row + 1, int(steps[row]) - 1) for row in np.flatnonzero(steps > 1).tolist()]
 
@@ -137,11 +138,11 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
     """Return the samples of a run, one after the other.
 
     Args:
-        run: With samples.
-        phases: The two that follow each other in it; None: of a law whose phases are not known.
+        run: Run with samples.
+        phases: Two successive phases of the run; None for a law with unknown phases.
 
     Raises:
-        ExplainError: Where it holds none.
+        ExplainError: If the run has no samples.
     """
     samples = run.samples
     if not len(samples):
@@ -177,18 +178,18 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
 
 
 def find_pose_resolution(values: Values) -> float:
-    """Return the step that all values are multiples of, or the spacing of their 32-bit floats.
+    """Return the common step of all values, or the spacing of their 32-bit floats.
 
-    0 where they have more bits and no common step.
+    0 if they have more bits and no common step.
     """
     return find_common_step(values) or find_spacing(values)
 
 
 def estimate_trace_noise(values: Values, order: int = 2) -> float:
-    """Return the standard deviation of noise, from what neighbours do not have in common.
+    """Return the standard deviation of noise, from differences of neighbours.
 
-    The median of second differences of normal noise is 0.6745 times the root of 6 of it. Of a
-    higher order the motion itself leaves less.
+    For normal noise, the median of absolute second differences is 0.6745 times the root of 6 times
+    it. Higher orders contain less of the motion itself.
     """
     if len(values) <= order:
         return 0.0
@@ -197,12 +198,12 @@ def estimate_trace_noise(values: Values, order: int = 2) -> float:
 
 
 def count_leading(holds: NDArray[np.bool_]) -> int:
-    """Return how many hold from the first one on."""
+    """Return how many values are true before the first false one."""
     return len(holds) if holds.all() else int(holds.argmin())
 
 
 def _find_goal(run: Run) -> tuple[float, float] | None:
-    """Return the goal as recorded, or the one that position plus error and the bearing agree on."""
+    """Return the recorded goal, or the one on which position plus error and the bearing agree."""
     if run.goal_xy_m is not None:
         return run.goal_xy_m
     samples = run.samples
@@ -216,7 +217,7 @@ def _find_goal(run: Run) -> tuple[float, float] | None:
 
 
 def _has_ticks(run: Run) -> bool:
-    """Tell a recording, with a pose per tick, from a log with a pose per sample."""
+    """Return whether a log has a pose per tick, as a recording, or only a pose per sample."""
     if not np.array_equal(run.samples.pose_sequence, np.arange(len(run.poses))):
         return True
     # What the plant itself publishes holds the applied velocity; a controller does not see it.
@@ -225,7 +226,7 @@ def _has_ticks(run: Run) -> bool:
 
 
 def _find_period(run: Run) -> int:
-    """Return the usual distance of the poses answered, in ticks."""
+    """Return the usual spacing of the answered poses [ticks]."""
     read = run.samples.pose_sequence
     if len(read) < 2:
         return 1
@@ -253,19 +254,19 @@ _FAR_TICKS: Final = 1000
 
 
 def mark_breaks(trace: Trace) -> Trace:
-    """Return the trace with its jumps, and with numbers that leave out what is missing."""
+    """Return the trace with its jumps, and with numbers that skip missing rows."""
     jumps = _find_jumps(trace)
     number = trace.number if trace.has_ticks else _number_rows(trace, jumps)
     return replace(trace, jumps=jumps, number=number)
 
 
 def list_trace_breaks(trace: Trace) -> list[int]:
-    """Return the rows at which a new stretch begins: after a jump, or after missing rows."""
+    """Return the rows at which a segment begins: after a jump, or after missing rows."""
     return sorted({*trace.jumps, *(row for row, _ in trace.missing)})
 
 
 def describe_trace_breaks(trace: Trace) -> list[str]:
-    """Return jumps, missing rows and misread poses in sentences; of many the first."""
+    """Return sentences on jumps, missing rows and misread poses; of many, on the first."""
     found = []
     if trace.jumps:
         row = trace.jumps[0]
@@ -291,10 +292,10 @@ def describe_trace_breaks(trace: Trace) -> list[str]:
 
 
 def space_out(trace: Trace) -> Run:
-    """Return the run with poses at the ticks that their numbers say, and jumps far apart.
+    """Return the run with poses at the ticks of their numbers, and jumps far apart.
 
-    What reads motion then knows across which steps it may look. The run itself where no row is
-    missing and no pose jumps.
+    Motion is then evaluated only across valid steps. The run itself if no row is missing and no
+    pose jumps.
     """
     run = trace.run
     if not list_trace_breaks(trace):
@@ -352,7 +353,7 @@ def _find_largest(values: Values | None) -> float:
 def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
     """Return the number of each row among those that the controller must have had.
 
-    A long step of the clock hides rows if the robot moved as far as in several steps, or stood.
+    A long clock step hides rows if the robot moved as far as in several steps, or did not move.
     """
     step_ns = np.diff(trace.time_ns)
     usual_ns = trace.period_ticks * trace.tick_ns

@@ -1,4 +1,4 @@
-"""Gain, dead time and lag of one axis, by least squares on the steps between poses."""
+"""Gain, dead time and time constant of one axis, by least squares on the steps between poses."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -60,11 +60,11 @@ TOTAL: Final = DEAD_TIME
 
 
 class NoGainError(IdentifyError):
-    """No gain above 0 explains anything of a motion."""
+    """No positive gain explains any of a motion."""
 
 
 class StepModel:
-    """What the commands of some runs lead to in each of their steps."""
+    """Model of the motion in each step, from the commands of one or several runs."""
 
     def __init__(self, motions: Sequence[AxisMotion], structure: Structure = FIRST_ORDER) -> None:
         self.structure = structure
@@ -74,13 +74,13 @@ class StepModel:
         self.follows = np.concatenate([motion.follows for motion in self.motions])
 
     def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
-        """Return the response of each run's commands to a lag, and further parameters."""
+        """Return the response of each run's commands for a time constant and further parameters."""
         return [self.structure.respond(motion.commands, lag_s, extras) for motion in self.motions]
 
     def predict(
         self, dead_time_s: float, *lags: Sequence[LaggedResponse]
     ) -> list[tuple[Values, Values]]:
-        """Return way and rate of each step for each lag that is prepared, with a gain of 1."""
+        """Return displacement and rate of each step for each response, with a gain of 1."""
         found: list[list[tuple[Values, Values]]] = [[] for _ in lags]
         for row, motion in enumerate(self.motions):
             time_s, after = motion.time_s - dead_time_s, motion.first + 1
@@ -112,19 +112,21 @@ class StepModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AxisFit:
-    """What fits best.
+    """Best fit of a model.
 
     Attributes:
-        model: What was fitted.
-        parameters: Gain [1], dead time [s], lag [s], and further ones of the model's structure.
-        covariance: Of gain, total delay, lag and the further ones: dead time and lag trade
-            against each other, and their sum is known far better than either.
-        dispersion: How much larger the variance of the lag is than for normal noise.
+        model: Fitted model.
+        parameters: Gain [1], dead time [s], time constant [s], and further parameters of the
+            structure.
+        covariance: Covariance of gain, total delay, time constant and the further parameters: dead
+            time and time constant are anticorrelated, and their sum is known far better than
+            either.
+        dispersion: Factor by which the variance of the time constant exceeds that for normal noise.
         cost: Sum of the robust squares, each in units of the noise's variance.
-        residual: Measured less modelled [m] or [rad], shape (n,).
-        white: The same, whitened.
-        is_outlier: Which steps do not count.
-        whitening: As it was used.
+        residual: Measured minus modelled [m or rad], shape (n,).
+        white: Whitened residual, shape (n,).
+        is_outlier: Whether each step is left out as an outlier.
+        whitening: Whitening that was used.
     """
 
     model: StepModel
@@ -142,7 +144,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
     """Return the best fit of first order.
 
     Raises:
-        NoGainError: Where no gain above 0 explains anything.
+        NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
     plainly = _weigh_plainly(model)
@@ -155,7 +157,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
-    """Return the best fit of first order whose lag is 0, with the noise of another."""
+    """Return the best first-order fit without time constant, with the noise of another fit."""
     start = fit.parameters[: LAG + 1].copy()
     start[DEAD_TIME] += start[LAG]
     start[LAG] = 0.0
@@ -167,9 +169,9 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
     """Return the best fit of another structure, with its own noise.
 
     Args:
-        fit: Of a structure.
-        structure: To fit.
-        starts: Values of its further parameters that are tried first.
+        fit: Fit of another structure.
+        structure: Structure to fit.
+        starts: Start values of its further parameters.
     """
     model = StepModel(fit.model.motions, structure)
     near = fit.parameters[: LAG + 1]
@@ -178,13 +180,13 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
 
 
 def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
-    """Return the best fit of the same structure from other parameters on, with its own noise."""
+    """Return the best fit of the same structure from other start parameters, with its own noise."""
     near = np.append(start[: LAG + 1], fit.parameters[EXTRA:])
     return _finish(fit.model, _descend(fit.model, near, fit.whitening.apply)[0])
 
 
 def _finish(model: StepModel, parameters: Values) -> AxisFit:
-    """Return the best fit near some parameters, with its own noise."""
+    """Return the best fit near the given parameters, with its own noise."""
     whitening, is_outlier = _learn_noise(model, parameters)
     parameters, cost = _descend(model, parameters, whitening.apply)
     return _conclude(model, parameters, cost, whitening, is_outlier)
@@ -193,7 +195,7 @@ def _finish(model: StepModel, parameters: Values) -> AxisFit:
 def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
     """Return how badly a fit to the first part of the steps predicts the rest.
 
-    That is twice the negative logarithm of the likelihood, by the noise of the first part.
+    It is twice the negative log-likelihood, with the noise of the first part.
     """
     model = StepModel(first, fit.model.structure)
     whitening, _ = _learn_noise(model, fit.parameters)
@@ -207,12 +209,12 @@ def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[Ax
 
 
 def measure_badness(fit: AxisFit) -> float:
-    """Return how badly a fit explains its own steps, likewise."""
+    """Return how badly a fit explains its own steps: twice the negative log-likelihood."""
     return fit.cost + fit.whitening.log_size
 
 
 def measure_gain(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
-    """Return by how much further parameters could lower the sum of squares, to first order."""
+    """Return by how much further parameters could reduce the sum of squares, to first order."""
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     other = StepModel(fit.model.motions, structure)
@@ -224,7 +226,7 @@ def measure_gain(fit: AxisFit, structure: Structure, extras: Sequence[float]) ->
 
 
 def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
-    """Return what another structure leaves near the parameters of a fit: after one linear step."""
+    """Return the cost of another structure near the parameters of a fit, after one linear step."""
     other = StepModel(fit.model.motions, structure)
     near = np.append(fit.parameters[: LAG + 1], extras)
     modelled, slopes = other.linearise(near)
@@ -233,7 +235,7 @@ def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) ->
 
 
 def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
-    """Return by how much some steps alone would move the parameters, and the covariance of that.
+    """Return the change of the parameters from some steps alone, and its covariance.
 
     Parameters are ordered as in the fit's covariance.
     """
@@ -280,14 +282,14 @@ def _conclude(
 
 
 def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
-    """Return which residuals are no noise."""
+    """Return which residuals are outliers."""
     size = np.abs(residual)
     scale = NORMAL_MAD * float(np.median(size))
     return np.asarray(size > _OUTLIER * scale) if scale > 0.0 else np.zeros(len(size), dtype=bool)
 
 
 def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
-    """Return the best of a grid, the best first, each with its gain."""
+    """Return the best points of a grid, the best first, each with its gain."""
     share = min(1.0, _GRID_STEPS / count_steps(motions))
     model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
     moved = _drop_spikes(model.moved)
@@ -307,7 +309,7 @@ def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
 
 
 def _drop_spikes(moved: Values) -> Values:
-    """Return steps of which no jump decides, nor headings that are wrong wherever they wrap."""
+    """Return steps limited so that no jump or wrongly wrapped heading dominates."""
     beside = np.pad(moved, _SPIKE_STEPS, mode="edge")
     middle = np.median(sliding_window_view(beside, 2 * _SPIKE_STEPS + 1), axis=-1)
     most = 3.0 * float(np.quantile(np.abs(middle), 0.99))
@@ -315,7 +317,7 @@ def _drop_spikes(moved: Values) -> Values:
 
 
 def _weigh_plainly(model: StepModel) -> Callable[[Values], Values]:
-    """Return a scaling by which the residual of standing still is about 1."""
+    """Return a scale for which the residual of a robot at rest is about 1."""
     scale = NORMAL_MAD * float(np.median(np.abs(model.moved))) or float(np.std(model.moved))
     return lambda values: values / max(scale, LEAST_STEP)
 
@@ -326,9 +328,10 @@ def _descend(
     whiten: Callable[[Values], Values],
     fixed: Sequence[int] = (),
 ) -> tuple[Values, float]:
-    """Return the parameters that leave the least, by Levenberg and Marquardt, and the cost.
+    """Return the parameters with the least cost (Levenberg-Marquardt), and the cost.
 
-    Neither lags nor dead time go below 0, nor the dead time above the largest.
+    Neither time constants nor the dead time become negative, nor the dead time larger than the
+    limit.
     """
     lowest, highest = np.full(len(parameters), 0.0), np.full(len(parameters), np.inf)
     highest[DEAD_TIME] = LARGEST_DEAD_TIME_S
@@ -370,12 +373,12 @@ def _sum_softly(white: Values) -> float:
 
 
 def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
-    """Return the covariance, and by how much it exceeds that of normal noise, of the lag.
+    """Return the covariance, and its excess over that of normal noise for the time constant.
 
-    It is the larger of what noise as modelled makes, and of a sandwich.
+    It is the larger of the model covariance and a sandwich estimate.
 
-    The sandwich allows for scores that depend on their neighbours; where few steps tell all, it is
-    too small, and the other is not.
+    The sandwich estimate allows for correlated neighbours; if a few steps carry all information it
+    is too small, but the model covariance is not.
     """
     bent = 1.0 + (white / _SOFT) ** 2
     scores = slopes * (white / np.sqrt(bent))[:, None]
@@ -396,9 +399,9 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
 
 
 def _invert(matrix: Values) -> Values:
-    """Return the inverse of a matrix of squares, whatever the units of its rows are.
+    """Return the inverse of a matrix of squares, independent of the units of its rows.
 
-    It is large, not 0, in a direction of which the matrix shows nothing.
+    It is large, not 0, in a direction in which the matrix has no information.
     """
     size = np.maximum(np.sqrt(np.diag(matrix)), _UNSEEN)
     scale = np.outer(size, size)

@@ -1,7 +1,7 @@
-"""What a run shows of one axis: how far it moved from pose to pose, and what was commanded.
+"""The motion of one axis of a run: displacement between poses, and commands.
 
-Many bases stop some tenths of a second after the last command, if nobody sends a 0. A model whose
-commands hold for ever would take that for a slow robot.
+Many bases stop some tenths of a second after the last command if no 0 is sent. A model that holds
+commands forever would mistake this for a slow robot.
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,11 +47,11 @@ _STANDING: Final = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilentStop:
-    """One of them.
+    """A stop of the robot without a command.
 
     Attributes:
         begin_s: Time of the last command [s].
-        stop_s: When the robot has lost half of its rate [s].
+        stop_s: Time at which the rate has dropped to half [s].
         end_s: Time of the next command, or of the last pose [s].
     """
 
@@ -65,12 +65,13 @@ class AxisMotion:
     """The steps of one axis of a run that commands can explain.
 
     Attributes:
-        time_s: Time of the poses that the steps lie between [s], shape (m,).
-        first: Row of the pose that each step begins at, shape (n,); it ends at the next.
-        moved: How far each step went [m] or [rad], shape (n,).
+        time_s: Times of the poses at the ends of the steps [s], shape (m,).
+        first: Row of the pose at the beginning of each step, shape (n,); the step ends at the next
+            pose.
+        moved: Displacement or turn in each step [m or rad], shape (n,).
         commands: Commands of this axis, with a 0 if the robot stops by itself.
-        stops: Place where it stops.
-        beside: Commands of the other axis; None where they are not known.
+        stops: Stops of the robot without a command.
+        beside: Commands of the other axis; None if they are unknown.
     """
 
     time_s: Values
@@ -82,12 +83,12 @@ class AxisMotion:
 
     @property
     def duration_s(self) -> Values:
-        """Of each step [s]."""
+        """Duration of each step [s]."""
         return np.asarray(self.time_s[self.first + 1] - self.time_s[self.first])
 
     @property
     def follows(self) -> NDArray[np.bool_]:
-        """Whether each step begins where the one before it ended."""
+        """Whether each step begins where the previous one ended."""
         return np.asarray(np.diff(self.first, prepend=-2) == 1)
 
     def take(self, steps: slice) -> "AxisMotion":
@@ -98,7 +99,7 @@ class AxisMotion:
 
 
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
-    """Return the steps of an axis in which earlier commands act, and all commands are known."""
+    """Return the steps of an axis with acting commands, all of which are known."""
     command = get_commands(run, axis)
     time_s, moved, is_sound = measure_axis_steps(run.poses, axis)
     command_s = run.commands.time_ns / 1e9
@@ -119,12 +120,12 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
 
 
 def get_commands(run: Run, axis: Axis) -> Values:
-    """Return what was commanded of an axis."""
+    """Return the commands of an axis."""
     return run.commands.speed_m_s if axis == "speed" else run.commands.turn_rate_rad_s
 
 
 def measure_axis_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, NDArray[np.bool_]]:
-    """Return the times of poses, how far each step went, and whether it can be trusted."""
+    """Return the times of poses, the displacement of each step, and whether it is reliable."""
     time_s = poses.time_ns / 1e9
     apart_s = np.diff(time_s)
     closest_s = min(_CLOSEST_S, 0.5 * float(np.median(apart_s))) if len(apart_s) else 0.0
@@ -146,13 +147,13 @@ def measure_axis_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, 
 
 
 def _stands(moved: Values, duration_s: Values, largest: float) -> bool:
-    """Return whether a robot stands in some steps; without any it is not known."""
+    """Return whether a robot is at rest in some steps; False without steps."""
     total_s = float(duration_s.sum())
     return total_s > 0.0 and abs(float(moved.sum())) <= _STANDING * largest * total_s
 
 
 def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
-    """Return in which steps a command other than 0 acts, or did not long ago."""
+    """Return the steps in which a nonzero command acts, or did recently."""
     ends_at = np.append(commands.time_s[1:], np.inf)
     moving = np.flatnonzero(commands.value)
     if not len(moving):
@@ -169,7 +170,7 @@ def _select(
     commands: HeldInput,
     stops: tuple[SilentStop, ...] = (),
 ) -> AxisMotion:
-    """Keep the poses that some steps lie between."""
+    """Keep the poses between which some steps lie."""
     is_used = np.zeros(len(time_s), dtype=bool)
     is_used[first], is_used[first + 1] = True, True
     place = np.cumsum(is_used) - 1
@@ -179,7 +180,7 @@ def _select(
 
 
 def count_steps(motions: Sequence[AxisMotion]) -> int:
-    """Return how many steps some runs have together."""
+    """Return the total number of steps of the runs."""
     return sum(len(motion.moved) for motion in motions)
 
 
@@ -207,13 +208,13 @@ poses goes 2.5 times as far as that of six."""
 def find_silent_stops(
     command_s: Values, command: Values, time_s: Values, moved: Values
 ) -> list[SilentStop]:
-    """Return the silences, with a command other than 0 held, at whose end a robot stands.
+    """Return the silences after a nonzero command at whose end a robot is at rest.
 
     Args:
         command_s: Times of the commands [s].
-        command: Their values.
+        command: Values of the commands.
         time_s: Times of the poses [s], shape (n + 1,).
-        moved: How far each step between poses went, shape (n,).
+        moved: Displacement of each step between poses, shape (n,).
     """
     if not len(command) or not len(moved):
         return []
@@ -253,7 +254,7 @@ def _look_at_silence(
 
 
 def _has_moved(way: Values, at_end: Values, held: float) -> bool:
-    """Return whether a robot moves in a silence: one that stands all the while stops nowhere."""
+    """Return whether a robot moves during a silence: a robot at rest throughout does not stop."""
     went = float(np.abs(way).max())
     return went > max(_OBEYS * held * _SILENCE_S, _ABOVE_NOISE * float(np.ptp(at_end)))
 
@@ -261,14 +262,14 @@ def _has_moved(way: Values, at_end: Values, held: float) -> bool:
 def _insert_stops(
     command_s: Values, command: Values, stops: list[SilentStop]
 ) -> tuple[Values, Values]:
-    """Return commands with a 0 where the robot stopped by itself."""
+    """Return commands with a 0 added where the robot stopped without a command."""
     stop_s = np.array([stop.stop_s for stop in stops])
     places = np.searchsorted(command_s, stop_s, side="right")
     return np.insert(command_s, places, stop_s), np.insert(command, places, 0.0)
 
 
 def _find_doubtful(stops: list[SilentStop], begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
-    """Return the steps in which it is not known when the robot was told to stop."""
+    """Return the steps in which the time of the stop is uncertain."""
     doubtful = np.zeros(len(begins_s), dtype=bool)
     for stop in stops:
         doubtful |= (ends_s > stop.begin_s + _SILENCE_S) & (begins_s < stop.end_s)

@@ -23,7 +23,7 @@ _ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
 
 
 def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
-    """Return the values of an axis; `changes` is how often its command changed [1]."""
+    """Return the values of an axis; `changes` is the number of changes of its command."""
     parameters, covariance = fit.parameters, fit.covariance
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     counted = ~fit.is_outlier
@@ -64,17 +64,17 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
 
 
 def _measure_dead_time_error(fit: AxisFit) -> float:
-    """Return the standard error of the dead time: total delay less lag [s]."""
+    """Return the standard error of the dead time: total delay minus time constant [s]."""
     of_delays = fit.covariance[np.ix_([TOTAL, LAG], [TOTAL, LAG])]
     signs = np.array([1.0, -1.0])
     return float(np.sqrt(max(signs @ of_delays @ signs, 0.0)))
 
 
 def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Estimate, Estimate]:
-    """Widen intervals to a lag of 0 where that fits as well.
+    """Widen intervals to a time constant of 0 if that fits as well.
 
-    A lag that is short against the steps shows in those steps only in which the command switches:
-    its errors are not normal, and the cost tells more than its curvature does.
+    A time constant short compared with the steps is visible only in steps in which the command
+    changes: its errors are not normal, and the cost is more reliable than its curvature.
     """
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
     if fit.model.structure != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
@@ -88,7 +88,7 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
 
 
 def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
-    """Return a value that is not below 0 with its interval."""
+    """Return a non-negative value with its interval."""
     half = NORMAL_95 * error
     return Estimate(value=value, low=max(value - half, 0.0), high=value + half, unit=unit)
 
@@ -102,7 +102,7 @@ def _take(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
 
 
 def _divide(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
-    """Return the gain by a further parameter, such as a limit of the rate."""
+    """Return the gain divided by a further parameter, such as a limit of the rate."""
     if place is None:
         return None
     gain, by = fit.parameters[[GAIN, place]].tolist()
@@ -120,13 +120,13 @@ def _multiply(fit: AxisFit, place: int | None) -> Estimate | None:
 
 
 def _find_error(fit: AxisFit, place: int, slope: list[float]) -> float:
-    """Return the standard error of what depends on the gain and a further parameter."""
+    """Return the standard error of a function of the gain and a further parameter."""
     rows = np.ix_([GAIN, place], [GAIN, place])
     return float(np.sqrt(max(float(slope @ fit.covariance[rows] @ slope), 0.0)))
 
 
 def _estimate_deadband(fit: AxisFit, unit: str) -> Estimate | None:
-    """Return the deadband: between the commands that move nothing and those that do."""
+    """Return the deadband, between the commands without motion and those with motion."""
     low = fit.model.structure.deadband
     if not low:
         return None
@@ -136,6 +136,6 @@ def _estimate_deadband(fit: AxisFit, unit: str) -> Estimate | None:
 
 
 def _measure_whiteness(white: Values) -> float | None:
-    """Return the mean square of the changes by twice the mean square: 1 for noise."""
+    """Return the mean square of the changes divided by twice the mean square: 1 for noise."""
     squares = float(np.mean(white**2))
     return float(np.mean(np.diff(white) ** 2)) / (2.0 * squares) if squares > 0.0 else None

@@ -1,10 +1,10 @@
-"""Doubts about a fit: structures between which the log does not decide, and a second opinion.
+"""Doubts about a fit: structures that the log cannot distinguish, and a second estimate.
 
-Doubts widen the intervals until they hold, and are told.
+Doubts widen the intervals until they cover the alternatives, and are reported.
 
-The second opinion fits nothing: the delay at which commands and motion correlate best. A flat
-correlation names no one delay. So the answer is a range: the delays at which the motion follows
-from the commands as well as at the best, as far as the parts of the log agree on that.
+The second estimate fits no model: it is the delay with the largest correlation of commands and
+motion. A flat correlation gives no single delay, so the result is a range: the delays that explain
+the motion as well as the best one, as far as the parts of the log agree.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -63,7 +63,7 @@ curve in the eighth digit."""
 def cover_rivals(
     found: AxisModel, structure: Structure, others: Sequence[tuple[Structure, AxisModel]]
 ) -> AxisModel:
-    """Return an axis whose intervals cover those of other structures that explain it as well."""
+    """Return an axis with intervals that cover those of equally good structures."""
     covered = found
     for _, other in others:
         for field in (*_FIELDS, *_LIMITS):
@@ -79,7 +79,7 @@ def cover_rivals(
 
 
 def describe_rivals(structures: Sequence[Structure]) -> str:
-    """Return what structures have beside a dead time and a time constant, what all have once."""
+    """Return the further parameters of structures, those common to all only once."""
     parts = [_list_parts(one) for one in structures]
     shared = [part for part in parts[0] if all(part in other for other in parts)]
     own = [[part for part in one if part not in shared] for one in parts]
@@ -104,12 +104,12 @@ def _list_parts(structure: Structure) -> list[str]:
 
 
 def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
-    """Return an axis whose intervals cover what parts of the motion say that differ.
+    """Return an axis with intervals that cover the differing values of parts of the motion.
 
-    Small commands and large ones, those of either sign, rising and falling ones, both halves of the
-    log, and what is commanded with the other axis or without it have one set of values where the
-    model explains the motion. Where it leaves a curve they
-    count as different sooner, and all intervals grow by what neighbours share.
+    Small and large commands, positive and negative, rising and falling ones, both halves of the
+    log, and commands with and without the other axis give one set of values if the model explains
+    the motion. If the residual is a curve, they count as different sooner, and all intervals grow
+    by the correlation of neighbours.
     """
     excess = _measure_curve(fit)
     is_curve = excess > _CURVE
@@ -136,10 +136,10 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
 
 
 def _measure_curve(fit: AxisFit) -> float:
-    """Return by how many standard deviations neighbours are off alike, or the nearest in turns.
+    """Return the correlation of neighbouring residuals, in standard deviations.
 
-    The nearest ones, those within a few steps and those within a short time count for themselves: a
-    curve that noise was taken for makes the nearest differ and the others alike.
+    The nearest ones, those within a few steps and those within a short time are tested separately:
+    if a curve is taken for noise, the nearest differ and the others agree.
     """
     sums = [(float(one.sum()), float(one @ one)) for one in _multiply_neighbours(fit)]
     along, squares = np.cumsum(sums, axis=0).T
@@ -150,14 +150,14 @@ def _measure_curve(fit: AxisFit) -> float:
 
 
 def _measure_sharing(fit: AxisFit) -> float:
-    """Return by how much larger errors are, as neighbours are off alike."""
+    """Return the factor by which correlated neighbours increase the errors."""
     along = sum(float(one.sum()) for one in _multiply_neighbours(fit))
     white = _clip(fit)
     return float(np.sqrt(max(1.0 + 2.0 * along / max(float(white @ white), LEAST_STEP), 1.0)))
 
 
 def _multiply_neighbours(fit: AxisFit) -> Iterator[Values]:
-    """Yield the products of what steps and later ones are off, within a short time."""
+    """Yield the products of residuals of steps and later ones, within a short time."""
     white = _clip(fit)
     reach = int(_NEIGHBOURS_S / float(np.median(fit.model.duration_s)))
     for lag in range(1, min(max(reach, 2), len(white) - 1) + 1):
@@ -165,12 +165,12 @@ def _multiply_neighbours(fit: AxisFit) -> Iterator[Values]:
 
 
 def _clip(fit: AxisFit) -> Values:
-    """Return what steps are off, of which no outlier decides."""
+    """Return residuals, limited so that no outlier dominates."""
     return np.where(fit.is_outlier, 0.0, np.clip(fit.white, -_MOST, _MOST))
 
 
 def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield what the steps are divided by: in which of them the first of two commands acts."""
+    """Yield the division of the steps by one criterion: whether the first of two commands acts."""
     dead_time_s = float(fit.parameters[DEAD_TIME])
     acting, before, beside = [], [], []
     for motion in fit.model.motions:
@@ -193,7 +193,7 @@ def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.boo
 def _compare_parts(
     fit: AxisFit, is_first: NDArray[np.bool_], apart: float
 ) -> Iterator[tuple[str, list[Estimate]]]:
-    """Yield which values differ between two parts of the motion, and what they are."""
+    """Yield the values that differ between two parts of the motion."""
     counted = ~fit.is_outlier
     parts = [counted & is_first, counted & ~is_first]
     if min(int(np.count_nonzero(part)) for part in parts) < _FEWEST:
@@ -217,7 +217,7 @@ def _compare_parts(
 
 
 def _list_contrasts(count: int) -> dict[str, Values]:
-    """Return what of the fit's parameters makes each field."""
+    """Return the combination of the fit's parameters for each field."""
     units = np.eye(count)
     return {
         "gain": units[GAIN],
@@ -239,7 +239,7 @@ def _evaluate(fit: AxisFit, field: str) -> float:
 
 
 def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:
-    """Return an axis whose interval of a field is wider by a factor, down to 0."""
+    """Return an axis with the interval of a field widened by a factor, not below 0."""
     own = getattr(axis, field)
     if own is None:
         return axis
@@ -248,7 +248,7 @@ def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:
 
 
 def _widen(axis: AxisModel, field: str, other: Estimate | None) -> AxisModel:
-    """Return an axis whose interval of a field covers another, down to 0."""
+    """Return an axis with the interval of a field extended to cover another, not below 0."""
     own = getattr(axis, field)
     if own is None or other is None:
         return axis
@@ -257,7 +257,7 @@ def _widen(axis: AxisModel, field: str, other: Estimate | None) -> AxisModel:
 
 
 def _matters(covered: AxisModel) -> bool:
-    """Return whether an axis has an interval that is wide enough to change what is advised."""
+    """Return whether an interval of an axis is wide enough to change the advice."""
     total = covered.total_delay_s
     for field in _FIELDS:
         own = getattr(covered, field)
@@ -299,12 +299,12 @@ delay in the long run. The rest is for delays far away: of 391 ranges 96.9 % hel
 
 
 def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | None, str]:
-    """Return the delay of the motion behind the commands, as the best and a range [s].
+    """Return the delay of the motion after the commands, as the best value and a range [s].
 
     Commands are averaged over each step between poses, so that nothing is resampled.
 
     Returns:
-        None, and a sentence that says why, where the correlation says nothing of a delay.
+        None, and a sentence with the reason, if the correlation shows no delay.
     """
     motions = [motion for motion in motions if len(motion.moved)]
     most = _MOST_STEPS // max(len(motions), 1)
@@ -345,7 +345,7 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
 
 
 def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) -> float:
-    """Return the first delay from a begin on, in steps, that is worse, or the end of what is."""
+    """Return the first worse delay from a start on, in steps, or the end of the range."""
     end_s = begin_s
     while 0.0 < end_s < _LARGEST_S and abs(end_s - begin_s) < _COARSE_S:
         end_s += step_s
@@ -355,9 +355,9 @@ def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) 
 
 
 class _Misfit:
-    """What delayed commands leave of the rates of some steps, each with the best gain and offset.
+    """Residual of the rates of steps for delayed commands, each with the best gain and offset.
 
-    The largest correlation leaves the least.
+    The largest correlation gives the smallest residual.
     """
 
     def __init__(self, motions: Sequence[AxisMotion]) -> None:
@@ -379,13 +379,13 @@ class _Misfit:
         self._squares: dict[float, Values] = {}
 
     def measure(self, delay_s: float) -> float:
-        """Return the sum of squares that a delay leaves."""
+        """Return the residual sum of squares for a delay."""
         return float(self._list_squares(delay_s).sum())
 
     def is_worse(self, delay_s: float | None, best_s: float) -> bool:
-        """Return whether a delay, or None without commands, leaves more but for chance.
+        """Return whether a delay, or None without commands, is significantly worse.
 
-        What it leaves more is summed up over parts of the log, which tell how far it varies.
+        The excess is summed over parts of the log, whose scatter shows its uncertainty.
         """
         more = self._list_squares(delay_s) - self._list_squares(best_s)
         sums = np.bincount(self._part, weights=more)

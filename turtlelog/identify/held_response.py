@@ -1,8 +1,8 @@
-"""The way that a robot covers in response to commands that hold, and what may shape it.
+"""The displacement of a robot in response to held commands, and nonlinearities of the response.
 
-rate = exp(-dead_time s) / (c s^2 + b s + 1) of the commands, each of which holds until the next
-one. Between two commands the response is a sum of exponentials, so its integral is known at any
-time: there is no grid in time, however irregular commands and poses are.
+rate = exp(-dead_time s) / (c s^2 + b s + 1) of the commands under zero-order hold. Between two
+commands the response is a sum of exponentials, so its integral is known at any time: no time grid
+is needed, however irregular commands and poses are.
 """
 
 import cmath
@@ -30,14 +30,14 @@ changes the response by less than a millionth."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
-    """Times, and which command holds at each of them.
+    """Times, and the command that holds at each of them.
 
     Attributes:
         held: Row of that command, shape (m,).
-        since_s: For how long it has held [s].
-        value: What it says then [m/s] or [rad/s].
-        slope: How fast that changes [m/s^2] or [rad/s^2]; 0 of a command that holds.
-        way: Integral of the commands up to the time [m] or [rad].
+        since_s: Time since its start [s].
+        value: Its value at the time [m/s or rad/s].
+        slope: Its rate of change [m/s^2 or rad/s^2]; 0 for a constant command.
+        way: Integral of the commands up to the time [m or rad].
     """
 
     held: NDArray[np.int64]
@@ -49,15 +49,15 @@ class Places:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldInput:
-    """The commands of one axis, each of which holds until the next one.
+    """The commands of one axis under zero-order hold.
 
     Attributes:
-        time_s: Of each change [s], shape (n,), not decreasing; the first is what held before any
-            command was recorded.
-        value: What was commanded [m/s] or [rad/s], shape (n,).
-        slope: How fast that changes until the next one, where a limit makes ramps of changes
-            [m/s^2] or [rad/s^2], shape (n,); 0 elsewhere.
-        way: Integral of the commands up to each of them [m] or [rad], shape (n,).
+        time_s: Time of each change [s], shape (n,), not decreasing; the first is the value before
+            any recorded command.
+        value: Commanded rate [m/s or rad/s], shape (n,).
+        slope: Rate of change until the next one, if a limit turns changes into ramps [m/s^2 or
+            rad/s^2], shape (n,); otherwise 0.
+        way: Integral of the commands up to each of them [m or rad], shape (n,).
     """
 
     time_s: Values
@@ -66,7 +66,7 @@ class HeldInput:
     way: Values
 
     def place(self, time_s: Values) -> Places:
-        """Return which command holds at some times; before the first one, it does."""
+        """Return the command that holds at each time; before the first command, the first."""
         held = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
         since_s = time_s - self.time_s[held]
         slope = self.slope[held]
@@ -77,12 +77,12 @@ class HeldInput:
 
 
 def hold_commands(time_s: Values, value: Values, before: float) -> HeldInput:
-    """Return commands that hold, without those that repeat the one before.
+    """Return held commands without repeated ones.
 
     Args:
-        time_s: Of each [s].
-        value: Of each.
-        before: What held until the first one.
+        time_s: Time of each command [s].
+        value: Value of each command.
+        before: Value before the first command.
     """
     changes = np.flatnonzero(np.diff(value, prepend=before))
     first_s = time_s[0] - 1.0 if len(time_s) else 0.0
@@ -99,11 +99,11 @@ def _integrate_commands(time_s: Values, value: Values, slope: Values) -> HeldInp
 
 
 def _limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
-    """Return commands that change no faster than a limit: of each a ramp, and what it leads to.
+    """Return commands with limited slope: a ramp for each, followed by its final value.
 
     Args:
-        commands: To follow.
-        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 changes nothing.
+        commands: Commands to follow.
+        slowness: Time for a unit change [s^2/m or s^2/rad]; 0 for no limit.
     """
     if slowness <= 0.0:
         return commands
@@ -126,17 +126,17 @@ def _limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
 def limit_within(
     commands: HeldInput, slowness: float, lag_s: float, most: float = math.inf
 ) -> HeldInput:
-    """Return what a lag must be asked for so that its rate, or the rate's change, has a limit.
+    """Return the input of a lag for which its rate and acceleration are limited.
 
-    rate' = clip((command - rate) / lag, +-limit) is a lag behind clip(command, rate +- limit lag):
-    a ramp that is ahead of the rate, and where it reaches the command, the command. Where the rate
-    is at its largest, it asks for no more.
+    rate' = clip((command - rate) / lag, +-limit) is a lag with the input clip(command, rate +-
+    limit lag): a ramp ahead of the rate, until it reaches the command. At the largest rate the
+    input rises no further.
 
     Args:
-        commands: To follow.
-        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 for no limit of that.
+        commands: Commands to follow.
+        slowness: Time for a unit change [s^2/m or s^2/rad]; 0 for no limit.
         lag_s: The time constant [s].
-        most: The largest rate, of a gain of 1 [m/s] or [rad/s].
+        most: Largest rate for a gain of 1 [m/s or rad/s].
     """
     lag_s = max(lag_s, _LEAST_LAG_S)
     ahead = lag_s / slowness if slowness > 0.0 else math.inf
@@ -169,14 +169,14 @@ def limit_within(
 def _shape_commands(
     commands: HeldInput, *, tightness: float, reverse: float, friction: float, deadband: float
 ) -> HeldInput:
-    """Return commands as a robot takes them that does not take all alike.
+    """Return commands after the static nonlinearities of a robot.
 
     Args:
-        commands: To follow.
-        tightness: One by the largest that acts whole [s/m] or [s/rad]; 0 for none.
-        reverse: Gain of those below 0 by that of the others [1].
-        friction: What each lacks of its magnitude [m/s] or [rad/s].
-        deadband: Magnitude up to which they move nothing [m/s] or [rad/s].
+        commands: Commands to follow.
+        tightness: Reciprocal of the largest effective command [s/m or s/rad]; 0 for no limit.
+        reverse: Gain of negative commands divided by that of positive ones [1].
+        friction: Reduction of each magnitude [m/s or rad/s].
+        deadband: Magnitude up to which there is no motion [m/s or rad/s].
     """
     size = np.maximum(np.abs(commands.value) - friction, 0.0)
     value = np.where(commands.value < 0.0, -reverse, 1.0) * size
@@ -187,15 +187,15 @@ def _shape_commands(
 
 
 class LaggedResponse:
-    """The response to commands of a robot with certain lags and a gain of 1."""
+    """The response of a robot with given time constants and a gain of 1."""
 
     def __init__(self, commands: HeldInput, lag_s: float, product_s2: float = 0.0) -> None:
-        """Prepare it.
+        """Prepare the response.
 
         Args:
-            commands: To follow.
+            commands: Commands to follow.
             lag_s: Sum of its time constants, b [s].
-            product_s2: Their product, c [s^2]; 0 of a first-order lag.
+            product_s2: Their product, c [s^2]; 0 for a first-order lag.
         """
         self._product_s2 = product_s2
         self._commands, self._lag_s = commands, lag_s
@@ -205,7 +205,7 @@ class LaggedResponse:
         ]
 
     def place(self, time_s: Values) -> Places:
-        """Return which command holds at times from which the dead time is subtracted [s]."""
+        """Return the command that holds at times minus the dead time [s]."""
         return self._commands.place(time_s)
 
     def evaluate(self, places: Places) -> tuple[Values, Values]:
@@ -220,7 +220,7 @@ class LaggedResponse:
 
 
 def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
-    """Return share and lag of the first-order parts, of two conjugate ones the double of one."""
+    """Return weight and time constant of first-order parts; one doubled for a conjugate pair."""
     if product_s2 <= 0.0:
         return [(1.0, max(lag_s, _LEAST_LAG_S))]
     half_s = 0.5 * lag_s
@@ -234,9 +234,9 @@ def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
 
 
 def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
-    """Return by how much the rate of a first-order lag differs from each command as it begins.
+    """Return the initial difference between the rate of a first-order lag and each command.
 
-    It fades by a factor until the next command, which adds its own: a linear recurrence, solved by
+    It decays by a factor until the next command, which adds its own: a linear recurrence, solved by
     doubling.
     """
     fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
@@ -277,17 +277,17 @@ _OF_ORDER: Final = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Structure:
-    """Which further parameters a model has.
+    """The further parameters of a model.
 
     Attributes:
-        order: Of its lag, and where its acceleration is limited.
-        bound: What ends at a largest: the command, or the rate, which then follows larger commands
-            as if it did not end, until it does; the parameter is one by the command that leads
-            there [s/m] or [s/rad].
-        has_reverse: Whether the gain of commands below 0 is another; the parameter is their ratio.
-        has_friction: Whether every command lacks something of its magnitude; the parameter is that
-            [m/s] or [rad/s].
-        deadband: Magnitude up to which commands move nothing [m/s] or [rad/s].
+        order: Order of its lag, and the place of its acceleration limit.
+        bound: Limited quantity: the command, or the rate, which follows larger commands as without
+            the limit until it reaches it. The parameter is the reciprocal of the command that leads
+            there [s/m or s/rad].
+        has_reverse: Whether the gain of negative commands differs; the parameter is the ratio.
+        has_friction: Whether the magnitude of every command is reduced; the parameter is the
+            reduction [m/s or rad/s].
+        deadband: Magnitude up to which commands cause no motion [m/s or rad/s].
     """
 
     order: Order = "first_order"
@@ -298,17 +298,17 @@ class Structure:
 
     @property
     def is_slow(self) -> bool:
-        """Whether commands are followed one by one."""
+        """Whether commands must be evaluated one by one."""
         return self.order.startswith("limited") or self.bound == "rate"
 
     @property
     def is_possible(self) -> bool:
-        """Whether its parts go together: a rate that ends is that of one lag, without ramps."""
+        """Whether its parts are compatible: a rate limit needs a first-order lag without ramps."""
         return self.bound != "rate" or self.order in {"first_order", "limited_within"}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the further parameters, in order."""
+        """Names of the further parameters, in order."""
         has = {
             "tightness": bool(self.bound),
             "reverse": self.has_reverse,
@@ -318,21 +318,21 @@ class Structure:
 
     @property
     def size(self) -> int:
-        """How many parameters it has beside gain, dead time and lag."""
+        """Number of parameters in addition to gain, dead time and time constant."""
         return len(self.names) + (self.deadband > 0.0)
 
     @property
     def steps(self) -> list[float]:
-        """Of differences with respect to the further parameters."""
+        """Step sizes for differences with respect to the further parameters."""
         return [_STEPS[name] for name in self.names]
 
     @property
     def bends(self) -> bool:
-        """Whether the commands that act depend on the further parameters."""
+        """Whether the effective commands depend on the further parameters."""
         return self not in {FIRST_ORDER, SECOND_ORDER}
 
     def respond(self, commands: HeldInput, lag_s: float, extras: Sequence[float]) -> LaggedResponse:
-        """Return the response to commands, with a lag and the further parameters."""
+        """Return the response to commands for a time constant and the further parameters."""
         values = dict(zip(self.names, extras, strict=True))
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
             commands = _shape_commands(

@@ -1,4 +1,4 @@
-"""The rates to which recorded commands lead a robot's model, beside those of the robot."""
+"""The rates of a robot's model for recorded commands, compared with those of the robot."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -20,9 +20,9 @@ class AxisTraces:
     """Rates of an axis over time, each the mean over some steps between poses.
 
     Attributes:
-        axis: Axis.
+        axis: Name of the axis.
         time_s: Middle of these steps [s], shape (n,).
-        commanded: Commanded rate meanwhile [m/s] or [rad/s], without any delay.
+        commanded: Mean commanded rate in these steps [m/s or rad/s], without delay.
         measured: Measured rate.
         modelled: Rate of the model.
     """
@@ -35,15 +35,15 @@ class AxisTraces:
 
     @property
     def residual(self) -> Values:
-        """Measured less modelled."""
+        """Measured minus modelled rate."""
         return self.measured - self.modelled
 
 
 def trace_axis(model: AxisModel, run: Run) -> AxisTraces:
-    """Return what was commanded, measured and modelled of an axis.
+    """Return the commanded, measured and modelled rates of an axis.
 
     Raises:
-        IdentifyError: If the model does not know the axis.
+        IdentifyError: If the axis of the model is unknown.
     """
     time_s, moved, _ = measure_axis_steps(run.poses, model.axis)
     modelled, _ = predict_axis(model, run, time_s)
@@ -55,13 +55,13 @@ def trace_axis(model: AxisModel, run: Run) -> AxisTraces:
 def join_rates(
     axis: Axis, motion: AxisMotion, time_s: Values, moved: Values, modelled: Values
 ) -> AxisTraces:
-    """Return rates of an axis from how far each step between some times [s] went, shape (n,).
+    """Return the rates of an axis from displacements in steps between times [s], shape (n,).
 
-    Steps are joined up to a tenth of a second: the noise of poses hides the rate of shorter ones.
+    Steps are joined up to a tenth of a second: in shorter ones the noise of poses hides the rate.
 
     Args:
-        axis: Axis.
-        motion: Whose commands are shown.
+        axis: Name of the axis.
+        motion: Motion whose commands are shown.
         time_s: Time of the poses [s], shape (n + 1,).
         moved: Distance or turn of the robot in each step [m] or [rad], shape (n,).
         modelled: Distance or turn of its model, likewise.
@@ -84,10 +84,10 @@ def join_rates(
 
 
 def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Values]:
-    """Return the way or turn from the first of some times on, and the rate, as a model has them.
+    """Return the displacement or turn since the first time, and the rate, of a model.
 
     Raises:
-        IdentifyError: If the model does not know the axis.
+        IdentifyError: If the axis of the model is unknown.
     """
     return predict_response(model, read_axis_motion(run, model.axis).commands, time_s)
 
@@ -95,10 +95,10 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
 def predict_response(
     model: AxisModel, commands: HeldInput, time_s: Values
 ) -> tuple[Values, Values]:
-    """Return the same of given commands.
+    """Return the same for given commands.
 
     Raises:
-        IdentifyError: If the model does not know the axis.
+        IdentifyError: If the axis of the model is unknown.
     """
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:

@@ -1,4 +1,4 @@
-"""Why commands and motion do not tell an axis, as where commands repeat, and what would."""
+"""Why commands and motion do not identify an axis, as for periodic commands, and what would."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -60,7 +60,7 @@ _OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
 
 
 def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
-    """Return why the commands of some runs cannot tell an axis; empty where they can."""
+    """Return why the commands of the runs cannot identify an axis; empty if they can."""
     name = NAMES[axis]
     commands = [get_commands(run, axis) for run in runs]
     if not any(len(command) for command in commands):
@@ -84,7 +84,7 @@ def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
 
 
 def find_absurd(runs: Sequence[Run], motions: Sequence[AxisMotion], axis: Axis) -> str:
-    """Return what of an axis is larger than a robot can be; empty where nothing is."""
+    """Return which value of an axis is implausible for a robot; empty if none is."""
     unit = UNITS[axis]
     columns = (
         ("commands", unit, [get_commands(run, axis) for run in runs]),
@@ -117,7 +117,7 @@ def refuse_axis(axis: Axis, reason: str) -> AxisModel:
 def refuse_fit(
     axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit, found: AxisModel
 ) -> AxisModel | None:
-    """Refuse an axis that a fit does not tell, saying why; None where it does."""
+    """Return an axis without values if a fit does not identify it, with the reason; else None."""
     opposite = None
     reason = _find_doubt(found, fit)
     if reason or found.explained is None or found.explained < _OPPOSITE_EXPLAINS:
@@ -132,7 +132,7 @@ def refuse_fit(
 def find_opposite(
     axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit | None
 ) -> AxisModel | None:
-    """Refuse an axis that moves the wrong way round, saying so; None where it does not."""
+    """Return an axis without values if it moves in the opposite direction; otherwise None."""
     try:
         other = fit_axis([replace(motion, moved=-motion.moved) for motion in motions])
     except NoGainError:
@@ -159,7 +159,7 @@ def find_opposite(
 
 
 def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
-    """Return why values that were fitted are none; a total delay within a step is well known."""
+    """Return why fitted values are invalid; a total delay within a step is well known."""
     if fit.parameters[DEAD_TIME] >= LARGEST_DEAD_TIME_S:
         return (
             f"the best dead time is the largest that is tried, {LARGEST_DEAD_TIME_S:g} s:"
@@ -208,9 +208,9 @@ _BETTER: Final = 0.5
 
 
 def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
-    """Return after which time [s] commands repeat, and with which sign; None where they do not.
+    """Return the time [s] after which commands repeat, and with which sign; None if they do not.
 
-    Only times up to the largest dead time count: a later repetition explains nothing.
+    Only times up to the largest dead time count: a later repetition causes no ambiguity.
     """
     moving = [motion for motion in motions if len(motion.moved) and motion.commands.value.any()]
     commands = [_sample(motion) for motion in moving]
@@ -232,10 +232,10 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
 
 
 def _list_twins(fit: AxisFit, shift_s: float, sign: int) -> list[tuple[float, int, float | None]]:
-    """Return the other dead times [s] of commands that repeat, each with the sign of its gain.
+    """Return the alternative dead times [s] of periodic commands, each with the sign of its gain.
 
-    The last of each is what the fit leaves by what that twin leaves, where both differ; None where
-    they hardly do.
+    The last value of each is the residual of the fit divided by that of the alternative; None if
+    they hardly differ.
     """
     gain, dead_time_s, lag_s, *extra = fit.parameters.tolist()
     twins = []
@@ -249,9 +249,9 @@ def _list_twins(fit: AxisFit, shift_s: float, sign: int) -> list[tuple[float, in
 
 
 def _tell_twin(fit: AxisFit, shift_s: float, sign: int) -> tuple[str, bool]:
-    """Return why a dead time is not known, and whether the other sign explains more.
+    """Return why a dead time is ambiguous, and whether the other sign explains more.
 
-    The reason is empty where the motion tells which it is.
+    The reason is empty if the motion resolves the ambiguity.
     """
     gain, dead_time_s = fit.parameters[: DEAD_TIME + 1].tolist()
     for other_s, its_sign, ratio in _list_twins(fit, shift_s, sign):
@@ -267,7 +267,7 @@ def _tell_twin(fit: AxisFit, shift_s: float, sign: int) -> tuple[str, bool]:
 
 
 def _sample(motion: AxisMotion) -> Values:
-    """Return the held commands at equal times, from the first other than 0 to the last's end."""
+    """Return held commands at equal times, from the first nonzero one to the end of the last."""
     time_s, value = motion.commands.time_s, motion.commands.value
     moving = np.flatnonzero(value)
     ends_s = np.append(time_s[1:], motion.time_s[-1])

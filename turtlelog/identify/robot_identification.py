@@ -1,4 +1,4 @@
-"""A robot's dynamics from the commands and the motion of its runs, of turtlesim tick by tick."""
+"""A robot's dynamics from the commands and the motion of its runs; for turtlesim tick by tick."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -52,12 +52,12 @@ part of each run; more would tell what no robot keeps for so long."""
 
 
 def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
-    """Return gain, dead time and time constant of each axis of a robot, with intervals of 95 %.
+    """Return gain, dead time and time constant of each axis of a robot, with 95 % intervals.
 
-    The steps between poses are compared with the response to the commands, which hold until the
-    next one, in closed form; no pose is resampled. Several runs of one robot are fitted together,
-    and the notes name what differs between them. Each pose of turtlesim shows the command that its
-    tick took, and nothing is fitted.
+    The steps between poses are compared with the closed-form response to the commands under
+    zero-order hold; no pose is resampled. Several runs of one robot are fitted together, and the
+    notes name differences between them. For turtlesim, each pose shows the command that its tick
+    used, and nothing is fitted.
 
     Raises:
         IdentifyError: If there is no run.
@@ -130,7 +130,7 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
 
 
 def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
-    """Return whether all commands of an axis that is known have one magnitude."""
+    """Return whether all commands of a known axis have the same magnitude."""
     sizes = np.abs(np.concatenate([get_commands(run, model.axis) for run in runs]))
     moving = sizes[sizes > 0.0]
     return model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max())
@@ -164,7 +164,7 @@ def _count_changes(run: Run, axis: Axis) -> int:
 
 
 def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEvent]:
-    """Return the outliers of a fit, as events of the runs that they are in."""
+    """Return the outliers of a fit, as events of their runs."""
     events, begin = [], 0
     for name, motion in zip(names, fit.model.motions, strict=True):
         end = begin + len(motion.moved)
@@ -177,7 +177,7 @@ def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEv
 
 
 def _compare_runs(runs: Sequence[Run], together: AxisModel) -> list[str]:
-    """Return what one run says otherwise than all of them together, in sentences."""
+    """Return the differences of single runs from all runs together, in sentences."""
     if len(runs) < 2 or not together.is_known:
         return []
     notes = []
@@ -216,7 +216,7 @@ _HERE: Final = "turtlesim moves by the command of a tick, whole and at once"
 
 
 def _identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
-    """Return when each command moved turtlesim; None of other robots, and without commands."""
+    """Return the delay of each command in turtlesim; None for other robots or without commands."""
     found = [_list_delays(run) for run in runs]
     known = [shown for shown in found if shown is not None]
     if len(known) < len(runs):
@@ -247,11 +247,11 @@ def _identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Shown:
-    """The commands of a run that poses show.
+    """The commands of a run that are visible in poses.
 
     Attributes:
-        commands: Their rows, rising, shape (n,).
-        delays_s: From the time of each to that of the pose that shows it first [s], shape (n,).
+        commands: Rows of the commands, rising, shape (n,).
+        delays_s: Time from each command to the first pose that shows it [s], shape (n,).
     """
 
     commands: NDArray[np.int64]
@@ -259,7 +259,7 @@ class _Shown:
 
 
 def _list_delays(run: Run) -> _Shown | None:
-    """Return which commands poses show, and how late; None where the ticks do not tell."""
+    """Return the commands visible in poses, and their delays; None if ticks are unknown."""
     if find_plant(run) is not TURTLESIM:
         return None
     try:
@@ -277,9 +277,9 @@ def _list_delays(run: Run) -> _Shown | None:
 
 
 def _list_dead_times(run: Run, axis: Axis, shown: _Shown) -> Values:
-    """Return the dead times of the commands that change an axis [s]: a tick less than to the pose.
+    """Return the dead times of commands that change an axis [s]: a tick less than to the pose.
 
-    A real turtlesim takes a command at the end of a tick, and moves by it for all of the tick.
+    A real turtlesim takes a command at the end of a tick, and uses it for the whole tick.
     """
     values = get_commands(run, axis)[shown.commands]
     changes = np.diff(values, prepend=0.0) != 0.0

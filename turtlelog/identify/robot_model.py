@@ -1,4 +1,4 @@
-"""What is known of a robot's dynamics, as values with intervals and in words, or why nothing is."""
+"""A robot's dynamics as values with intervals and in words, or the reason why they are unknown."""
 
 import math
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from turtlelog.theory.process import Process, build_delayed
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A value and its interval of 95 %; compares with a number as its value does.
+    """A value and its 95 % interval; it compares with a number as its value does.
 
     Attributes:
         value: The likeliest.
@@ -55,8 +55,7 @@ class TickDelays:
     """Delays of turtlesim: from a command's time to the pose that shows it.
 
     Attributes:
-        shown: Number of commands that a pose shows: of those that were taken, the ones that changed
-            what the plant held.
+        shown: Number of commands visible in a pose: those taken that changed the plant's command.
         commands: Number of all commands.
         least_s: The smallest delay [s].
         median_s: The median [s].
@@ -72,7 +71,7 @@ class TickDelays:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisModel:
-    """One axis: rate = gain exp(-dead_time s) / (lag s + 1) of commands that hold.
+    """One axis: rate = gain exp(-dead_time s) / (lag s + 1), with commands under zero-order hold.
 
     Attributes:
         axis: `speed` or `turn_rate`.
@@ -80,11 +79,11 @@ class AxisModel:
         reason: Why they are not, in a sentence; empty if they are.
         advice: Test drive that would identify them; empty likewise.
         model: `second_order`: rate = gain exp(-dead_time s) / (product s^2 + lag s + 1).
-        gain: Rate per command in the end [1].
+        gain: Steady-state rate per command [1].
         dead_time_s: Time from a command until the rate begins to follow [s].
-        lag_s: Time constant with which it follows; of second order the sum of both [s].
-        total_delay_s: Dead time and time constant together, which is better known than either [s].
-        lag_product_s2: Product of both time constants of second order [s^2].
+        lag_s: Time constant of the response [s]; for second order the sum of both [s].
+        total_delay_s: Sum of dead time and time constant, which is known better than either [s].
+        lag_product_s2: Product of both time constants for second order [s^2].
         rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], where the motion shows one.
         limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
             its loop, so that the rate itself is a ramp; empty if there is none.
@@ -92,19 +91,19 @@ class AxisModel:
         bound_acts: Quantity that ends there: the command, which the low-pass then follows, or the
             rate, which until then follows larger commands; empty if there is none.
         deadband: Command up to which nothing moves [m/s] or [rad/s], where the motion shows one.
-        reverse_gain: Gain of commands below 0, where it is another [1].
+        reverse_gain: Gain of negative commands, if it differs [1].
         friction: Part of the magnitude of every command that has no effect [m/s] or [rad/s], if the
             motion shows it; the gain is that of the rest.
-        explained: Share of the variance of the steps between poses that the model explains.
-        whiteness: Mean square of the changes of the residuals by twice their mean square, 1 for
-            noise, near 0 for a curve; the noise of poses is taken out.
-        outliers: Steps that do not count: further off than noise can be.
-        correlation_delay_s: The delay at which commands and motion correlate best, and the range of
-            those that the correlation cannot distinguish from it [s]: a second opinion, without a
-            time constant.
+        explained: Fraction of the variance of the steps between poses that the model explains.
+        whiteness: Mean square of the changes of the residuals divided by twice their mean square, 1
+            for noise, near 0 for a curve; without the noise of poses.
+        outliers: Number of steps left out because their residual exceeds the noise.
+        correlation_delay_s: The delay with the largest correlation of commands and motion, and the
+            range of delays that the correlation cannot distinguish from it [s]: a second estimate
+            without a time constant.
         correlation_reason: Why the correlation names no delay; empty if it does.
-        steps: Steps between poses that were used.
-        steps_in_all: Steps between poses in which commands act.
+        steps: Number of steps between poses that were used.
+        steps_in_all: Number of steps between poses in which commands act.
         changes: Number of changes of the command.
         doubts: Reasons other than noise for wider intervals, in sentences: structures that the log
             cannot distinguish, and parts of the motion that differ.
@@ -143,16 +142,16 @@ class AxisModel:
     def to_control(self, pade_order: int = 4) -> Any:
         """Return the axis as a `control.TransferFunction`, from command to rate.
 
-        Limits and a deadband are not linear and left out.
+        Limits and a deadband are nonlinear and left out.
 
         Args:
             pade_order: Pade order of the rational function that approximates the dead time; 0: no
                 dead time.
 
         Raises:
-            IdentifyError: The axis is not known.
-            TheoryError: The order is negative.
-            LibraryError: python-control is not installed.
+            IdentifyError: If the axis is unknown.
+            TheoryError: If the order is negative.
+            LibraryError: If python-control is not installed.
         """
         gain, dead_time_s, lag_s = self._require_known()
         product = 0.0 if self.lag_product_s2 is None else self.lag_product_s2.value
@@ -161,12 +160,11 @@ class AxisModel:
     def to_process(self) -> Process:
         """Return the axis as a process of `theory`: a delayed rate, integrated.
 
-        Of second order the sum of both time constants is its time constant. Limits and a deadband
-        are left out.
+        For second order, its time constant is the sum of both. Limits and a deadband are left out.
 
         Raises:
-            IdentifyError: The axis is not known.
-            TheoryError: The gain is not positive.
+            IdentifyError: If the axis is unknown.
+            TheoryError: If the gain is not positive.
         """
         gain, dead_time_s, lag_s = self._require_known()
         return Process(gain=gain, dead_time_s=dead_time_s, lag_s=lag_s)
@@ -179,7 +177,7 @@ class AxisModel:
 
     @property
     def advised_delay_s(self) -> float | None:
-        """The total delay that a controller should reckon with: in doubt the longest [s]."""
+        """The total delay for the design of a controller: if in doubt, the longest [s]."""
         total = self.total_delay_s
         if total is None:
             return None
@@ -187,12 +185,12 @@ class AxisModel:
 
     @property
     def advised_gain(self) -> float | None:
-        """The gain likewise: in doubt the largest [1]."""
+        """The gain for the design of a controller: if in doubt, the largest [1]."""
         return self._take_advised(self.gain)
 
     @property
     def advised_reverse_gain(self) -> float | None:
-        """The gain of commands below 0 likewise, where it is another [1]."""
+        """The same for the gain of negative commands, if it differs [1]."""
         return self._take_advised(self.reverse_gain)
 
     def _take_advised(self, gain: Estimate | None) -> float | None:
@@ -235,7 +233,7 @@ class AxisModel:
 
     @property
     def is_idle(self) -> bool:
-        """Whether it is never commanded, so that nothing is asked of it."""
+        """Whether it is never commanded, so that its values are not needed."""
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
 
 
@@ -275,15 +273,15 @@ class RobotEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotModel:
-    """A robot's dynamics, from its commands and its motion.
+    """A robot's dynamics, identified from its commands and its motion.
 
     Attributes:
         files: Names of the runs.
         clock: Clock that times the poses of the first run; None if there is but one clock.
-        speed: Along the heading.
-        turn_rate: Counter-clockwise.
+        speed: Axis of the speed along the heading.
+        turn_rate: Axis of the turn rate, counter-clockwise positive.
         tick_delays: Tick delays of turtlesim, whose poses show which tick took which command; None
-            of others.
+            for other robots.
         events: Jumps of the motion, in order.
         notes: Further notes, in sentences.
     """
@@ -325,7 +323,7 @@ _WHOLE_MS: Final = 10.0
 
 
 def write_headline(axes: Iterable[AxisModel], name: str) -> str:
-    """Return with what gain and how late each axis follows its commands.
+    """Return the gain and the delay with which each axis follows its commands.
 
     Args:
         axes: Axes of the robot.
@@ -358,12 +356,12 @@ def _write_delay(found: Estimate) -> str:
 
 
 def format_gain(found: Estimate | None) -> str:
-    """Return a gain with its interval; `-` for none."""
+    """Return a gain with its interval; `-` if there is none."""
     return "-" if found is None else f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
 
 
 def format_delay(found: Estimate | None) -> str:
-    """Return a delay with its interval in ms; `-` for none."""
+    """Return a delay with its interval in ms; `-` if there is none."""
     if found is None:
         return "-"
     value, low, high = (1e3 * number for number in (found.value, found.low, found.high))

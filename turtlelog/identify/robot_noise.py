@@ -1,11 +1,11 @@
 """The noise of poses, of steps between them, and of rates.
 
-Errors of poses do not grow with time, errors of rates do: the mean square error of the way driven
-in a time t is `still` + noise^2 t. The noise of poses is measured where the robot stands: in
+Errors of poses do not grow with time, errors of rates do: the mean square error of the displacement
+in a time t is `still` + noise^2 t. The noise of poses is measured while the robot is at rest: in
 motion, errors of time stamps look the same.
 
-A pose that is off makes one step too long and the next too short; slip stays. So the variance of a
-step is `slip` + 2 `sensing`, and the covariance of neighbours is -`sensing`.
+An error of a pose makes one step too long and the next too short; slip remains. Therefore the
+variance of a step is `slip` + 2 `sensing`, and the covariance of neighbours is -`sensing`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -68,11 +68,11 @@ Stretch = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Noise:
-    """A noise that was measured.
+    """A measured noise.
 
     Attributes:
-        size: Its standard deviation [m] or [rad], of rates by the root of a second; 0: none shows.
-        hidden: So much may be there where none shows.
+        size: Standard deviation [m or rad], for rates per root of a second; 0: none is visible.
+        hidden: Upper bound of the noise if none is visible.
     """
 
     size: float
@@ -81,12 +81,12 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensingNoise:
-    """By how much a pose is off.
+    """Noise of a pose.
 
     Attributes:
-        position: Of x and of y [m].
-        heading: Of the heading [rad].
-        standing_s: For how long the robot stands in all [s].
+        position: Noise of x and of y [m].
+        heading: Noise of the heading [rad].
+        standing_s: Total time for which the robot is at rest [s].
     """
 
     position: Noise
@@ -95,7 +95,7 @@ class SensingNoise:
 
 
 def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNoise | None:
-    """Return the noise of poses from where a robot stands; None where it never does."""
+    """Return the noise of poses while a robot is at rest; None if it never is."""
     places, headings, standing_s = [], [], 0.0
     for run in runs:
         for rows in _list_standing(model, run):
@@ -116,10 +116,10 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
 
 
 def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> Noise | None:
-    """Return by how much a model's error grows [m or rad by the root of a second].
+    """Return the growth of a model's error [m or rad per root of a second].
 
     Returns:
-        None where the axis has no model, or no run is long enough.
+        None if the axis has no model, or no run is long enough.
     """
     if not getattr(model, axis).is_known:
         return None
@@ -139,7 +139,7 @@ def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> No
 
 
 def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
-    """Yield the rows of poses while the robot has had commands of 0 for long enough, and stands."""
+    """Yield the rows of poses while the robot is at rest, long enough after commands of 0."""
     if not len(run.commands):
         return
     settle_s = _SETTLED_S + max(
@@ -180,9 +180,9 @@ def _stands(run: Run, rows: slice) -> bool:
 
 
 def _measure_still(stretches: Sequence[Stretch]) -> Noise:
-    """Return the standard deviation of what does not grow; 0 where none is sure.
+    """Return the standard deviation of the constant part; 0 if it is not significant.
 
-    The changes of neighbours are then correlated, by -1/2 if nothing grows.
+    If nothing grows, the changes of neighbours are correlated with -1/2.
     """
     changes = [np.diff(stretch[:, 1:], axis=0) for stretch in stretches]
     size = sum(change.size for change in changes)
@@ -194,7 +194,7 @@ def _measure_still(stretches: Sequence[Stretch]) -> Noise:
 
 
 def _list_errors(model: RobotModel, axis: Axis, run: Run) -> Iterator[Stretch]:
-    """Yield by how much the model is off along a run, summed up over each unbroken stretch."""
+    """Yield the cumulated error of the model along a run, for each unbroken segment."""
     motion = read_axis_motion(run, axis)
     if not len(motion.moved):
         return
@@ -213,9 +213,9 @@ def _list_errors(model: RobotModel, axis: Axis, run: Run) -> Iterator[Stretch]:
 
 
 def _measure_growth(stretches: Sequence[Stretch]) -> tuple[Values, Values, Values, Values]:
-    """Return times, the mean square of what the model is off after them, and how sure that is.
+    """Return times, the mean square error of the model after them, and its uncertainty.
 
-    The last two are how many ways follow one another, and how many begin at any pose.
+    The last two are the number of successive intervals, and of intervals from any pose.
     """
     total_s = sum(float(stretch[-1, 0] - stretch[0, 0]) for stretch in stretches)
     steps = sum(len(stretch) - 1 for stretch in stretches)
@@ -256,11 +256,11 @@ NORMAL_MAD: Final = 1.4826
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepNoise:
-    """Variances.
+    """Variances of the noise of steps.
 
     Attributes:
-        slip: Of a step of usual duration [m^2] or [rad^2].
-        sensing: Of a pose, likewise.
+        slip: Variance of a step of usual duration [m^2 or rad^2].
+        sensing: Variance of a pose [m^2 or rad^2].
     """
 
     slip: float
@@ -270,9 +270,9 @@ class StepNoise:
 def estimate_noise(
     residual: Values, follows: NDArray[np.bool_], is_outlier: NDArray[np.bool_]
 ) -> StepNoise:
-    """Return the noise that a residual shows.
+    """Return the noise in a residual.
 
-    What the noise of poses adds to a way does not grow with its length; what slip adds does.
+    The contribution of pose noise does not grow with distance; that of slip does.
     """
     kept = np.where(is_outlier, 0.0, residual)
     total = np.concatenate([[0.0], np.cumsum(kept)])
@@ -293,11 +293,11 @@ def estimate_noise(
 
 
 class Whitening:
-    """Makes what a step is off independent of what its neighbours are, with a variance of 1.
+    """Transforms the residuals of steps to independent values with a variance of 1.
 
     Attributes:
-        noise: What it is made from.
-        log_size: Logarithm of the determinant of the covariance that it takes out.
+        noise: Noise of the steps.
+        log_size: Logarithm of the determinant of the covariance.
     """
 
     def __init__(
@@ -307,7 +307,7 @@ class Whitening:
         follows: NDArray[np.bool_],
         is_outlier: NDArray[np.bool_],
     ) -> None:
-        """Prepare it for steps of some durations [s]."""
+        """Prepare the whitening for steps of given durations [s]."""
         self.noise = noise
         usual_s = float(np.median(duration_s))
         variance = noise.slip * duration_s / usual_s + 2.0 * noise.sensing

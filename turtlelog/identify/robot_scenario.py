@@ -1,4 +1,4 @@
-"""A scenario with the robot that a model describes, and where each of its numbers comes from."""
+"""A scenario with the robot of a model, and the source of each of its numbers."""
 
 import math
 import textwrap
@@ -91,7 +91,7 @@ class RobotScenario:
 
 
 def read_robot_notes(text: str) -> list[str]:
-    """Return the doubts and notes of the identification that a scenario file has in comments."""
+    """Return the doubts and notes of the identification from comments of a scenario file."""
     found: list[str] = []
     is_told = False
     for line in text.splitlines():
@@ -108,23 +108,22 @@ def read_robot_notes(text: str) -> list[str]:
 
 
 def _wrap(note: str) -> list[str]:
-    """Return the lines of a note; those that later answers repeat show where it ends."""
+    """Return the lines of a note, marked so that its end can be found again."""
     indent = "  " if note.startswith((_DOUBT, _NOTE)) else ""
     return textwrap.wrap(note, 97, subsequent_indent=indent)
 
 
 def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotScenario:
-    """Return a scenario whose plant follows commands as a robot does.
+    """Return a scenario whose plant follows commands as the robot does.
 
-    An axis that is never commanded is taken to follow at once, and a note says so.
+    An axis that is never commanded is assumed to follow at once, and a note says so.
 
     Args:
         model: Model of the robot.
-        runs: That it was identified from; the start and a goal are those of the first.
+        runs: Runs from which it was identified; start and goal are those of the first.
 
     Raises:
-        IdentifyError: If an axis that is commanded is not known, no axis is, or the robot is
-            turtlesim.
+        IdentifyError: If a commanded axis is unknown, no axis is known, or the robot is turtlesim.
     """
     runs = [runs] if isinstance(runs, Run) else [*runs]
     if not runs:
@@ -214,7 +213,7 @@ def _list_plant(model: RobotModel) -> Part:
 
 
 def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
-    """Yield the limits of an axis that the plant has, by the end of their keys."""
+    """Yield the limits of an axis that the plant supports, by the end of their keys."""
     if axis.bound is not None:
         yield "bound", axis.bound.value
     if axis.rate_limit is not None and axis.limit_acts == "within_lag":
@@ -226,7 +225,7 @@ def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
 
 
 def _tell_plant(axis: AxisModel) -> Iterator[str]:
-    """Yield which limits a plant has, and where it is not what was identified."""
+    """Yield the limits of the plant, and its differences from the identified robot."""
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
@@ -282,7 +281,7 @@ def _list_periods(runs: Sequence[Run]) -> Part:
 
 
 def _find_period(times_ns: Sequence[Any], *, regular: bool = False) -> float | None:
-    """Return the period of some messages [s]; None if they keep none."""
+    """Return the period of messages [s]; None if they are not periodic."""
     apart_s = np.concatenate([np.diff(time_ns) / 1e9 for time_ns in times_ns])
     if len(apart_s) < (_FEWEST if regular else 1):
         return None
@@ -339,7 +338,7 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
 
 
 def _find_bound(axis: AxisModel) -> float | None:
-    """Return the command from which on an axis goes no faster."""
+    """Return the command from which the rate of an axis no longer increases."""
     if axis.bound is None or axis.gain is None:
         return None
     friction = 0.0 if axis.friction is None else axis.friction.value
@@ -347,7 +346,7 @@ def _find_bound(axis: AxisModel) -> float | None:
 
 
 def _find_largest(runs: Sequence[Run], axis: Axis) -> tuple[float, int]:
-    """Return the largest magnitude of a command, and how often commands arrive at it."""
+    """Return the largest magnitude of a command, and how often commands reach it."""
     commands = [get_commands(run, axis) for run in runs]
     largest = max((float(np.abs(value).max()) for value in commands if len(value)), default=0.0)
     if not largest:
@@ -432,7 +431,7 @@ def _list_places(run: Run) -> Part:
 
 
 def _choose_tolerances(values: dict[str, Any]) -> Part:
-    """Return tolerances of the goal that a robot with such noise can keep."""
+    """Return tolerances of the goal that a robot with this noise can meet."""
     noise_m, noise_rad = (
         values.get(f"sensing.noise_{name}", 0.0) for name in ("position_m", "heading_rad")
     )

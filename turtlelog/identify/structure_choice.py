@@ -1,8 +1,9 @@
-"""What a robot has beside one lag: a second one, a limit of acceleration or speed, a deadband.
+"""Structures beyond one time constant: a second one, limits of acceleration or speed, a deadband.
 
-More parameters always leave less. So another structure must leave clearly less, change what the
-robot does by more than can be neglected, and, fitted to the first part of the log only, predict the
-rest better than the simpler one does. Structures between which the log does not decide are rivals.
+More parameters always reduce the residual. Therefore another structure must reduce it clearly,
+change the robot's response by more than is negligible, and, fitted to the first part of the log
+only, predict the rest better than the simpler one. Structures that the log cannot distinguish are
+rivals.
 """
 
 from collections.abc import Iterator, Sequence
@@ -81,7 +82,7 @@ _LEAST_LAG_S: Final = 0.02
 
 
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
-    """Return the fit of the structure that the motion asks for, and those of its rivals."""
+    """Return the fit of the best structure for the motion, and those of its rivals."""
     first, rest = _split(fit.model.motions)
     if not first or not rest:
         return fit, []
@@ -97,7 +98,7 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
 
 
 def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
-    """Fit the structures beside one; return its own fit, by then perhaps a better one."""
+    """Fit the neighbouring structures of one; return its own fit, possibly improved."""
     tried[fit.model.structure] = fit
     for structure, starts in _list_neighbours(fit):
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
@@ -113,7 +114,7 @@ def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
 def _is_better(
     fit: AxisFit, other: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]
 ) -> bool:
-    """Return whether a structure of a better score is taken."""
+    """Return whether a structure with a better score is chosen."""
     if other.model.structure.size <= fit.model.structure.size:
         return True
     gained = predict_badness(fit, first, rest) - predict_badness(other, first, rest)
@@ -121,12 +122,12 @@ def _is_better(
 
 
 def measure_score(fit: AxisFit) -> float:
-    """Return how badly a fit explains its steps, and how many parameters it needs for that."""
+    """Return how badly a fit explains its steps, and its number of parameters."""
     return measure_badness(fit) + _CLEARLY * fit.model.structure.size
 
 
 def is_rival(fit: AxisFit, other: AxisFit) -> bool:
-    """Return whether another structure may be that of the robot, for all that the log tells."""
+    """Return whether the log cannot exclude another structure."""
     more = other.model.structure.size - fit.model.structure.size
     worse = measure_badness(other) - measure_badness(fit)
     if other is fit or more < 0:
@@ -135,7 +136,7 @@ def is_rival(fit: AxisFit, other: AxisFit) -> bool:
 
 
 def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
-    """Return whether another structure leaves clearly less, and does something else."""
+    """Return whether another structure has a clearly smaller residual and a different response."""
     nothing = {"reverse": 1.0}
     errors = np.sqrt(np.maximum(np.diag(other.covariance), 0.0))
     for place, name in enumerate(other.model.structure.names, EXTRA):
@@ -147,7 +148,7 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
 
 
 def measure_effect(fit: AxisFit, other: AxisFit) -> float:
-    """Return by how much two models differ at most in a step, as a share of the largest rate."""
+    """Return the largest difference of two models in a step, as a fraction of the largest rate."""
     rates = [
         one.model.linearise(one.parameters)[0][~other.is_outlier]
         / one.model.duration_s[~other.is_outlier]
@@ -161,7 +162,7 @@ Starts = list[tuple[float, ...]]
 
 
 def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
-    """Yield structures that differ in one thing, with values of their further parameters."""
+    """Yield structures with one difference, with start values of their further parameters."""
     structure = fit.model.structure
     known = dict(zip(structure.names, fit.parameters[EXTRA:].tolist(), strict=True))
     commands = np.concatenate([motion.commands.value for motion in fit.model.motions])
@@ -210,7 +211,7 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
 
 
 def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
-    """Return the magnitude up to which commands most likely move nothing, and its neighbours."""
+    """Return the likeliest magnitude up to which commands cause no motion, and its neighbours."""
     structure, extras = fit.model.structure, fit.parameters[EXTRA:].tolist()
     left: dict[int, float] = {}
     low, high = 0, len(levels) - 1
@@ -229,12 +230,12 @@ def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
 
 
 def _is_open(structure: Structure, commands: Values) -> bool:
-    """Return whether a structure may be tried: one that follows commands singly, of few."""
+    """Return whether a structure may be tried: commands evaluated one by one must be few."""
     return structure.is_possible and (not structure.is_slow or len(commands) <= _MOST_CHANGES)
 
 
 def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts:
-    """Return the starts that promise most; none where no further parameter is worth a try."""
+    """Return the most promising start values; empty if no further parameter is worth a try."""
     if structure.size <= fit.model.structure.size:
         return starts
     asks = {"reverse": 1.1}

@@ -1,4 +1,4 @@
-"""Run -> metrics. The names stand in `__init__.pyi` and load on first use."""
+"""Run -> metrics. The public names are in `__init__.pyi` and load on first use."""
 
 from turtlelog.libraries import attach_names
 

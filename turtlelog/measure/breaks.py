@@ -1,9 +1,9 @@
 """Breaks in the poses of any robot: segments without poses, and steps that it cannot have made.
 
-Of turtlesim, whose poses hold what was applied, a replay through its plant tells more.
+For turtlesim, whose poses contain the applied command, a replay through its plant shows more.
 
-A robot that drives takes the same way from pose to pose as just before and just after. A correction
-of its pose adds a step that neither of them has: that is what exceeds driving, however fast it is.
+Between two poses a robot moves about as far as just before and just after. A correction of its pose
+adds a step that neither neighbour has: the excess. This holds at any speed.
 """
 
 from collections.abc import Sequence
@@ -76,10 +76,11 @@ class PoseJump:
     Attributes:
         row: Row of the first pose after it.
         time_ns: Time of that pose [ns].
-        moved_m: Forward along the heading, backward negative [m]; east if headings are courses.
-        aside_m: Distance to the left [m]; north if headings are courses.
-        turned_rad: Counter-clockwise [rad].
-        excess_m: Distance beyond that which the robot drove by the neighbouring steps [m].
+        moved_m: Displacement along the heading, backward negative [m]; to the east if headings are
+            courses.
+        aside_m: Displacement to the left [m]; to the north if headings are courses.
+        turned_rad: Turn, counter-clockwise positive [rad].
+        excess_m: Distance beyond that of the neighbouring steps [m].
         excess_rad: Turn beyond that of the neighbouring steps [rad].
     """
 
@@ -113,10 +114,10 @@ def find_gaps(run: Run) -> tuple[PoseGap, ...]:
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     """Return the steps from pose to pose that the robot cannot have driven.
 
-    Those are the steps that are far beyond its greatest rate, two where a pose strays; single ones
-    that neither the step before nor the one after comes near, in the sense of `find_outliers`;
-    single ones against the way of five steps on either side; and single ones that exceed what these
-    five drive (`_find_excess_steps`).
+    A step is a jump if it is far beyond the greatest rate of the robot (two steps if a pose
+    strays); if it is single and neither neighbour is similar, as in `find_outliers`; if it is
+    single and opposite to the five steps on either side; or if it is single and exceeds the motion
+    of these five (`_find_excess_steps`).
     """
     poses = run.poses
     if _has_courses(run):  # a course turns as positions do, and tells nothing of its own
@@ -178,7 +179,7 @@ def _has_courses(run: Run) -> bool:
 def _face_before(
     steps: tuple[Values, Values, Values], beyond_rad: Values
 ) -> tuple[Values, Values, Values]:
-    """Return the ways of jumps that turn along the heading that the robot had before them."""
+    """Return jumps that turn, with their displacement along the heading before them."""
     off_rad = np.where(np.abs(beyond_rad) > _TURNED_RAD, 0.5 * beyond_rad, 0.0)
     cos, sin = np.cos(off_rad), np.sin(off_rad)
     ahead_m, aside_m, turned_rad = steps
@@ -192,7 +193,7 @@ def _take_poses(poses: PoseColumns, rows: NDArray[np.int64]) -> PoseColumns:
 
 
 def describe_breaks(run: Run) -> dict[str, str]:
-    """Return a sentence on `jumps` and one on `gaps`, where there are some."""
+    """Return a sentence on `jumps` and one on `gaps`, for each that is not empty."""
     found = {}
     if jumps := find_jumps(run):
         found["jumps"] = _describe_jumps(jumps, run.start_ns, is_north=_has_courses(run))
@@ -236,7 +237,7 @@ _WAYS: Final = ("m ahead", "m back", "m to the left", "m to the right")
 
 
 def _find_reversals(rate: Values) -> NDArray[np.bool_]:
-    """Return which steps lead back in the midst of a steady way, further than this way varies."""
+    """Return which steps lead back during a steady motion, further than this motion varies."""
     found = np.zeros(len(rate), dtype=bool)
     if len(rate) <= 2 * NEIGHBOURS:
         return found
@@ -251,7 +252,7 @@ def _find_reversals(rate: Values) -> NDArray[np.bool_]:
 
 
 def _smooth(way: Values) -> Values:
-    """Return what each step is beside its two neighbours: the median of the three."""
+    """Return the running median over three steps."""
     padded = np.pad(way, 1, mode="edge")
     return np.asarray(np.median(sliding_window_view(padded, 3), axis=1))
 
@@ -262,11 +263,11 @@ def _find_far_steps(
     """Return which steps are far beyond the greatest rate that lasts for two of them.
 
     Args:
-        way: Magnitude of each step, shape (n,).
+        way: Magnitude of each step [m or rad], shape (n,).
         net: Magnitude of each two steps together, shape (n - 1,).
         usual_ns: Time that each step takes, or more [ns], shape (n,).
-        seen: Rates that the plant says it applied; None if they are not known.
-        acceleration: What the robot reaches from rest, per s.
+        seen: Rates applied by the plant [m/s or rad/s]; None if unknown.
+        acceleration: Rate that the robot reaches from rest in 1 s [m/s^2 or rad/s^2].
     """
     both = np.minimum(way[1:], way[:-1])
     # A pose that strays is two steps, out and back: together they lead no further.
@@ -301,13 +302,13 @@ _LATE: Final = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExcessSteps:
-    """Steps between poses, each with what exceeds driving.
+    """Steps between poses, each with its excess over the neighbouring steps.
 
     Attributes:
         ahead_m: Excess along the heading, backward negative [m], shape (n,).
-        aside_m: To the left [m], shape (n,).
-        turned_rad: Counter-clockwise [rad], shape (n,).
-        is_jump: Whether that is a jump, shape (n,).
+        aside_m: Excess to the left [m], shape (n,).
+        turned_rad: Excess turn, counter-clockwise [rad], shape (n,).
+        is_jump: Whether the step is a jump, shape (n,).
     """
 
     ahead_m: Values
@@ -326,7 +327,7 @@ def measure_excess(poses: PoseColumns) -> tuple[Values, Values, Values]:
 
 
 def _find_excess_steps(poses: PoseColumns) -> ExcessSteps:
-    """Return the steps from pose to pose with what exceeds driving."""
+    """Return the steps from pose to pose with their excess over the neighbouring steps."""
     steps = measure_excess(poses)
     step_ns = np.diff(poses.time_ns)
     is_jump = np.zeros(len(step_ns), dtype=bool)
@@ -349,10 +350,10 @@ def _find_excess_steps(poses: PoseColumns) -> ExcessSteps:
 
 
 def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
-    """Return the rows of poses that differ from the one before, where most repeat it.
+    """Return the rows of poses that differ from the previous pose, if most poses repeat it.
 
-    Some programs publish each pose several times. Of others a pose that repeats is a robot that
-    stands, and counts.
+    Some programs publish each pose several times. Otherwise a repeated pose means that the robot is
+    at rest, and counts.
     """
     every = np.arange(len(poses))
     moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1) | (np.diff(poses.heading_rad) != 0.0)
@@ -365,9 +366,9 @@ def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
 def _find_excess(
     step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]
 ) -> tuple[Values, Values]:
-    """Return what each step has beyond the median rate of its neighbours; at either end nothing.
+    """Return by how much each step exceeds the median rate of its neighbours; 0 at both ends.
 
-    The second value is the same without what another rate explains of steps that lost poses.
+    The second value leaves out the part that another rate explains in steps with lost poses.
     """
     windows = sliding_window_view(step / step_ns, 2 * NEIGHBOURS + 1)
     near = np.delete(windows, NEIGHBOURS, axis=1)
@@ -383,7 +384,7 @@ def _find_excess(
 
 
 def _stands_alone(size: Values, plain: Values) -> NDArray[np.bool_]:
-    """Return which excesses are far beyond those of their neighbours, and beyond the usual."""
+    """Return which excesses are far beyond those of their neighbours and the usual excess."""
     padded = np.pad(plain, NEIGHBOURS)
     near = np.delete(sliding_window_view(padded, 2 * NEIGHBOURS + 1), NEIGHBOURS, axis=1)
     usual = float(np.quantile(plain, _PLAIN_SHARE))

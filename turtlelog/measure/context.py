@@ -1,4 +1,4 @@
-"""One run on its way through the table of metrics: what several of them need is computed once."""
+"""A run while its metrics are measured: a value that several metrics need is computed once."""
 
 import math
 from collections.abc import Callable, Hashable
@@ -32,11 +32,11 @@ _WHITE: Final = 0.5
 
 
 class RunContext:
-    """A run, the settings it is measured with, and what has been computed of it so far.
+    """A run, the settings of its metrics, and the values computed so far.
 
     Attributes:
-        run: What is measured.
-        settings: What was chosen.
+        run: Run to measure.
+        settings: Settings of the metrics.
     """
 
     def __init__(self, run: Run, settings: MeasureSettings) -> None:
@@ -45,67 +45,67 @@ class RunContext:
         self._known: dict[Hashable, object] = {}
 
     def recall(self, key: Hashable, compute: Callable[[], _Value]) -> _Value:
-        """Return what was computed under a key, and compute it the first time."""
+        """Return the value stored under a key; compute it at the first call."""
         if key not in self._known:
             self._known[key] = compute()
         return cast("_Value", self._known[key])
 
     def get_signal(self, name: str) -> Signal | None:
-        """Return a signal of the run, None where the run does not hold it."""
+        """Return a signal of the run, or None if the run lacks it."""
         return self.recall(name, lambda: find_signal(self.run, name))
 
     def get_rates(self, axis: Axis) -> Rates | None:
-        """Return how fast the robot moved along an axis; None for one pose."""
+        """Return the rate of the robot along an axis; None for a single pose."""
         return self.recall(("rates", axis), lambda: read_rates(self.run, axis))
 
     def get_commands(self, axis: Axis) -> HeldCommands | None:
-        """Return what was commanded of an axis; None without commands, or for one pose."""
+        """Return the commands of an axis; None without commands, or for a single pose."""
         rates = self.get_rates(axis)
         if len(self.run.poses) == 1:
             return None
         return self.recall(("commands", axis), lambda: read_held_commands(self.run, axis, rates))
 
     def get_response(self, loop: ControlLoop) -> Response | Missing:
-        """Return how a loop answers its reference, or why there is no such thing."""
+        """Return the response of a loop to its reference, or the reason why there is none."""
         return self.recall(
             loop, lambda: find_response(self.run, loop, self.get_signal(loop.signal), self.settings)
         )
 
     @cached_property
     def heading_reference_rad(self) -> float | Values | None:
-        """What the heading should be, as `read_heading_reference`."""
+        """Reference heading, as from `read_heading_reference`."""
         return read_heading_reference(self.run)
 
     @property
     def x_m(self) -> Values:
-        """Of every pose [m]."""
+        """Coordinate x of every pose [m]."""
         return self.run.poses.xy_m[:, 0]
 
     @property
     def y_m(self) -> Values:
-        """Of every pose [m]."""
+        """Coordinate y of every pose [m]."""
         return self.run.poses.xy_m[:, 1]
 
     @property
     def last_heading_rad(self) -> float:
-        """Of the last pose, in [-pi, pi) [rad]."""
+        """Heading of the last pose, in [-pi, pi) [rad]."""
         return float(self.run.poses.heading_rad[-1])
 
     @property
     def goal(self) -> tuple[float, float, float]:
-        """Where the robot should be: x, y [m] and heading [rad], NaN where it is not known."""
+        """Goal: x, y [m] and heading [rad]; NaN if unknown."""
         x_m, y_m = self.run.goal_xy_m or (math.nan, math.nan)
         heading_rad = self.run.goal_heading_rad
         return x_m, y_m, math.nan if heading_rad is None else heading_rad
 
     @property
     def duration_s(self) -> float:
-        """From the first sample, or else pose, to the last row [s]."""
+        """Time from the first sample, or first pose without samples, to the last row [s]."""
         return self.run.duration_s
 
     @property
     def first_row(self) -> int:
-        """The first pose at the first sample, which is time zero, or later; else the last."""
+        """Row of the first pose at or after the first sample (time zero), else the last row."""
         first = int(np.searchsorted(self.run.poses.time_ns, self.run.start_ns))
         return min(first, len(self.run.poses) - 1)
 
@@ -116,25 +116,25 @@ class RunContext:
 
     @property
     def last_cross_track_m(self) -> float:
-        """Of the last pose, to the left of the line or path [m]; NaN where neither is known."""
+        """Cross-track error of the last pose, positive to the left [m]; NaN if unknown."""
         signal = self.get_signal("cross_track")
         return math.nan if signal is None else float(signal.values[-1])
 
     @property
     def is_robot(self) -> bool:
-        """Whether nothing is known but poses and a goal."""
+        """Whether only poses and a goal are known."""
         run = self.run
         is_lawless = not run.declaration.loops and not len(run.samples)
         return is_lawless and run.goal_xy_m is not None
 
     @property
     def sample_count(self) -> int:
-        """How many samples there are; commands where there are none."""
+        """Number of samples; number of commands if there are no samples."""
         return len(self._sample_time_ns)
 
     @property
     def memory(self) -> None:
-        """Plain functions make the arrays that they need."""
+        """None: ordinary Python makes the arrays that it needs."""
         return
 
     @cached_property
@@ -144,7 +144,7 @@ class RunContext:
 
     @cached_property
     def sample_time_s(self) -> Values:
-        """Times of the samples, from the first [s]; of the commands where there are no samples."""
+        """Times of samples from the first sample [s]; of commands if there are no samples."""
         return np.asarray((self._sample_time_ns - self.run.start_ns) / 1e9)
 
     @property
@@ -169,12 +169,12 @@ class RunContext:
 
     @cached_property
     def tick_s(self) -> float | None:
-        """Time from pose to pose that is most usual, their median [s]; None for one pose."""
+        """Median time between poses [s]; None for a single pose."""
         return compute_median(self.pose_period_s) if len(self.pose_period_s) else None
 
     @cached_property
     def loop_period_s(self) -> float | None:
-        """Time from sample to sample that is most usual, bursts aside [s]; None where all are 0."""
+        """Usual time between samples without bursts [s]; None if all times are 0."""
         periods_s = self.sample_period_s[self.sample_period_s > 0.0]
         return compute_median(periods_s) if len(periods_s) else None
 
@@ -185,9 +185,9 @@ class RunContext:
 
     @cached_property
     def cross_track_m(self) -> Values:
-        """Distance of every pose from the reference path, or to the left of the line to the goal.
+        """Distance of every pose from the path, or to the left of the line to the goal [m].
 
-        In m, empty where neither is known.
+        Empty if neither path nor line is known.
         """
         path_xy_m = self.settings.reference_path_xy_m
         if path_xy_m is not None:
@@ -196,7 +196,7 @@ class RunContext:
         return np.empty(0) if signal is None else signal.values
 
     def find_dead_time_ticks(self, loop: ControlLoop) -> int | Missing:
-        """Return the dead time of a loop's commands [ticks], or why it cannot be found."""
+        """Return the dead time of a loop's commands [ticks], or the reason why it is unknown."""
         found = self.recall(("dead_time", loop), lambda: self._find_dead_time(loop))
         return found if isinstance(found, Missing) else found.ticks
 
@@ -216,9 +216,9 @@ _EARLIER_SAMPLES: Final = 1000
 
 
 def take_beginning(run: Run, loop: ControlLoop, most_samples: int) -> Run:
-    """Return a run with no more than that many samples of a loop, and few before it.
+    """Return the beginning of a run, with at most the given number of samples of a loop.
 
-    A run that is no longer than that comes back as it is.
+    A run with no more samples is returned unchanged.
     """
     samples = run.samples
     if len(samples) <= most_samples:

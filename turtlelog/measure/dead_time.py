@@ -1,4 +1,4 @@
-"""The dead time of a loop, read from a log, and the loops of a run as theory knows them."""
+"""The dead time of a loop, read from a log, and the loops of a run as `theory` models them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class DeadTimeChange:
     """A change of the dead time within a loop's segment.
 
     Attributes:
-        time_ns: Time of the pose from which on the later one holds [ns].
+        time_ns: Time of the first pose with the later dead time [ns].
         before: Dead time before [ticks].
         after: Dead time after [ticks].
     """
@@ -76,23 +76,24 @@ class DeadTimeChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeadTime:
-    """Dead time of a loop: delay from the pose that was read to the motion that its command causes.
+    """Dead time of a loop: delay from the pose that was read to the motion caused by its command.
 
     Attributes:
-        ticks: d, where the command that answers pose i first moves the plant in the step from pose
-            i + d to pose i + d + 1; 0 is the least possible. At the end of the segment.
-        residual: Motion that the commands leave unexplained: root mean square [rad of a turn rate,
-            m of a speed], of single steps where exact, of the way where there is noise.
+        ticks: d: the command that answers pose i first moves the plant in the step from pose i + d
+            to pose i + d + 1; 0 is the minimum. Value at the end of the segment.
+        residual: Root mean square of the motion that the commands do not explain [rad for a turn
+            rate, m for a speed]; of single steps if exact, of the cumulated motion if there is
+            noise.
         margin: Residual of the second-best dead time, divided by the best one's.
         rows: Steps compared.
-        is_exact: Whether every one of them is explained to the rounding of the poses.
+        is_exact: Whether the dead time explains every step to the rounding of the poses.
         changes: Changes of the dead time within the segment, in order.
-        whiteness: Mean square of the changes of the residuals by twice their mean square, with
-            noise: 1 for noise, near 0 for a curve. 1 where every step is explained, or nothing but
-            rounding is left.
-        least_ticks: The smallest dead time that explains the motion as well, with a time constant
-            beside it. Noise hides which it is; `ticks` where the plant is known to have no time
-            constant.
+        whiteness: With noise, mean square of the changes of the residuals divided by twice their
+            mean square: 1 for noise, near 0 for a curve. 1 if every step is explained, or if only
+            rounding remains.
+        least_ticks: The smallest dead time that, with a time constant, explains the motion as well.
+            Noise hides which of the two it is; equal to `ticks` if the plant is known to have no
+            time constant.
     """
 
     ticks: int
@@ -113,25 +114,25 @@ class DeadTime:
 def find_dead_time(
     run: Run, loop: ControlLoop | str, *, is_short: bool = False
 ) -> DeadTime | Missing:
-    """Return the dead time of a loop's command, or why the log does not show it.
+    """Return the dead time of a loop's command, or the reason why the log does not show it.
 
-    Every dead time up to `LARGEST_TICKS` predicts what each step between two poses turns or moves.
-    A log without noise agrees with one of them to the rounding of its poses; with noise, the one
-    that leaves the smallest squares of the way is taken, if it is clearly better than the others.
-    The standstill before a loop's first command acts is no evidence: commands may have been lost. A
-    robot with a time constant has none: a time constant looks like dead time. A robot model whose
-    time constant is 0 has one if a whole number of its periods explains every step. Disturbances
-    that the scenario contains are known; those that are random add up along the way, and only what
+    Every dead time up to `LARGEST_TICKS` predicts the motion of each step between two poses.
+    Without noise, one dead time agrees to the rounding of the poses. With noise, the one with the
+    least squared error of the cumulated motion is taken, if it is clearly better than the others.
+    The standstill before a loop's first command acts is not evidence, because commands may be lost.
+    A robot with a time constant has no dead time here, because the two look alike. A robot model
+    with time constant 0 has one if a whole number of its periods explains every step. Disturbances
+    in the scenario are known; random ones add up along the motion, and then only a dead time that
     explains every step counts.
 
     Args:
         run: Run with samples.
-        loop: One of its law, or the name of one.
-        is_short: Leave out what compares it with the others where it alone explains every step:
-            its `residual` and `margin` are nan then, and it is found ten times sooner.
+        loop: Loop of its law, or the name of one.
+        is_short: Whether to stop as soon as one dead time alone explains every step: `residual` and
+            `margin` are then nan, and the search is ten times faster.
 
     Raises:
-        MeasureError: If the law declares no loop of that name.
+        MeasureError: If the law declares no loop with that name.
     """
     if not len(run.samples):
         return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
@@ -160,7 +161,7 @@ def find_dead_time(
 
 
 def _find_doubt(run: Run, loop: ControlLoop) -> str:
-    """Return why the scenario forbids a dead time that does not explain every step, or nothing."""
+    """Return why the scenario rules out a dead time that does not explain every step, or ""."""
     if pushes_at_random(run, loop):
         return "the disturbance is random and adds up along the way"
     if find_plant(run).name == LAGGED:
@@ -172,7 +173,7 @@ def _require_loop(declaration: Declaration, name: str) -> ControlLoop:
     """Return a loop by name.
 
     Raises:
-        MeasureError: If the law declares none of that name.
+        MeasureError: If the law declares no loop with that name.
     """
     loop = declaration.find_loop(name)
     if loop is None:
@@ -182,9 +183,9 @@ def _require_loop(declaration: Declaration, name: str) -> ControlLoop:
 
 
 def _find_only(motion: LoopMotion, first: int) -> DeadTime | None:
-    """Return the only dead time that explains every step; None if there is not one alone.
+    """Return the dead time that explains every step; None unless there is exactly one.
 
-    Some steps rule out most dead times, and all steps are looked at for those that are left.
+    A few steps rule out most dead times; the remaining ones are tested on all steps.
     """
     count = len(motion.moved) - first
     some = slice(first, None, max(count // _SCREENED, 1))
@@ -205,14 +206,14 @@ def _find_only(motion: LoopMotion, first: int) -> DeadTime | None:
 def _find_fits(
     motion: LoopMotion, ticks: range, rows: slice
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where dead times explain steps, or nobody knows, and where that is sure."""
+    """Return where dead times explain steps or the answer is unknown, and where it is certain."""
     predicted, sure = motion.predict(ticks, rows)
     errors = np.abs(motion.moved[rows] - predicted)
     return (errors <= motion.rounding[rows]) | ~sure, sure
 
 
 def _choose(motion: LoopMotion, first: int, *, may_lag: bool) -> DeadTime | Missing:
-    """Judge every dead time by all steps, of which `first` is the first that moves."""
+    """Judge every dead time by all steps; `first` is the first step that moves."""
     predicted, sure = motion.predict(_CANDIDATES)
     errors = motion.moved - predicted
     fits = (np.abs(errors) <= motion.rounding) | ~sure
@@ -257,9 +258,10 @@ def _describe_exact(
 
 
 def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first row and the dead time of each segment, none where that does not explain all.
+    """Return the first row and dead time of each segment; empty if they do not explain every step.
 
-    From the end: the dead time that explains the most steps, then the same before those.
+    The search runs from the end: first the dead time that explains the most last steps, then the
+    same for the steps before them.
     """
     stretches: list[tuple[int, int]] = []
     end = fits.shape[1]
@@ -280,7 +282,7 @@ def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> DeadTime | Missing:
-    """Fit the way, not its steps: the noise of poses does not add up along it."""
+    """Fit the cumulated motion, not single steps: the noise of poses does not add up in it."""
     way = np.cumsum(motion.moved)
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
@@ -319,7 +321,7 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
 
 
 def shows_lag(found: DeadTime | Missing) -> bool:
-    """Return whether there is no dead time because a lag explains the motion better."""
+    """Return whether there is no dead time because a time constant explains the motion better."""
     return isinstance(found, Missing) and _EXPLAINS_BETTER in found.reason
 
 
@@ -328,7 +330,7 @@ def _measure_whiteness(left: Values) -> float:
 
 
 def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
-    """Return which steps come so soon after a gap that lost commands may still be acting."""
+    """Return which steps follow a gap so closely that lost commands may still act."""
     tick = motion.tick
     gaps = np.flatnonzero(np.diff(tick) > motion.step_ticks) + 1
     since = np.full(len(tick), LARGEST_TICKS)
@@ -353,15 +355,15 @@ _MEASURED = "measured in the recording"
 def model_run_loops(
     run: Run, *, identified: Mapping[str, Parameter] | None = None
 ) -> tuple[LoopModel, ...]:
-    """Return the loops of a run as theory knows them, one for each that its law declares.
+    """Return the loops of a run as `theory` models them, one per declared loop.
 
-    Gains and plant are those of its scenario, period and dead time those of its samples and poses.
-    A robot with a time constant, or a law that a timer triggers, has the timing of its scenario: a
-    time constant looks like dead time.
+    Gains and plant come from the scenario, period and dead time from the samples and poses. For a
+    robot with a time constant, or a law triggered by a timer, the timing comes from the scenario,
+    because a time constant looks like dead time.
 
     Args:
-        run: Any.
-        identified: Parameters that were identified, for keys that the run does not hold.
+        run: Any run.
+        identified: Identified parameters, for keys that the run lacks.
     """
     parameters = {**(identified or {}), **run.parameters}
     return tuple(_model(run, loop, parameters) for loop in run.declaration.loops)

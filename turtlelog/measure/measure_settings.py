@@ -29,18 +29,18 @@ class MeasureSettings:
         band: Half-width of the settling band, as a fraction of the step, > 0 and < 1.
         initial: Start value of the step of a loop: None for the first value of its segment, a
             number, or a number by loop (`{"translate": 0.0}`).
-        final: Final value of the step: `reference` (as the law declares), `last` (where the segment
-            ended), a number, or one of these by loop.
-        reference_path_xy_m: The path that cross-track errors are taken from, as a line through
-            points in the world frame [m], shape (n, 2), n >= 2; None for the line from start to
-            goal.
+        final: Final value of the step: `reference` (as the law declares), `last` (the last value of
+            the segment), a number, or one of these by loop.
+        reference_path_xy_m: Path for cross-track errors, a line through points in the world frame
+            [m], shape (n, 2), n >= 2; None for the line from start to goal.
         goal_tolerance_m: Distance from the goal within which the robot has arrived [m], > 0; None
-            for `band` of the first distance.
+            for `band` times the initial distance.
         dead_time_ticks: Dead time of the delayed ideal loop, in samples of its period, 0 to 1000;
-            None for that found in the recording.
+            None for the dead time found in the recording.
 
     Raises:
-        MeasureError: One line with the setting, what it can be, and what was given.
+        MeasureError: If a setting is wrong; one line with the setting, the valid values and the
+            given one.
     """
 
     band: float = SETTLING_BAND
@@ -72,20 +72,20 @@ class MeasureSettings:
             object.__setattr__(self, "reference_path_xy_m", path_xy_m)
 
     def get_initial(self, loop: str) -> float | None:
-        """Return what the step of a loop starts from, None for its first value."""
+        """Return the initial value of a loop's step; None for the first value of its segment."""
         return self.initial.get(loop) if isinstance(self.initial, Mapping) else self.initial
 
     def get_final(self, loop: str) -> Target:
-        """Return what the step of a loop leads to."""
+        """Return the final value of the step of a loop."""
         if isinstance(self.final, Mapping):
             return self.final.get(loop, "reference")
         return self.final
 
     def require_loops(self, declaration: Declaration) -> None:
-        """Refuse values by loop of a loop that the law does not declare.
+        """Raise an error if a value is given for a loop that the law does not declare.
 
         Raises:
-            MeasureError: With the loops that it declares.
+            MeasureError: If there is such a loop; the message lists the declared loops.
         """
         known = [loop.name for loop in declaration.loops]
         for name, value in (("initial", self.initial), ("final", self.final)):

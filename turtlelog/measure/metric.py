@@ -1,4 +1,4 @@
-"""What a metric is: a number with a unit that computes, or the reason why there is none."""
+"""A metric: a number with a unit, usable in arithmetic, or the reason why it is missing."""
 
 import enum
 import math
@@ -52,23 +52,23 @@ class MetricWatch(Protocol):
     """Object that is called when a metric is compared: a recording whose checks are reported."""
 
     def compare(self, metric: "Metric", operator: str, other: object) -> bool:
-        """Return what a comparison comes to."""
+        """Return the result of a comparison."""
 
     def miss(self, metric: "Metric") -> NoReturn:
-        """Raise MissingValueError of a metric that was used as a number."""
+        """Raise MissingValueError for a metric that was used as a number."""
 
     def negate(self, metric: "Metric") -> "MetricWatch":
-        """Return the watch of its magnitude."""
+        """Return the watch of the metric's magnitude."""
 
     def measure(self, metric: "Metric", settings: Mapping[str, Any]) -> "Metric":
         """Return the metric measured with other settings."""
 
     def describe(self, metric: "Metric") -> str:
-        """Return its name with what was done to it."""
+        """Return the metric's name with the operations applied to it."""
 
 
 class Numeric(ABC):
-    """Computes as its float does, with numpy's numbers and arrays too."""
+    """Object that acts in arithmetic as its float, also with numpy's numbers and arrays."""
 
     __slots__ = ()
 
@@ -83,7 +83,7 @@ class Numeric(ABC):
         return np.array(float(self), dtype=dtype)
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **named: Any) -> Any:
-        """Compute with its float; a comparison stays its own, whichever side it stands on."""
+        """Compute with the float; comparisons use the object's own operators on either side."""
         compared = _OF_NUMPY.get(function.__name__)
         if compared and method == "__call__" and len(inputs) == 2 and not named:
             # numpy hands its numbers over as arrays without a dimension.
@@ -136,22 +136,22 @@ class Numeric(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Metric(Numeric):
-    """One figure of one run: a number with a unit, or the reason why there is none.
+    """Metric of a run: a number with a unit, or the reason why there is none.
 
-    It computes, sorts, formats and compares as the float `value` does. A metric without a value
-    raises MissingValueError when it is used as a number, also by `!=`, so that no test passes by
-    it. `==` of two metrics compares value and unit, of two without a value status and reason; it
-    never raises. `hash` is that of the value. `bool` raises: a metric of 0 is no failure.
+    It computes, sorts, formats and compares as the float `value`. A metric without a value raises
+    MissingValueError when it is used as a number, also by `!=`, so that no test passes by mistake.
+    `==` compares value and unit of two metrics, or status and reason if both lack a value; it never
+    raises. `hash` is that of the value. `bool` raises, because a metric of 0 is not a failure.
 
     Attributes:
         id: `<phase, final or run>.<metric>`.
-        value: In `unit`; None exactly where `status` is not `ok`.
+        value: Value in `unit`; None exactly if `status` is not `ok`.
         unit: `s`, `m`, `deg`, `%`, `1` or a product of units, as in `m^2 s`.
         status: Whether there is a value.
-        reason: One clause where there is none, else empty.
+        reason: Clause that says why there is no value, otherwise empty.
         at_s: Time of the value from the first sample [s]: of a peak, the end of a rise, the largest
-            jump; None if it belongs to no moment.
-        watch: Object that learns what it is compared with; None for most. With a watch `==` and
+            jump; None if the value has no time.
+        watch: Object that is told of comparisons; None for most metrics. With a watch, `==` and
             `!=` of a metric without a value raise too.
     """
 
@@ -183,7 +183,7 @@ class Metric(Numeric):
 
     @property
     def lack(self) -> str:
-        """Reason why it has no value: `no_phase (the run has no phase rotate)`; empty if it has."""
+        """Reason for a missing value: `no_phase (the run has no phase rotate)`; otherwise empty."""
         return "" if self.value is not None else f"{self.status.value} ({self.reason})"
 
     def __call__(self, **settings: Any) -> "Metric":
@@ -234,7 +234,7 @@ class Metric(Numeric):
         return self.value, self.unit, self.status, self.reason
 
     def __abs__(self) -> "Metric":
-        """Return its magnitude, to be compared in the same way."""
+        """Return the magnitude of the metric, which is compared in the same way."""
         watch = None if self.watch is None else self.watch.negate(self)
         return replace(self, value=abs(float(self)), watch=watch)
 
@@ -291,7 +291,7 @@ if TYPE_CHECKING:
 else:
 
     class _MetricMapping:
-        """As a Mapping, but no instance of it: polars would read that as columns."""
+        """Has the methods of a Mapping but is no instance: polars would read that as columns."""
 
         __slots__ = ()
         __contains__, get = Mapping.__contains__, Mapping.get
@@ -301,10 +301,10 @@ else:
 class Metrics(_MetricMapping, Tabular):
     """Metrics by id, read-only; a table for pandas, polars and Arrow, and in a notebook.
 
-    `==` of two compares all that they say. They have no hash.
+    `==` compares values, units, statuses and reasons. Metrics have no hash.
 
     Attributes:
-        first: Ids of those to look at first; all where empty.
+        first: Ids of the metrics to look at first; all metrics if empty.
     """
 
     __slots__ = ("_found", "first")
@@ -369,7 +369,7 @@ _ENTRIES: Final = ("id", "value", "unit", "status", "reason", "at_s")
 
 
 def _format_metrics_html(metrics: Iterable[Metric]) -> str:
-    """Return metrics as a table for notebooks; those without a value say why."""
+    """Return metrics as a table for notebooks; those without a value show the reason."""
     rows = [
         (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
     ]
@@ -391,11 +391,11 @@ ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A value, and when it is taken.
+    """A value and its time.
 
     Attributes:
-        value: In the metric's unit.
-        at_s: From the first sample [s]; None if it belongs to no moment.
+        value: Value in the metric's unit.
+        at_s: Time from the first sample [s]; None if the value has no time.
     """
 
     value: float
@@ -418,13 +418,13 @@ FOUND: Final = 0
 
 
 def add_reason(status: Status, reason: str) -> int:
-    """Return the number of a reason, whose text may have the two numbers of an outcome in it."""
+    """Return the number of a reason; its text may contain the two numbers of an outcome."""
     REASONS.append(Missing(status=status, reason=reason))
     return len(REASONS) - 1
 
 
 def read_outcome(outcome: Outcome) -> Result:
-    """Return the metric in an outcome, or the reason why it has no value."""
+    """Return the metric (value, unit, time) of an outcome, or the reason why it has no value."""
     value, at_s, number = outcome
     if number:
         missing = REASONS[number]

@@ -1,10 +1,10 @@
-"""What a metric is, and the registry that its function enters itself in.
+"""The definition of a metric, and the registry in which each metric function is entered.
 
 One function per metric, with its meaning, unit and direction beside it in the decorator. A metric
 of a loop is written once and bound to each loop that a law declares.
 
-A metric of a curve or of a course is a function of numbers: it runs plain on a run, and compiled in
-the batch of `sweep`, for a million rows. Others may use all of Python.
+A metric of a curve or of a course is a function of numbers: it runs in ordinary Python for one run,
+and compiled in the batch of `sweep`, for a million rows. Other metrics may use all of Python.
 """
 
 from collections.abc import Callable, Mapping
@@ -54,19 +54,20 @@ class MetricKind:
     """Definition of a metric.
 
     Attributes:
-        unit: Unit of its value.
-        compute: Function from a run, read once, to the value or the reason why there is none.
-        meaning: One sentence.
+        unit: Unit of the value.
+        compute: Function of a run context that returns the value or the reason why there is none.
+        meaning: One sentence for the user.
         better: `lower`, `higher`, or None if neither is better.
-        floor: Value below which nothing is gained, if lower is better: an overshoot of -2 % is no
-            better than one of -1 %, for both are none. None: there is no such value.
-        grows: Whether it only grows while a run goes on, as counts, sums of magnitudes and the
-            largest so far do: what comes later takes nothing away. Shares, means, percentiles, what
-            is taken at the end, and what rests on a dead time that is estimated from all rows may
-            fall again.
-        is_awaited: Whether it is a time since the beginning of its loop, or of the run.
-        needs_poses: Whether a run without poses, a log of commands alone, has no value.
-        numbers: The same of a course, compiled too; None: there is no such function.
+        floor: Value below which there is no further improvement, if lower is better: an overshoot
+            of -2 % is no better than one of -1 %, because both mean no overshoot. None: there is no
+            such value.
+        grows: Whether the value can only grow while a run goes on, as counts, sums of magnitudes
+            and running maxima do. Shares, means, percentiles, final values and values that need an
+            estimated dead time may fall again.
+        is_awaited: Whether the value is a time since the beginning of its loop or of the run.
+        needs_poses: Whether a run without poses (a log of commands alone) has no value.
+        numbers: The same function of a course, which can also be compiled; None: there is no such
+            function.
     """
 
     unit: str
@@ -82,7 +83,7 @@ class MetricKind:
     def compute_loss(self, value: float, reference: float) -> float:
         """Return by how much a value is worse than a reference, in the metric's unit.
 
-        Negative where it is better, 0 where both are equal or under the floor. If the metric has no
+        Negative if it is better, 0 if both are equal or below the floor. If the metric has no
         better direction, every change is a loss.
         """
         if self.better is None:
@@ -96,7 +97,7 @@ class MetricKind:
 
 
 class Traits(TypedDict, total=False):
-    """What a decorator says of a metric, as in `MetricKind`."""
+    """Properties of a metric given to its decorator, as in `MetricKind`."""
 
     better: Better
     floor: float | None
@@ -107,18 +108,20 @@ class Traits(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopMetricKind:
-    """What a metric of a loop is, before it is known of which loop.
+    """Definition of a loop metric before it is bound to a loop.
 
     Attributes:
-        unit: With `{value}` (deg or m), `{signal}` (rad or m) and `{command}` (rad or m) in it.
-        compute: From a run and the loop's response.
-        meaning: One sentence, with `{signal}`, `{goal}` and `{command}` in it.
-        traits: What it has in common with the metrics of a run.
-        needs_whole: Whether a loop that the end of the recording cuts has no value: a sum over half
-            of it, or the largest so far, is not its own.
-        applies: Of which loops there is such a metric.
-        needs_step: Whether a loop that begins at its reference has no value.
-        numbers: The same of a curve, compiled too; None: there is no such function.
+        unit: Unit with placeholders `{value}` (deg or m), `{signal}` (rad or m) and `{command}`
+            (rad or m).
+        compute: Function of a run context and the loop's response.
+        meaning: One sentence with placeholders `{signal}`, `{goal}` and `{command}`.
+        traits: Properties shared with the metrics of a run.
+        needs_whole: Whether a loop cut by the end of the recording has no value, because a sum or
+            maximum over part of it would be wrong.
+        applies: Function that returns whether a loop has this metric.
+        needs_step: Whether a loop that starts at its reference has no value.
+        numbers: The same function of a curve, which can also be compiled; None: there is no such
+            function.
     """
 
     unit: str
@@ -155,7 +158,7 @@ class LoopMetricKind:
         return self._build(unit, compute, words)
 
     def describe(self) -> MetricKind:
-        """Return what the metric of any loop is; its unit says `rad or m` where it depends."""
+        """Return the definition for any loop; the unit is `rad or m` if it depends on the loop."""
 
         def compute(_: RunContext) -> Result:
             return Missing(status=Status.NO_PHASE, reason="the law declares no such loop")
@@ -167,7 +170,7 @@ class LoopMetricKind:
         return MetricKind(unit=unit, compute=compute, meaning=meaning, **self.traits)
 
     def describe_unit(self, loop: ControlLoop | None) -> str:
-        """Return the unit for a loop; of none, of a heading or else of a way."""
+        """Return the unit for a loop; for None, that of a heading or else of a length."""
         if loop is None:
             turn, way = ("deg", "rad", "rad"), ("m", "m", "m")
             units = [self._fill(turn), self._fill(way)]
@@ -188,7 +191,7 @@ RUN_METRICS: Final[dict[str, MetricKind]] = {}
 
 
 def has_step(loop: ControlLoop) -> bool:
-    """Whether a loop answers a step: one whose reference the law moves follows instead."""
+    """Whether a loop answers a step: not one whose reference the law moves."""
     return not loop.moves
 
 
@@ -206,7 +209,7 @@ def loop_metric(
     applies: Callable[[ControlLoop], bool] = lambda _: True,
     **traits: Unpack[Traits],
 ) -> Callable[[OfLoop], OfLoop]:
-    """Enter a function in the registry as a metric of every loop, or those it applies to."""
+    """Enter a function in the registry as a metric of every loop to which it applies."""
 
     def enter(compute: OfLoop) -> OfLoop:
         LOOP_METRICS[name] = LoopMetricKind(
@@ -232,9 +235,9 @@ def curve_metric(
     applies: Callable[[ControlLoop], bool] = lambda _: True,
     **traits: Unpack[Traits],
 ) -> Callable[[_OfCurve], _OfCurve]:
-    """Enter a function of numbers as a metric of every loop, or those it applies to.
+    """Enter a function of numbers as a metric of every loop to which it applies.
 
-    It runs plain and compiled: what it reads of a curve are fields of `Response`.
+    It runs in ordinary Python and compiled. Its curve parameters are fields of `Response`.
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
@@ -256,7 +259,7 @@ def curve_metric(
 def run_metric(
     name: str, unit: str, meaning: str, **traits: Unpack[Traits]
 ) -> Callable[[_OfRun], _OfRun]:
-    """Enter a function in the registry as a metric of the whole run, or of its end, by its id."""
+    """Enter a function in the registry by its id, as a metric of the whole run or of its end."""
 
     def enter(compute: _OfRun) -> _OfRun:
         RUN_METRICS[name] = MetricKind(unit=unit, compute=compute, meaning=meaning, **traits)
@@ -268,9 +271,9 @@ def run_metric(
 def course_metric(
     name: str, unit: str, meaning: str, **traits: Unpack[Traits]
 ) -> Callable[[_OfCourse], _OfCourse]:
-    """Enter a function of numbers as a metric of the whole run, or of its end, by its id.
+    """Enter a function of numbers by its id, as a metric of the whole run or of its end.
 
-    It runs plain and compiled: what it reads of a course are fields of `RunContext`.
+    It runs in ordinary Python and compiled. Its course parameters are fields of `RunContext`.
     """
 
     def enter(numbers: _OfCourse) -> _OfCourse:

@@ -1,4 +1,4 @@
-"""The metrics of a run by id: the one table that measuring, comparison and checks share."""
+"""The metrics of a run by id: the one table for measuring, comparison and checks."""
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -84,7 +84,7 @@ _ESSENTIAL_WITH_COMMANDS: Final = (
 
 
 def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
-    """Return every metric that runs of these laws have, by id: of each loop, the end, the run."""
+    """Return every metric of runs with these laws, by id: of each loop, the end and the run."""
     return _list_metrics(tuple(dict.fromkeys(declarations)))
 
 
@@ -99,9 +99,10 @@ def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricK
 
 
 def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
-    """Return the ids of the metrics to look at first: of laws, or of what runs hold.
+    """Return the ids of the metrics to look at first, for laws or for the data of runs.
 
-    For a run without samples, whose law is not known, those that its poses, commands and goal give.
+    If a run has no samples and its law is unknown, they are the metrics of poses, commands and
+    goal.
     """
     lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
     if len(lawless) < len(of) or not of:
@@ -113,7 +114,7 @@ def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
 
 
 def is_lawless(run: Run) -> bool:
-    """Return whether nothing is known of what controls a run: a third-party bag."""
+    """Return whether the controller of a run is unknown, as for a third-party bag."""
     return not len(run.samples) and not run.declaration.loops
 
 
@@ -158,9 +159,9 @@ def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:
 
 
 def find_metric_kind(name: str) -> MetricKind | None:
-    """Return what a metric is, whatever the law: of a loop as `METRICS` describes that of any.
+    """Return the kind of a metric for any law; metrics of loops are described as in `METRICS`.
 
-    None if the name can be no id of a metric.
+    None if the name cannot be the id of a metric.
     """
     if name in RUN_METRICS:
         return RUN_METRICS[name]
@@ -169,13 +170,14 @@ def find_metric_kind(name: str) -> MetricKind | None:
 
 
 def choose_metrics(patterns: Collection[str], declaration: Declaration) -> tuple[str, ...]:
-    """Return the ids that are named, in the order of `list_metrics`; `*`, `?`, `[...]` match.
+    """Return the ids that names or patterns select, in the order of `list_metrics`.
 
-    A metric of a loop that the law does not declare is chosen where it is named in full: it has no
-    value and says so. A pattern that only other laws' loops match chooses nothing.
+    Patterns may contain `*`, `?` and `[...]`. A full name selects a metric also if the law does not
+    declare its loop; this metric has a reason instead of a value. A pattern that matches only loops
+    of other laws selects nothing.
 
     Raises:
-        MeasureError: If one names no metric; with those nearest to it.
+        MeasureError: If a name is not that of a metric; the message names the nearest ids.
     """
     return _choose((patterns,) if isinstance(patterns, str) else tuple(patterns), declaration)
 
@@ -206,7 +208,7 @@ def is_metric_pattern(pattern: str) -> bool:
 
 
 def list_ids_like(pattern: str) -> list[str]:
-    """Return the metrics of the loop that a name speaks of, whatever law has it."""
+    """Return the metrics of the loop in a name, for any law."""
     loop, dot, _ = pattern.partition(".")
     if not dot or not is_loop_name(loop):
         return []
@@ -214,7 +216,7 @@ def list_ids_like(pattern: str) -> list[str]:
 
 
 def _matches_any_loop(pattern: str) -> bool:
-    """Return whether a pattern matches metrics of a loop with a name that it allows."""
+    """Return whether a pattern matches metrics of a loop with any valid name."""
     loop, dot, plain = pattern.rpartition(".")
     if not dot or not any(sign in pattern for sign in "*?["):
         return False
@@ -223,7 +225,7 @@ def _matches_any_loop(pattern: str) -> bool:
 
 
 def describe_no_metric(pattern: str, known: Iterable[str]) -> str:
-    """Return an error line for a name that is no metric's, with the nearest ids."""
+    """Return an error line for a name that is not a metric, with the nearest ids."""
     return describe_unknown("metric", pattern, known, place="turtlelog list metrics")
 
 
@@ -237,11 +239,11 @@ def measure_run(
 
     Args:
         run: Run to measure. Missing data gives the metrics that need it a status.
-        settings: Otherwise the usual ones.
-        only: Ids or patterns of them (`translate.*`); nothing else is computed.
+        settings: Settings of the metrics; None: the defaults.
+        only: Ids or patterns (`translate.*`); no other metric is computed.
 
     Raises:
-        MeasureError: If `only` names no metric, or the settings a loop that is not declared.
+        MeasureError: If `only` names no metric, or the settings name a loop that is not declared.
     """
     kinds = list_metrics(run.declaration)
     names = kinds if only is None else choose_metrics(only, run.declaration)
@@ -273,7 +275,7 @@ def _miss_metric(run: Run, name: str) -> Metric:
 
 
 def miss_metric(declaration: Declaration, name: str) -> Metric:
-    """Return the metric of a loop that a law does not declare, or that its kind does not have."""
+    """Return the metric of a loop that the law does not declare, or that its kind of loop lacks."""
     loop, _, plain = name.rpartition(".")
     declared = declaration.find_loop(loop)
     known = ", ".join(found.name for found in declaration.loops) or "none"

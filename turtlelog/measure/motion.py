@@ -1,4 +1,4 @@
-"""What each plant step moved, by which command, and what errors of steps leave of a whole way."""
+"""The motion of each plant step, the command behind it, and the error cumulated over steps."""
 
 import math
 from dataclasses import dataclass
@@ -46,22 +46,22 @@ _EXACT: Final = 2e-8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopMotion:
-    """The steps of the first stretch of a loop, along the coordinate that its command drives.
+    """The steps of the first segment of a loop, along the coordinate that its command drives.
 
     Attributes:
-        time_ns: Time of the pose that each step begins at [ns], shape (n,).
-        tick: Tick of that pose, shape (n,); rows of no known tick lie far apart.
-        moved: Turned [rad] or moved along the heading [m] in the step, without what the scenario
-            says that pushes the robot, shape (n,).
-        rounding: What the rounding of the two poses can make of it [rad or m], shape (n,).
-        step_ticks: Ticks in a step: 1 where there is a pose per tick.
+        time_ns: Time of the pose at the beginning of each step [ns], shape (n,).
+        tick: Tick of that pose, shape (n,); rows with an unknown tick are far apart.
+        moved: Turn [rad] or motion along the heading [m] in the step, without the disturbances in
+            the scenario, shape (n,).
+        rounding: Largest effect of the rounding of the two poses [rad or m], shape (n,).
+        step_ticks: Number of ticks in a step: 1 if there is a pose per tick.
         tick_s: Length of a tick [s].
-        grain: How far a way may be off because poses are logged in coarse steps [rad or m]; 0
-            where they are not.
+        grain: Largest error of the cumulated motion due to the resolution of the logged poses [rad
+            or m]; 0 for full resolution.
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
-        apart: Usual distance of these [ticks], at least 1.
-        command: What the plant makes of each sample's command, in the end [rad/s or m/s],
-            shape (m,): of a lagged robot times its gain, within its limits.
+        apart: Usual distance between these [ticks], at least 1.
+        command: Steady-state response of the plant to each sample's command [rad/s or m/s], shape
+            (m,): for the robot model, gain times command, within its limits.
     """
 
     time_ns: NDArray[np.int64]
@@ -78,10 +78,10 @@ class LoopMotion:
     def predict(
         self, dead_times_ticks: range, rows: slice = slice(None)
     ) -> tuple[Values, NDArray[np.bool_]]:
-        """Return what steps move for each dead time [rad or m], and if that is sure.
+        """Return the motion of steps for each dead time [rad or m], and whether it is certain.
 
-        Both have shape (dead times, steps). The last command is held, 0 before the first; but where
-        samples are further apart than usual, others may have been lost between them.
+        Both have shape (dead times, steps). The last command is held; before the first it is 0. If
+        samples are further apart than usual, samples between them may be lost.
         """
         inside = self.tick[rows, None] + np.arange(self.step_ticks)
         answered = inside - np.array(dead_times_ticks)[:, None, None]
@@ -91,7 +91,7 @@ class LoopMotion:
         return command.sum(axis=2) * self.tick_s, np.asarray(is_sure.all(axis=2))
 
     def _find_latest(self, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the last sample that read a pose of each tick or before, -1 where none did."""
+        """Return the last sample that read a pose at or before each tick; -1 if there is none."""
         first, last = int(ticks.min()), int(ticks.max())
         if last - first > ticks.size:  # gaps make ticks far apart: no table of all of them
             return np.searchsorted(self.sample_tick, ticks, side="right") - 1
@@ -101,9 +101,9 @@ class LoopMotion:
 
 
 def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
-    """Return the steps between the poses that the samples of a loop's first stretch read.
+    """Return the steps between the poses that the samples of a loop's first segment read.
 
-    None where it never acts. Steps across a gap, or against a wall, are left out.
+    None if the loop never acts. Steps across a gap or against a wall are left out.
     """
     samples, poses, plant = run.samples, run.poses, find_plant(run)
     stretch = find_loop_samples(run, loop)
@@ -141,7 +141,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
 
 
 def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Values:
-    """Return what the pushes of the recorded scenario move in each step [rad or m]."""
+    """Return the motion caused by the scenario's disturbances in each step [rad or m]."""
     rate = read_number(run.parameters, f"disturbance.{_UNITS[loop.command]}", 0.0)
     if not rate:
         return np.zeros(len(rows))
@@ -156,7 +156,7 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
 
 
 def _find_wanted(run: Run, loop: ControlLoop, command: Values) -> Values:
-    """Return the rates to which commands of a loop lead the plant in the end."""
+    """Return the steady-state rates of the plant for the commands of a loop."""
     gain = _read_plant(run, loop, "gain", 1.0)
     defaults = {"reverse_gain": math.nan, "deadband": 0.0, "bound": math.inf}
     if all(f"{PLANT_KEYS[loop.command]}{name}" not in run.parameters for name in defaults):
@@ -166,7 +166,7 @@ def _find_wanted(run: Run, loop: ControlLoop, command: Values) -> Values:
 
 
 def describe_follower(run: Run, loop: ControlLoop) -> str:
-    """Return what makes the plant follow a loop's command slowly; empty if it does so at once."""
+    """Return why the plant follows a loop's command slowly; empty if it follows at once."""
     key = PLANT_KEYS[loop.command]
     lag_s = _read_plant(run, loop, "lag_s", 0.0)
     if lag_s > 0.0:
@@ -178,9 +178,10 @@ def describe_follower(run: Run, loop: ControlLoop) -> str:
 
 
 def _measure_grain(poses: PoseColumns, moved: Values, loop: ControlLoop) -> float:
-    """Return by how much a way of coarse poses may be off: of a heading a step, of a place both.
+    """Return the error of a cumulated motion due to coarse poses.
 
-    A heading that is off makes a way longer than it is along that heading.
+    For a heading it is one coarse step. For a position it includes the heading: a wrong heading
+    makes the motion along it shorter.
     """
     heading_rad = find_coarse_step(poses.heading_rad)
     if loop.command == "turn_rate":
@@ -191,7 +192,7 @@ def _measure_grain(poses: PoseColumns, moved: Values, loop: ControlLoop) -> floa
 
 
 def find_common_step(values: Values) -> float:
-    """Return the step above that of 32-bit floats that all values are multiples of; 0 for none."""
+    """Return the common step of values, if above the spacing of 32-bit floats; otherwise 0."""
     different = _sort_different(values)
     if len(different) < FEWEST_DIFFERENT:
         return 0.0
@@ -205,14 +206,14 @@ def find_common_step(values: Values) -> float:
 
 
 def find_spacing(values: Values) -> float:
-    """Return the spacing of 32-bit floats at the largest value; 0 where values have more bits."""
+    """Return the spacing of 32-bit floats at the largest value; 0 if values have more bits."""
     if (values != values.astype(np.float32)).any():
         return 0.0
     return float(np.spacing(np.float32(np.abs(values).max(initial=0.0))))
 
 
 def find_coarse_step(values: Values) -> float:
-    """Return the common step of some values, or of few ones the least distance; 0 for none."""
+    """Return the common step of values, or of few values the least distance; 0 if there is none."""
     different = _sort_different(values)
     if 1 < len(different) < FEWEST_DIFFERENT:
         return float(np.diff(different).min())
@@ -232,7 +233,7 @@ _UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
 
 
 def pushes_at_random(run: Run, loop: ControlLoop) -> bool:
-    """Return whether the scenario has noise that moves what a loop's command moves."""
+    """Return whether the scenario has noise in the motion that a loop's command drives."""
     return read_number(run.parameters, f"disturbance.noise_{loop.command}", 0.0) > 0.0
 
 
@@ -243,7 +244,7 @@ def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float
 
 
 def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.int64], int, float]:
-    """Return the tick of each pose, the usual ticks in a step, and the length of a tick [s]."""
+    """Return the tick of each pose, the usual ticks in a step, and the tick length [s]."""
     step_ns = np.diff(time_ns)
     if plant.name == LAGGED:
         return (time_ns - time_ns[0]) // plant.period_ns, 1, plant.period_s
@@ -261,7 +262,7 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
 
 
 def _measure_turns(heading_rad: Values, half: Values) -> tuple[Values, Values]:
-    """Return what steps turn and what rounding makes of it; `half` as `_find_half_steps`."""
+    """Return the turn of steps and its rounding error; `half` is as from `_find_half_steps`."""
     moved = subtract_headings(heading_rad[1:], heading_rad[:-1])
     return moved, half[:-1] + half[1:] + _EXACT
 
@@ -287,7 +288,7 @@ def _measure_along(xy_m: Values, along_rad: Values, half: Values) -> tuple[Value
 
 
 def _find_half_steps(values: Values) -> Values:
-    """Return half the spacing of 32-bit floats at each value, 0 where values have more bits."""
+    """Return half the spacing of 32-bit floats at each value; 0 if values have more bits."""
     if (values != values.astype(np.float32)).any():
         return np.zeros_like(values)
     half: Values = 0.5 * np.abs(np.spacing(values.astype(np.float32))).astype(np.float64)
@@ -295,7 +296,7 @@ def _find_half_steps(values: Values) -> Values:
 
 
 def _find_free(xy_m: Values, plant: Plant) -> NDArray[np.bool_]:
-    """Return which places are off the walls."""
+    """Return which positions are away from the walls."""
     free = (xy_m > plant.low_m) & (xy_m < plant.high_m)
     return np.asarray(free[:, 0] & free[:, 1])
 
@@ -324,14 +325,14 @@ _TINY: Final = 1e-300
 
 
 def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]:
-    """Return which fits leave no more than the coarse steps of poses make, or than the best does.
+    """Return which fits leave no larger errors than coarse poses cause, or than the best fit does.
 
-    What rounding leaves is no noise: neighbours share it, and its squares tell nothing.
+    Rounding errors are not noise: neighbours share them, so their squares are not informative.
 
     Args:
-        spans: From the least to the largest that each fit leaves [rad or m].
+        spans: Range of the errors of each fit, largest minus smallest [rad or m].
         best: Row of the best.
-        grain: Coarse step [rad or m]; 0: there is none, and the best stands alone.
+        grain: Coarse step [rad or m]; 0: full resolution, and only the best fit counts.
     """
     if not grain:
         return np.asarray(np.arange(len(spans)) == best)
@@ -340,7 +341,7 @@ def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]
 
 
 def fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tuple[Values, Values]:
-    """Return what errors of steps leave of the way, and its root mean square, one row for each."""
+    """Return the cumulated errors of steps and their root mean square, one row for each fit."""
     with np.errstate(over="ignore", invalid="ignore"):
         drift = np.cumsum(errors, axis=1)[:, rows]
         left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
@@ -349,10 +350,10 @@ def fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LagFits:
-    """Whether a dead time with a lag explains a motion that a longer dead time alone fits best.
+    """Whether a dead time with a time constant explains a motion that a longer dead time fits best.
 
     Attributes:
-        least_ticks: The smallest dead time that fits as well, with some lag.
+        least_ticks: The smallest dead time that fits as well, with some time constant.
         is_better: Whether one of them clearly fits better.
     """
 
@@ -363,14 +364,14 @@ class LagFits:
 def find_lags(
     motion: LoopMotion, errors: Values, rows: NDArray[np.int64], best: int, size: float
 ) -> LagFits:
-    """Return which shorter dead times explain a motion with a lag.
+    """Return which shorter dead times explain a motion together with a time constant.
 
     Args:
-        motion: Of a loop.
-        errors: What each dead time leaves of each step, shape (dead times, steps).
-        rows: Steps that count.
-        best: The dead time that fits best alone [ticks].
-        size: What that leaves [rad or m].
+        motion: Motion of a loop.
+        errors: Error of each dead time in each step, shape (dead times, steps).
+        rows: Rows of the steps that count.
+        best: The dead time that fits best without a time constant [ticks].
+        size: Error of that fit [rad or m].
     """
     predicted = motion.moved - errors
     gained = np.empty(best + 1)
@@ -388,7 +389,7 @@ def find_lags(
 def _fit_lag(
     motion: LoopMotion, predicted: Values, rows: NDArray[np.int64], near_ticks: int
 ) -> Values:
-    """Return what predicted steps leave of the way with the best lag near one [ticks]."""
+    """Return the remaining cumulated error with the best time constant near one [ticks]."""
     tried: dict[float, Values] = {}
 
     def measure(lag_ticks: float) -> float:
@@ -407,7 +408,7 @@ def _fit_lag(
 
 
 def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Values:
-    """Return predicted steps as a first-order lag makes them, in closed form for held commands."""
+    """Return predicted steps after a first-order lag, in closed form for held commands."""
     from scipy.signal import lfilter
 
     lag = lag_ticks / motion.step_ticks
@@ -419,7 +420,7 @@ def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Value
 
 
 def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
-    """Subtract the mean of each stretch without a gap; where it begins is not known exactly."""
+    """Subtract the mean of each segment without a gap, because its initial value is not exact."""
     bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
     parts = np.split(drift, bounds, axis=1)
     return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)

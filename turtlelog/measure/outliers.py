@@ -57,10 +57,10 @@ class Outlier:
     """A value that its neighbours on both sides contradict.
 
     Attributes:
-        signal: Its name, one of `MEASURED`.
+        signal: Name of the signal, one of `MEASURED`.
         row: Row of the poses.
         time_ns: Time of that row [ns].
-        value: In the signal's unit.
+        value: Value in the signal's unit.
         unit: Unit of the signal.
     """
 
@@ -72,16 +72,17 @@ class Outlier:
 
 
 def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int64]:
-    """Return the rows of single values that stand out of a measured signal, in order.
+    """Return the rows of single values that are outliers of a measured signal, in order.
 
-    A value stands out by how far it is from the nearer of its two neighbours, on the same side of
-    both: a step, a ramp, a limit and whatever lasts two rows do not stand out at all. One that
-    stands out is an outlier where nothing else in the signal comes near it, its neighbours agree,
-    and they are close in time. The first and the last row have one neighbour and are never one.
+    The deviation of a value is its distance to the nearer of its two neighbours, if it is on the
+    same side of both; steps, ramps, limits and anything that lasts two rows have none. A value is
+    an outlier if nothing else in the signal comes near its deviation, its neighbours agree, and
+    they are close in time. The first and last rows are never outliers, because they have one
+    neighbour.
 
     Args:
         time_ns: Time [ns], shape (n,), not decreasing.
-        values: Finite, of one unit, angles without jumps at a full turn, shape (n,).
+        values: Finite values of one unit, angles without jumps at a full turn, shape (n,).
     """
     none = np.empty(0, dtype=np.int64)
     if len(values) < _LEAST_ROWS:
@@ -104,7 +105,7 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
 
 
 def list_outliers(run: Run) -> tuple[Outlier, ...]:
-    """Return the outliers of a run's measured signals, signal by signal in order of time."""
+    """Return the outliers of a run's measured signals, by signal and then by time."""
     return tuple(_iterate_outliers(run))
 
 
@@ -124,7 +125,7 @@ def _iterate_outliers(run: Run) -> Iterator[Outlier]:
 
 
 def describe_outliers(run: Run) -> dict[str, str]:
-    """Return a sentence on the outliers of each signal that has some, by its name."""
+    """Return a sentence on the outliers of each signal that has any, by name of the signal."""
     found: dict[str, list[Outlier]] = {}
     for outlier in list_outliers(run):
         found.setdefault(outlier.signal, []).append(outlier)
@@ -132,7 +133,7 @@ def describe_outliers(run: Run) -> dict[str, str]:
 
 
 def _describe(outliers: list[Outlier], start_ns: int) -> str:
-    """Return how many there are and which is the largest: `1 outlier, -143.6 rad/s at 31.9 s`."""
+    """Return the number of outliers and the largest: `1 outlier, -143.6 rad/s at 31.9 s`."""
     worst = max(outliers, key=lambda outlier: abs(outlier.value))
     count = describe_count(len(outliers), "outlier")
     at_s = (worst.time_ns - start_ns) / 1e9
@@ -141,7 +142,7 @@ def _describe(outliers: list[Outlier], start_ns: int) -> str:
 
 
 def _find_apart(height: Values) -> NDArray[np.int64]:
-    """Return the rows that stand out by far further than all others, in order."""
+    """Return the rows whose deviation is far larger than all others, in order."""
     most = max(int(_MOST_SHARE * len(height)), 1)
     order = np.argsort(-height, kind="stable")[: most + 1]
     is_apart = height[order[:-1]] > _APART * height[order[1:]]
@@ -154,23 +155,24 @@ def _count_changes(values: Values, rows: NDArray[np.int64]) -> int:
 
 
 def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:
-    """Return how far the signal moves around each row, single values aside."""
+    """Return the range of the signal around each row, without single values."""
     around = np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
     near = smooth[np.clip(rows[:, None] + around, 0, len(smooth) - 1)]
     return np.asarray(np.ptp(near, axis=1))
 
 
 def find_quantisation_step(values: Values) -> float:
-    """Return the least step of a quantised signal; of others next to nothing."""
+    """Return the quantisation step of a signal; a tiny number if it is not quantised."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > _ROUNDING * float(np.abs(values).max())]
     return float(steps.min()) if len(steps) else 0.0
 
 
 def compute_median(values: NDArray[Any]) -> float:
-    """Return what `np.median` does of one row, NaN of an empty one.
+    """Return the median of one row as `np.median` does; NaN for an empty row.
 
-    To look for NaN, that loads numpy's masked arrays: a tenth of the time that numpy takes.
+    `np.median` looks for NaN and loads numpy's masked arrays for it, which takes a tenth of numpy's
+    loading time.
     """
     half, odd = divmod(len(values), 2)
     if not len(values):

@@ -1,4 +1,4 @@
-"""A path in the plane, from a file and measured: points of shape (n, 2), joined by lines."""
+"""A path in the plane, read from a file and measured: points of shape (n, 2), joined by lines."""
 
 import csv
 import math
@@ -32,9 +32,9 @@ def compute_path_length(xy_m: Values) -> float:
 
 
 def compute_straightness(xy_m: Values, length_m: float | None = None) -> float | None:
-    """Return the length over the distance from first to last point [1]: 1 is a straight line.
+    """Return path length divided by the distance from first to last point [1]; 1 if straight.
 
-    None if both are the same point. `length_m`, where it has been computed already.
+    None if both points are the same. `length_m` is the length if it is already known.
     """
     distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
     if distance_m <= 0.0:
@@ -48,9 +48,9 @@ def compute_straightness(xy_m: Values, length_m: float | None = None) -> float |
 def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:
     """Return each point's distance to the nearest point of a path [m], shape (n,).
 
-    `path_xy_m` is the line through its points, shape (m, 2), m >= 2. Blocks of points that are near
-    each other look only at the parts of the path that their bounding box lets be nearest, so long
-    paths cost little more than short ones.
+    `path_xy_m` is the line through its points, shape (m, 2), m >= 2. Nearby points are processed in
+    blocks that use only the parts of the path that can be nearest, so long paths cost little more
+    than short ones.
     """
     parts = np.hstack([path_xy_m[:-1], np.diff(path_xy_m, axis=0)])
     parts = np.unique(parts, axis=0)  # a robot that stands repeats them
@@ -61,7 +61,7 @@ def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:
 
 
 def _measure_blocks(xy_m: Values, starts: Values, ways: Values, size: int, *sizes: int) -> Values:
-    """Return the distances of points that are sorted by place, blocks within blocks."""
+    """Return the distances of points sorted by place, in nested blocks."""
     distances = np.empty(len(xy_m))
     for first in range(0, len(xy_m), size):
         rows = slice(first, first + size)
@@ -72,7 +72,7 @@ def _measure_blocks(xy_m: Values, starts: Values, ways: Values, size: int, *size
 
 
 def _sort_by_place(xy_m: Values) -> NDArray[np.int64]:
-    """Return the rows of points so that neighbours in the plane follow each other (Z-order)."""
+    """Return an order of points in which neighbours in the plane are close (Z-order)."""
     low_m = xy_m.min(axis=0, initial=np.inf)
     size_m = np.max(xy_m.max(axis=0, initial=-np.inf) - low_m, initial=0.0)
     if not (0.0 < size_m < np.inf):
@@ -113,14 +113,15 @@ def _measure_parts(points: Values, starts: Values, ways: Values) -> Values:
 def trace_path(
     path: TrackedPath, xy_m: Values, arc_m: float | None, due_m: Values | None = None
 ) -> tuple[Values, Values]:
-    """Return where positions are with respect to a path, one after the other.
+    """Return positions relative to a path, one after the other.
 
     Args:
-        path: What is tracked.
-        xy_m: World frame [m], shape (n, 2).
-        arc_m: Near which arc length the first is; None if the robot still has to come to the path
-            [m].
-        due_m: How far the reference is at each, where time belongs to the path [m], shape (n,).
+        path: Path that is tracked.
+        xy_m: Positions in the world frame [m], shape (n, 2).
+        arc_m: Approximate arc length of the first position [m]; None if the robot has yet to reach
+            the path.
+        due_m: Arc length of the reference at each position, if the path has a time law [m], shape
+            (n,).
 
     Returns:
         Arc length of the nearest point [m], and distance from there, positive to the left [m]; each
@@ -141,10 +142,10 @@ _MOST_BYTES: Final = 2**24
 
 
 def read_reference_path(path: str | Path) -> NDArray[np.float64]:
-    """Return the points of a CSV file with x and y in metres, shape (n, 2); a head is skipped.
+    """Return the points of a CSV file with x and y in metres, shape (n, 2); skip a header.
 
     Raises:
-        MeasureError: One line with the file, the line, what was expected and what was found.
+        MeasureError: If the file is wrong; one line with the file, the line, expected and found.
     """
     path = make_path(path)
     try:

@@ -1,9 +1,9 @@
-"""How fast a robot moved, and what it was asked to do meanwhile: one axis at a time.
+"""The rate of a robot and its commands, one axis at a time.
 
-Rates are those that the robot reports; turtlesim reports what it applied, the speed without a sign,
-which the poses give. Where none are reported they are differences of poses: the forward speed is
-the way along the mean heading over the time that it took. A difference of poses that are close in
-time is noise: 1 mm over 1 ms is 1 m/s. So of fast poses every n-th is taken.
+Rates are those that the robot reports. turtlesim reports the applied speed without a sign; the sign
+comes from the poses. If no rates are reported, they are differences of poses: the forward speed is
+the displacement along the mean heading divided by the time. Differences of poses close in time are
+mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th of fast poses is used.
 """
 
 from dataclasses import dataclass, replace
@@ -38,11 +38,11 @@ class Rates:
 
     Attributes:
         is_reported: Whether the robot reports them, instead of being differences of poses.
-        time_s: When each value holds [s], shape (n,), strictly increasing.
+        time_s: Time of each value [s], shape (n,), strictly increasing.
         values: Rate [m/s or rad/s], shape (n,); backward and clockwise negative.
-        edges_s: Ends of the intervals that `means` belong to [s], shape (m + 1,).
-        means: Mean rate of each interval, shape (m,); of reported rates the line between them.
-        outliers: How many values were left out.
+        edges_s: Boundaries of the intervals of `means` [s], shape (m + 1,).
+        means: Mean rate of each interval, shape (m,); reported rates are linearly interpolated.
+        outliers: Number of values that were left out.
     """
 
     is_reported: bool
@@ -54,7 +54,7 @@ class Rates:
 
 
 def read_rates(run: Run, axis: Axis) -> Rates | None:
-    """Return the rate of an axis, None where there are less than two poses."""
+    """Return the rate of an axis; None if there are fewer than two poses."""
     poses = run.poses
     reported = poses.measured_speed_m_s if axis == "speed" else poses.measured_turn_rate_rad_s
     if len(poses) < 2:
@@ -79,7 +79,7 @@ def read_rates(run: Run, axis: Axis) -> Rates | None:
 
 
 def _read_applied(run: Run, axis: Axis) -> Values | None:
-    """Return what the plant applied on the way to each pose, None where that is not recorded."""
+    """Return the command that the plant applied before each pose; None if it is not recorded."""
     poses = run.poses
     if axis == "turn_rate" or poses.speed_m_s is None:
         return poses.turn_rate_rad_s if axis == "turn_rate" else None
@@ -90,9 +90,9 @@ def _read_applied(run: Run, axis: Axis) -> Values | None:
 
 
 def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rows of poses that are differenced, the first among them; at least two are given.
+    """Return the rows of poses used for differences, including the first; at least two are given.
 
-    The last row is left out where it does not come a whole stride after the one before.
+    The last row is left out if it is less than a whole stride after the previous one.
     """
     apart = np.flatnonzero(np.append(True, np.diff(time_ns) >= _SAME_TIME_NS))
     if len(apart) < 2:
@@ -136,15 +136,15 @@ def _difference_poses(run: Run, axis: Axis) -> Rates:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldCommands:
-    """The published commands of one axis as they hold, each until the next; at least one.
+    """The published commands of one axis, at least one, under zero-order hold.
 
     Attributes:
-        time_s: When each value begins to hold, from time zero of the run [s], shape (n,); equal
-            values in a row are one, and of several at one time the last.
+        time_s: Time from which each value holds, from time zero of the run [s], shape (n,); equal
+            successive values are merged, and at equal times the last value is used.
         values: Rate [m/s or rad/s], shape (n,).
-        end_s: When the last command was published: how long that one holds nobody knows [s].
-        before: What is taken to hold before the first: 0 where the robot stood still, else the
-            first.
+        end_s: Time when the last command was published [s]; how long it holds is unknown.
+        before: Value assumed before the first command: 0 if the robot stood still, otherwise the
+            first value.
     """
 
     time_s: Values
@@ -162,7 +162,7 @@ class HeldCommands:
 
 
 def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Values]:
-    """Return commands with the plant's stop where the next one comes too late, and at the end."""
+    """Return commands with the plant's watchdog stop before late commands and at the end."""
     late = np.append(np.diff(time_s) > holds_s, np.isfinite(holds_s))
     rows = np.flatnonzero(late) + 1
     stops_s = time_s[late] + holds_s
@@ -175,12 +175,12 @@ beside 0, and 32 bits round a command of 5 by 5e-7."""
 
 
 def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommands | None:
-    """Return the commands of an axis, None where none were published.
+    """Return the commands of an axis; None if none were published.
 
     Args:
-        run: The run.
-        axis: Which.
-        rates: Of the axis; None where there are none: the first command is taken to hold before.
+        run: Run with commands.
+        axis: Axis to read.
+        rates: Rates of the axis; None if there are none: the first command is then assumed before.
     """
     commands = run.commands
     if not len(commands):

@@ -1,9 +1,9 @@
-"""What metrics look for or add up along rows: each with a face of numpy's and a loop.
+"""Searches and sums along rows for metrics, each in a numpy version and a loop version.
 
-Numpy's runs on a run, however long; the loop is compiled into the batch of `sweep`. Both give the
-same to the last bit. All else of a metric is one function over these.
+The numpy version runs on one run; the loop is compiled for the batch of `sweep`. Both return the
+same bits. Metrics are single functions built on these.
 
-`memory` is a compiled batch's, which makes no arrays: plain code gives None.
+`memory` belongs to the compiled batch, which makes no arrays; ordinary Python passes None.
 """
 
 import math
@@ -40,7 +40,7 @@ def _find_furthest_row(values: Any, direction: float) -> int:
 
 @compiled_as(_find_furthest_row)
 def find_furthest_row(values: Values, direction: float) -> int:
-    """Return the first row of the largest value; of the least where the direction is not > 0."""
+    """Return the first row of the largest value, or of the smallest if the direction is not > 0."""
     return int(values.argmax() if direction > 0.0 else values.argmin())
 
 
@@ -53,7 +53,7 @@ def _find_first_beyond(values: Any, threshold: float, direction: float) -> int:
 
 @compiled_as(_find_first_beyond)
 def find_first_beyond(values: Values, threshold: float, direction: float) -> int:
-    """Return the first row at a threshold or beyond it in a direction, -1 where there is none."""
+    """Return the first row at or beyond a threshold in a direction; -1 if there is none."""
     reached = values >= threshold if direction > 0.0 else values <= threshold
     row = int(reached.argmax())
     return row if reached[row] else -1
@@ -68,7 +68,7 @@ def _find_last_outside(values: Any, low: float, high: float) -> int:
 
 @compiled_as(_find_last_outside)
 def find_last_outside(values: Values, low: float, high: float) -> int:
-    """Return the last row below `low` or above `high`, -1 where there is none."""
+    """Return the last row below `low` or above `high`; -1 if there is none."""
     outside = (values > high) | (values < low)
     row = len(values) - 1 - int(outside[::-1].argmax())
     return row if outside[row] else -1
@@ -87,7 +87,7 @@ def _find_largest(error: Any) -> tuple[float, int]:
 
 @compiled_as(_find_largest)
 def find_largest(error: Values) -> tuple[float, int]:
-    """Return the largest magnitude [unit], and its row."""
+    """Return the largest magnitude [unit] and its row."""
     low, high = int(error.argmin()), int(error.argmax())
     row = low if -error[low] > error[high] else high
     return abs(float(error[row])), row
@@ -104,7 +104,7 @@ def _find_largest_change(error: Any) -> float:
 
 @compiled_as(_find_largest_change)
 def find_largest_change(error: Values) -> float:
-    """Return the largest change of the magnitude from row to row [unit], of two or more."""
+    """Return the largest change of the magnitude between rows [unit]; needs two rows or more."""
     return float(np.abs(np.diff(np.abs(error))).max())
 
 
@@ -121,7 +121,7 @@ def _find_rise_behind_peak(error: Any) -> float:
 
 @compiled_as(_find_rise_behind_peak)
 def find_rise_behind_peak(error: Values) -> float:
-    """Return how far the magnitude grows again behind its largest [unit]."""
+    """Return by how much the magnitude increases again after its maximum [unit]."""
     size = np.abs(error)
     falling = size[int(size.argmax()) :]
     return float((falling - np.minimum.accumulate(falling)).max())
@@ -138,7 +138,7 @@ def _count_beyond(values: Any, limit: float) -> tuple[int, int]:
 
 @compiled_as(_count_beyond)
 def count_beyond(values: Values, limit: float) -> tuple[int, int]:
-    """Return how many magnitudes are at a limit or beyond it, and the first such row, else -1."""
+    """Return the number of magnitudes at or beyond a limit, and the first such row, else -1."""
     is_beyond = np.abs(values) >= limit
     count = int(is_beyond.sum())
     return count, int(is_beyond.argmax()) if count else -1
@@ -159,9 +159,10 @@ def _find_crossing_rows(values: Any, reference: float, memory: Any) -> Any:
 
 @compiled_as(_find_crossing_rows)
 def find_crossing_rows(values: Values, reference: float, memory: Any) -> Rows:  # noqa: ARG001
-    """Return the rows by which the response has come to the other side of the reference.
+    """Return the rows at which the response has crossed to the other side of the reference.
 
-    Touching the reference is no crossing, standing on it for a while and going on is one.
+    Touching the reference is not a crossing; resting on it and then going on to the other side is
+    one.
     """
     beyond, short = values > reference, values < reference
     rows = np.flatnonzero(beyond | short)
@@ -194,10 +195,10 @@ def _find_swing_ends(
 def find_swing_ends(
     time_s: Values, values: Values, reference: float, width: float, apart_s: float
 ) -> tuple[int, int]:
-    """Return the rows at which the last two swings that are over end, -1 where there is none.
+    """Return the last rows of the last two completed swings; -1 if there is none.
 
-    A swing is a stretch of rows further than a width from the reference, on one side; stretches
-    that are less apart in time are one. One that the recording ends in is not over.
+    A swing is a segment of rows further than a width from the reference, on one side; segments less
+    than a given time apart are one swing. A swing at the end of the recording is not completed.
     """
     error = values - reference
     rows = np.flatnonzero(np.abs(error) > width)
@@ -229,7 +230,7 @@ def _fold_at_zero(time_s: Any, error: Any, memory: Any) -> tuple[Any, Any, Any]:
 
 @compiled_as(_fold_at_zero)
 def fold_at_zero(time_s: Values, error: Values, memory: Any) -> tuple[Values, Values, Values]:  # noqa: ARG001
-    """Return times [s], steps of time [s] and magnitudes, a row added wherever the error is 0."""
+    """Return times [s], time steps [s] and magnitudes, with a row added wherever the error is 0."""
     changes = np.flatnonzero((error[:-1] < 0.0) != (error[1:] < 0.0))
     changes = changes[(error[changes] != 0.0) & (error[changes + 1] != 0.0)]
     magnitude = np.abs(error)
@@ -265,7 +266,7 @@ def _add_block(values: Any, first: int, count: int) -> float:
 
 
 def _find_half(first: int, count: int, depth: int, path: int) -> tuple[int, int]:
-    """Return where a half begins and its count; the bits of `path` tell which half of which."""
+    """Return the start and count of a half; the bits of `path` select the halves."""
     for level in range(depth - 1, -1, -1):
         half = count // 2
         half -= half % _LANES
@@ -277,9 +278,9 @@ def _find_half(first: int, count: int, depth: int, path: int) -> tuple[int, int]
 
 
 def _add_up(values: Any, count: int) -> float:
-    """Return the sum of the first values in the order of numpy's `sum`: by pairs of halves.
+    """Return the sum of the first values in the order of numpy's `sum` (pairwise summation).
 
-    The sum of a left half is kept in the place of its first value, which is lost.
+    The sum of a left half overwrites its first value.
     """
     # Without recursion: what calls itself crashes when numba loads it from its cache on disk.
     depth = path = 0
@@ -320,7 +321,7 @@ def _integrate(step_s: Any, values: Any, memory: Any) -> float:
 
 @compiled_as(_integrate)
 def integrate(step_s: Values, values: Values, memory: Any) -> float:  # noqa: ARG001
-    """Return the integral of the signal [unit s]; IAE where it is a folded error."""
+    """Return the integral of the signal [unit s]; for a folded error this is the IAE."""
     return float((step_s * (values[:-1] + values[1:])).sum()) / 2.0
 
 
@@ -336,18 +337,18 @@ def _add_triples(first: Any, second: Any, third: Any) -> float:
 
 @compiled_as(_add_triples)
 def add_triples(first: Values, second: Values, third: Values) -> float:
-    """Return the sum over the rows of what three columns make multiplied."""
+    """Return the sum over the rows of the products of three columns."""
     return sum_products(first, second, third)
 
 
 def sum_products(*columns: NDArray[Any]) -> float:
-    """Return the sum over the rows of what their values make multiplied.
+    """Return the sum over the rows of the products of columns.
 
-    The same to the last bit on every processor, unlike `np.dot`, which is a library's. Nothing is
-    laid out in memory on the way: long signals are measured at the speed of reading.
+    The bits are the same on every processor, unlike those of `np.dot`, which depends on a library.
+    No temporary array is made, so long signals take only the time to read them.
 
     Args:
-        columns: Two or three of shape (n,).
+        columns: Two or three columns of shape (n,).
     """
     rows = ",".join("i" for _ in columns)
     return float(np.einsum(f"{rows}->", *columns))

@@ -1,4 +1,4 @@
-"""What the loops of a law should follow, and where a run is on the path or line that it follows.
+"""The references of a law's loops, and the position of a run on the path or line it follows.
 
 The reference of a loop, at every pose:
 
@@ -29,10 +29,10 @@ Values = NDArray[np.float64]
 
 
 def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
-    """Return the reference of a loop [rad or m]: a number where it is constant.
+    """Return the reference of a loop [rad or m]; a number if it is constant.
 
-    Otherwise one value per pose, shape (n,), that of a sample held until the next. None if the run
-    does not hold it.
+    Otherwise one value per pose, shape (n,), where a sample's value is held until the next sample.
+    None if the run lacks it.
     """
     line, reference = run.goal_line, loop.reference
     if reference in {"path", "recorded"}:
@@ -50,11 +50,11 @@ def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
 
 
 def read_heading_reference(run: Run) -> float | Values | None:
-    """Return what the heading should be: the reference of the loop that acts, or acted last [rad].
+    """Return the reference heading of the loop that acts, or acted last [rad].
 
-    Before any acts, that of the first to act; where none ever does, of the first that is declared.
-    A number where it is constant, else one value per pose. Without samples and loops it is the
-    heading of the goal; None without a loop of the heading otherwise.
+    Before any loop acts, it is that of the first loop to act; if no loop ever acts, of the first
+    declared loop. A number if it is constant, otherwise one value per pose. Without samples and
+    loops it is the heading of the goal. Otherwise, None without a heading loop.
     """
     declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
     loops = [(loop, read_reference(run, loop)) for loop in declared]
@@ -88,12 +88,12 @@ def find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:
 
 
 def hold_samples(run: Run, values: Values) -> Values:
-    """Return what the last sample that read each pose, or one before, recorded, shape (n,)."""
+    """Return the recorded value of the last sample at or before each pose, shape (n,)."""
     return np.asarray(values[_find_latest(run, np.arange(len(run.samples)))])
 
 
 def _find_latest(run: Run, samples: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return which of some samples was the last to read each pose or one before, shape (n,)."""
+    """Return which sample was the last to read each pose or an earlier one, shape (n,)."""
     read = np.maximum.accumulate(run.samples.pose_sequence[samples])
     latest = np.searchsorted(read, np.arange(len(run.poses)), side="right") - 1
     return np.asarray(np.maximum(latest, 0))
@@ -123,7 +123,7 @@ def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float 
 
 
 def _read_path(run: Run, loop: ControlLoop) -> Values | None:
-    """Return what the path asks for at every pose; an arc length only where time belongs to it."""
+    """Return the reference from the path at every pose; an arc length only if it has a time law."""
     path = run.path
     if path is None:
         return None
@@ -144,16 +144,16 @@ def _trace_reference(run: Run, path: Path) -> Values | None:
 
 
 def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
-    """Return the arc length of the point nearest to every pose, and the distance from there [m]."""
+    """Return the arc length of the nearest point to every pose and the distance to it [m]."""
     due_m = None if path.speed_m_s is None else _trace_reference(run, path)
     first_m = _find_first_arc(run, path)
     return _recall(run, "poses", lambda: trace_path(path, run.poses.xy_m, first_m, due_m))
 
 
 def _find_first_arc(run: Run, path: Path) -> float | None:
-    """Return the arc length of the first reference where the first sample is lost [m].
+    """Return the arc length of the first reference, if the first sample is lost [m].
 
-    None if it is not: then the robot still has to come to the path.
+    None if it is not lost: the robot has then yet to reach the path.
     """
     samples = run.samples
     if samples.reference_xy_m is None or not len(samples) or samples.sequence[0] == 0:
@@ -177,7 +177,7 @@ def _recall(
 
 
 def hold_reference(run: Run, column: Values | None) -> Values | None:
-    """Return the part of the recorded reference pose that holds at each pose, None without one."""
+    """Return a component of the recorded reference pose, held at each pose; None without one."""
     if column is None:
         return None
     rows = np.flatnonzero(np.isfinite(column if column.ndim == 1 else column[:, 0]))
@@ -194,7 +194,7 @@ def read_controlled_distance(run: Run) -> Values | None:
 
 
 def project_on_line(xy_m: Values, line: GoalLine, *, along: bool) -> Values:
-    """Return the coordinate of points along, or to the left of, the line from start to goal [m]."""
+    """Return the coordinates of points along, or left of, the line from start to goal [m]."""
     # As frames.rotate_to_turtle, for the one of the two that is asked for.
     x_m, y_m = (column - start for column, start in zip(xy_m.T, line.start_xy_m, strict=True))
     cos, sin = np.cos(line.bearing_rad), np.sin(line.bearing_rad)

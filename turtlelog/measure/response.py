@@ -1,4 +1,4 @@
-"""How a loop of a law answers its reference, on the segment of the run in which it acts."""
+"""The response of a loop to its reference, on the segment of the run in which it acts."""
 
 import math
 from dataclasses import dataclass
@@ -28,16 +28,16 @@ _TIMEOUT: Final = "timeout"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommandStretch:
-    """The commands of a loop, as they hold; no rows where its samples are not of this run.
+    """The held commands of a loop; no rows if its samples are not from this run.
 
     Attributes:
-        time_s: When each was published, from the first sample of the run [s], shape (m,); when its
-            pose was answered, where the publication is not recorded.
-        values: In rad/s or m/s, shape (m,).
-        wanted: Before clipping, shape (m,); None if not recorded.
-        limit: Magnitude at which they are clipped, None if not recorded.
-        end_s: When the last one ceases to hold, from the first sample of the run [s].
-        answered_ns: When the pose of each was answered [ns], shape (m,).
+        time_s: Publication time of each command, from the first sample of the run [s], shape (m,);
+            the time of its answer if the publication is not recorded.
+        values: Commands [rad/s or m/s], shape (m,).
+        wanted: Commands before clipping, shape (m,); None if not recorded.
+        limit: Magnitude at which commands are clipped; None if not recorded.
+        end_s: End of the last command's hold, from the first sample of the run [s].
+        answered_ns: Time when each pose was answered [ns], shape (m,).
     """
 
     time_s: Values
@@ -49,37 +49,37 @@ class CommandStretch:
 
     @cached_property
     def is_saturated(self) -> NDArray[np.bool_] | None:
-        """Whether each command is at its limit, None if that is not recorded."""
+        """Whether each command is at its limit; None if the limit is not recorded."""
         return None if self.limit is None else np.abs(self.values) >= self.limit
 
     @cached_property
     def held_s(self) -> Values:
-        """How long each holds [s], shape (m,)."""
+        """Hold time of each command [s], shape (m,)."""
         return compute_hold_times(self.time_s, self.end_s)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
-    """How the controlled signal of a loop answers its reference.
+    """Response of the controlled signal of a loop to its reference.
 
-    If the reference stands still, `values` are the signal itself. If it moves they are the
-    reference at the beginning minus the error, which is what the signal would be if the reference
-    had stood still: they come to `reference` where the error comes to 0.
+    With a constant reference, `values` are the signal itself. With a moving reference, they are the
+    initial reference minus the error: the signal that a constant reference would have given. They
+    reach `reference` when the error is 0.
 
     Attributes:
-        loop: Whose it is.
+        loop: Loop of the response.
         start_s: Start of its segment, from the first sample of the run [s].
-        rows: Its poses among those of the run.
+        rows: Rows of its poses among those of the run.
         pose_ns: Times of its poses [ns], shape (n,), n >= 2.
-        time_s: From the start of the segment [s], shape (n,).
-        values: Heading without jumps [rad], or a way [m], shape (n,).
-        initial: What the step starts from: the first value, or the setting `initial`.
-        reference: What the step leads to: what the loop should reach, or the setting `final`.
+        time_s: Time from the start of the segment [s], shape (n,).
+        values: Heading without jumps [rad] or length [m], shape (n,).
+        initial: Initial value of the step: the first value, or the setting `initial`.
+        reference: Final value of the step: the reference of the loop, or the setting `final`.
         band: Half-width of the settling band, as a fraction of the step.
-        commands: Those of its samples.
-        was_cut: Whether the run was cut before the loop had come to its end.
-        ended_itself: Whether the law ended the segment because it was done: neither a cut nor the
-            law's timeout did.
+        commands: Commands of its samples.
+        was_cut: Whether the run was cut before the loop had finished.
+        ended_itself: Whether the law ended the segment because it was done, not by a cut or a
+            timeout.
     """
 
     loop: ControlLoop
@@ -107,7 +107,7 @@ class Response:
 
     @cached_property
     def folded_error(self) -> tuple[Values, Values, Values]:
-        """Times [s], steps of time [s], magnitudes of the error: a row added wherever it is 0."""
+        """Times [s], time steps [s] and magnitudes of the error, with rows added where it is 0."""
         return fold_at_zero(self.time_s, self.error, None)
 
     @property
@@ -117,21 +117,21 @@ class Response:
 
     @property
     def limit(self) -> float:
-        """Magnitude at which commands are clipped, NaN if that is not recorded."""
+        """Magnitude at which commands are clipped; NaN if it is not recorded."""
         return math.nan if self.commands.limit is None else self.commands.limit
 
     @property
     def answered(self) -> int:
-        """How many poses there are up to the last that was answered.
+        """Number of poses up to the last answered one.
 
-        The way that a robot rolls on in a pause is not the loop's doing.
+        Motion during a pause after it is not caused by the loop.
         """
         last_ns = self.commands.answered_ns[-1]
         return int(np.searchsorted(self.pose_ns, last_ns, side="right"))
 
     @property
     def clipped(self) -> int:
-        """The last pose from which on no command was at its limit, as `judge_swings` wants it."""
+        """The last pose after which no command was at its limit, for `judge_swings`."""
         saturated = self.commands.is_saturated
         if saturated is None:
             return NOBODY_KNOWS
@@ -143,16 +143,16 @@ class Response:
 
     @property
     def memory(self) -> None:
-        """Plain functions make the arrays that they need."""
+        """None: ordinary Python makes the arrays that it needs."""
         return
 
 
 def find_response(
     run: Run, loop: ControlLoop, signal: Signal | None, settings: MeasureSettings
 ) -> Response | Missing:
-    """Return the response of a loop on its first segment, or why there is none.
+    """Return the response of a loop on its first segment, or the reason why there is none.
 
-    `signal` is what the loop controls, None if the run does not hold it.
+    `signal` is the controlled signal; None if the run lacks it.
     """
     if not len(run.samples):
         return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
@@ -192,9 +192,9 @@ _NEAR: Final = 1.5
 
 
 def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
-    """Return the row of the pose at which a loop begins: of one between two poses the earlier.
+    """Return the row of the pose at which a loop begins; between two poses, the earlier.
 
-    That is the one which a timer reads. If poses are lost before the begin it is the later one.
+    A timer reads the earlier pose. If poses before the beginning are lost, it is the later one.
     """
     after = int(np.searchsorted(time_ns, start_ns, side="left"))
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:
@@ -204,19 +204,19 @@ def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
 
 
 def came_to_rest(run: Run) -> bool:
-    """Return whether the law ended the run because it was done; a timeout ends it as a cut does."""
+    """Return whether the law ended the run because it was done, not by a timeout or a cut."""
     return run.is_complete and run.stop_reason != _TIMEOUT
 
 
 def find_first_stretch(run: Run, loop: ControlLoop) -> list[PhaseSpan]:
-    """Return the first spans in a row whose phases contain a loop, pauses after them included."""
+    """Return the first consecutive spans whose phases contain a loop, and their pauses."""
     own = frozenset(run.declaration.list_phases(loop.name))
     before = dropwhile(lambda span: span.phase not in own, run.find_phase_spans())
     return list(takewhile(lambda span: span.phase in own or span.phase == PAUSE, before))
 
 
 def find_loop_samples(run: Run, loop: ControlLoop) -> slice | None:
-    """Return the rows of the samples of a loop's first segment, None if there is none."""
+    """Return the rows of the samples of a loop's first segment; None if there is none."""
     own = [run.phase_names.index(phase) for phase in run.declaration.list_phases(loop.name)]
     is_own = np.zeros(len(run.samples), np.bool_)
     for phase in own:
@@ -235,7 +235,7 @@ def describe_no_phase(run: Run, loop: ControlLoop) -> str:
 
 
 def _describe_unknown(run: Run, loop: ControlLoop) -> str:
-    """Return why the reference of a loop, or what it controls, is not known."""
+    """Return why the reference or the controlled signal of a loop is unknown."""
     if loop.reference == "path" and run.path is not None and run.path.speed_m_s is None:
         return "the path has no speed, which would say where the robot should be when"
     return f"the reference {loop.reference} of {loop.signal} is not known"
@@ -251,7 +251,7 @@ def _read_controlled(run: Run, loop: ControlLoop, signal: Signal | None) -> Valu
 def _refer_to_start(
     loop: ControlLoop, controlled: Values, wanted: float | Values, rows: slice
 ) -> tuple[Values, float]:
-    """Return the values of a response, and the reference that they should come to."""
+    """Return the values of a response and the reference that they should reach."""
     if not isinstance(wanted, np.ndarray):
         return controlled, _turn_towards(loop, wanted, float(controlled[-1]))
     inside = wanted[rows]
@@ -286,7 +286,7 @@ def _find_commands(run: Run, loop: ControlLoop, end_ns: int) -> CommandStretch:
 def _find_step(
     loop: ControlLoop, values: Values, target: float, settings: MeasureSettings
 ) -> tuple[float, float]:
-    """Return what the step of a loop leads from and to."""
+    """Return the initial and final values of the step of a loop."""
     initial, final = settings.get_initial(loop.name), settings.get_final(loop.name)
     first, last = float(values[0]), float(values[-1])
     initial = first if initial is None else _turn_towards(loop, initial, first)
@@ -298,12 +298,12 @@ def _find_step(
 
 
 def _turn_towards(loop: ControlLoop, value: float, measured: float) -> float:
-    """Return a heading with the full turns of a measured one: it is counted without jumps."""
+    """Return a heading shifted by full turns to the measured one, which has no jumps."""
     if loop.signal != "heading":
         return value
     return value + float(np.round((measured - value) / (2.0 * np.pi))) * 2.0 * np.pi
 
 
 def compute_hold_times(time_s: Values, end_s: float) -> Values:
-    """Return how long each value holds [s], shape (n,)."""
+    """Return the hold time of each value [s], shape (n,)."""
     return np.diff(time_s, append=max(end_s, float(time_s[-1])))

@@ -1,4 +1,4 @@
-"""The signals of a run by name: the one table that metrics, comparison and pictures share."""
+"""The signals of a run by name: the one table for metrics, comparison and pictures."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -39,13 +39,13 @@ class SignalKind:
 
     Attributes:
         unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
-        source: `pose`: one value per pose row; `sample`: one per sample; `command`: one per command
-            as published, of runs without samples; `sensed pose`: one per pose that was sensed and
-            did not drop out.
-        resampling: `line` between values, or `hold` of the last one.
+        source: Rows of the values: `pose`: one per pose row; `sample`: one per sample; `command`:
+            one per published command, for runs without samples; `sensed pose`: one per sensed pose
+            that did not drop out.
+        resampling: `line`: linear interpolation; `hold`: the last value is held.
         compared_as: `number`; `angle`: differences in [-pi, pi); `label`: equal (0) or not (1).
         meaning: One sentence.
-        read: Function from a run to the values, None if the run does not hold them.
+        read: Function from a run to the values; None if the run lacks them.
     """
 
     unit: str
@@ -64,10 +64,10 @@ class Signal:
     """One signal of one run.
 
     Attributes:
-        name: Its name in the table.
-        kind: Kind of the value.
+        name: Name of the signal in the table.
+        kind: Kind of the signal.
         time_ns: Time [ns], shape (n,), not decreasing.
-        values: In the kind's unit, shape (n,).
+        values: Values in the kind's unit, shape (n,).
         start_ns: Time zero of its run [ns].
     """
 
@@ -90,10 +90,10 @@ class Signal:
     def to_pandas(self) -> Any:
         """Return the values as a `pandas.Series` over the time from the first sample [s].
 
-        Its `attrs` hold the `unit`.
+        Its `attrs` contain the `unit`.
 
         Raises:
-            LibraryError: pandas is not installed; turtlelog does not install it.
+            LibraryError: If pandas is not installed; turtlelog does not install it.
         """
         pd = load_library("pandas")
         index = pd.Index(self.time_s, name="time_s")
@@ -116,7 +116,7 @@ class Signal:
         return iter(self.values)
 
     def __getitem__(self, rows: Any) -> Any:
-        """Return values by their rows, as of an array."""
+        """Return values by row, as for an array."""
         return self.values[rows]
 
     def __repr__(self) -> str:
@@ -141,7 +141,7 @@ _MOST_SHOWN: Final = 400
 
 
 def _read_nothing(_: Run) -> None:
-    """Read nothing: what a signal that was pickled knows of other runs."""
+    """Read nothing: a signal that was pickled has no access to other runs."""
 
 
 def _rebuild(
@@ -151,7 +151,7 @@ def _rebuild(
 
 
 def could_be_signal(name: str) -> bool:
-    """Return whether a name is that of a signal, or could be that of some law's state."""
+    """Return whether a name is that of a signal, or could be that of a law's state."""
     return name in SIGNALS or re.fullmatch(STATE_PATTERN, name) is not None
 
 
@@ -168,7 +168,7 @@ def read_signal(run: Run, name: str) -> Signal:
     """Return a signal of a run.
 
     Raises:
-        MeasureError: If no signal has that name, or the run does not hold it; why.
+        MeasureError: If no signal has that name, or the run lacks it; the message says why.
     """
     signal = find_signal(run, name)
     if signal is None:
@@ -178,7 +178,7 @@ def read_signal(run: Run, name: str) -> Signal:
 
 
 def find_signal(run: Run, name: str) -> Signal | None:
-    """Return a signal of a run, None if the run does not hold it.
+    """Return a signal of a run; None if the run lacks it.
 
     Raises:
         MeasureError: If no signal has that name.
@@ -197,7 +197,7 @@ def find_signal(run: Run, name: str) -> Signal | None:
 
 
 def explain_no_signal(run: Run, name: str) -> str:
-    """Return why a run does not hold a signal, in words; empty if its name says it."""
+    """Return why a run lacks a signal, in words; empty if the name is explanation enough."""
     kind = list_signals(run.declaration).get(name)
     if kind is not None and kind.source == "pose" and not len(run.poses):
         return "the recording holds no poses"
@@ -215,7 +215,7 @@ def explain_no_signal(run: Run, name: str) -> str:
 @lru_cache(maxsize=64)
 @lru_cache(maxsize=64)
 def list_signals(declaration: Declaration) -> Mapping[str, SignalKind]:
-    """Return every signal that runs of a law can hold, by name: `SIGNALS`, then its states."""
+    """Return every signal that runs of a law can contain, by name: `SIGNALS`, then its states."""
     states = {
         name: _sample(
             declaration.state_units.get(name, "1"),
@@ -232,7 +232,7 @@ def _read_state(run: Run, column: int) -> Values | None:
 
 
 def _read_track(run: Run, *, along: bool) -> Values | None:
-    """Return a coordinate along, or left of, the path or the line from first pose read to goal."""
+    """Return a coordinate along or left of the path, or of the line from start to goal."""
     path = run.path
     if path is not None:
         return trace_poses(run, path)[0 if along else 1]
@@ -241,7 +241,7 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
 
 
 def _read_heading(run: Run) -> Values:
-    """Return the heading counted through full turns."""
+    """Return the heading without jumps at full turns."""
     heading_rad = run.poses.heading_rad
     jumps = np.abs(np.diff(heading_rad)) > np.pi
     return np.unwrap(heading_rad) if jumps.any() else heading_rad
@@ -253,7 +253,7 @@ def _read_sensed(run: Run, axis: int) -> Values | None:
 
 
 def _read_sensed_heading(run: Run) -> Values | None:
-    """Return the sensed heading within half a turn of the heading, so that noise adds no turn."""
+    """Return the sensed heading within half a turn of the heading: noise adds no full turn."""
     sensed_rad, heading_rad = run.poses.sensed_heading_rad, _read_heading(run)
     if sensed_rad is None:
         return None
@@ -303,7 +303,7 @@ def _pose(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> Sign
 
 
 def _sensed(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
-    """Return what holds until the next pose arrives: between two the controller knows nothing."""
+    """Return the kind of a signal that is held until the next pose arrives at the controller."""
     return replace(_pose(unit, meaning, read), source="sensed pose", resampling="hold")
 
 

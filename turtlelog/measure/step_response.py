@@ -1,13 +1,12 @@
-"""The numbers of a curve: of a step response, of its oscillation, and integrals of an error.
+"""Metrics of a curve: of a step response, of its oscillation, and integrals of an error.
 
-The functions run plain and compiled, over the reductions that have a face for each. What never
-happens is NaN.
+The functions run in ordinary Python and compiled, on the reductions of `reductions.py`. An event
+that never happens is NaN.
 
 A step leads from an initial value to a reference. The response is the line through its samples:
-crossings are interpolated between the samples around them, and the largest value of such a line
-stands at a sample. On a sampled smooth signal that leaves a crossing wrong by at most
-T^2 |y''| / (8 |y'|), with T the period: nothing on a ramp, and nothing where a sample falls on the
-crossing.
+crossings are linearly interpolated, and the largest value is at a sample. For a sampled smooth
+signal the error of a crossing time is at most T^2 |y''| / (8 |y'|), with T the period: 0 on a ramp,
+and 0 if a sample is at the crossing.
 
 The definitions are those of step-response analysis (K. Ogata, Modern Control Engineering, 5th ed.,
 section 5-3; D. E. Seborg et al., Process Dynamics and Control, 3rd ed., section 5.3.1), with the
@@ -19,10 +18,10 @@ zero is interpolated. IAE, ISE and ITAE are those of D. Graham and R. C. Lathrop
 'optimum' transient response", Trans. AIEE 72 (1953). `step_s` is the time from each row to the
 next, shape (n - 1,). On a sampled smooth signal the error falls with the square of the period.
 
-Swings are told by their size alone: no model of the loop, no dead time and no gain is needed. Of a
+Only the size of swings is judged; no model of the loop, no dead time and no gain is needed. In a
 linear loop they grow or decay by one factor each. A limit of the command keeps those of an unstable
 loop at one size, that of its limit cycle (the describing function of saturation; K. J. Astrom and
-R. M. Murray, Feedback Systems, 2nd ed., section 10.5), which may be small beside the step.
+R. M. Murray, Feedback Systems, 2nd ed., section 10.5), which may be small compared with the step.
 """
 
 import math
@@ -61,10 +60,10 @@ Half of it, so that noise and rounding deep in the band are no oscillation."""
 def find_level_time(
     time_s: Values, values: Values, level: float, initial: float, reference: float
 ) -> float:
-    """Return the first time at which the response has come `level` of the step [s].
+    """Return the first time at which the response has covered the fraction `level` of the step [s].
 
-    `level` 0.5 is the delay time. The first row's time where it begins beyond; NaN if it never
-    comes so far. The step is not 0.
+    `level` 0.5 gives the delay time. If the response starts beyond it, the time of the first row;
+    NaN if it is never reached. Precondition: the step is not 0.
     """
     step = reference - initial
     threshold = initial + level * step
@@ -77,9 +76,9 @@ def find_level_time(
 def find_rise(
     time_s: Values, values: Values, initial: float, reference: float
 ) -> tuple[float, float]:
-    """Return the first times at which the response has come 10 % and 90 % of the step [s].
+    """Return the first times at which the response has covered 10 % and 90 % of the step [s].
 
-    Their difference is the rise time: ln 9 tau of an exponential. NaN if it is never reached.
+    Their difference is the rise time: ln 9 tau for an exponential. NaN if it is never reached.
     Precondition: the step is not 0, and the response begins below 10 % of the step.
     """
     start_s = find_level_time(time_s, values, 0.1, initial, reference)
@@ -94,18 +93,18 @@ def find_peak_row(values: Values, initial: float, reference: float) -> int:
 def find_overshoot(values: Values, initial: float, reference: float) -> float:
     """Return how far the response goes beyond the reference, as a fraction of the step [1].
 
-    Signed in the direction of the step: negative where the response stays short of the reference.
-    The step is not 0.
+    Signed in the direction of the step: negative if the response stays short of the reference.
+    Precondition: the step is not 0.
     """
     peak: float = values[find_peak_row(values, initial, reference)]
     return (peak - reference) / (reference - initial)
 
 
 def find_undershoot(values: Values, initial: float, reference: float) -> tuple[float, int]:
-    """Return how far the response goes against the step, as a share of it [1], and in which row.
+    """Return how far the response goes against the step, as a fraction of it [1], and the row.
 
-    Counted from the initial value: 0 where it never goes back behind it, negative where every value
-    is already on the way. The step is not 0.
+    Measured from the initial value: 0 if the response never goes below it, negative if every value
+    is already beyond it in the direction of the step. Precondition: the step is not 0.
     """
     row = find_furthest_row(values, -1.0 if reference >= initial else 1.0)
     return (initial - values[row]) / (reference - initial), row
@@ -131,12 +130,12 @@ def find_settling_time(
 
 
 def find_swing_period(time_s: Values, values: Values, reference: float, half_width: float) -> float:
-    """Return the period of the oscillation around the reference, as its last two swings tell [s].
+    """Return the period of the oscillation around the reference, from its last two swings [s].
 
     A swing is a segment of rows further than `_SWING` times the band's half-width from the
-    reference, on one side; segments less than `SHORTEST_HOLD_S` apart are one. From the end of a
-    swing to the end of the next is half a period where they are on opposite sides, a whole one
-    where they are on one. 0 where less than two swings are over.
+    reference, on one side; segments less than `SHORTEST_HOLD_S` apart are one. The ends of two
+    successive swings are half a period apart if the swings are on opposite sides, and one period if
+    they are on one side. 0 if fewer than two swings are completed.
     """
     width = _SWING * half_width
     before, last = find_swing_ends(time_s, values, reference, width, SHORTEST_HOLD_S)
@@ -150,11 +149,11 @@ def find_swing_period(time_s: Values, values: Values, reference: float, half_wid
 def find_decay_ratio(
     error: Values, initial: float, reference: float, memory: Any
 ) -> tuple[float, int]:
-    """Return the second overshoot as a share of the first [1], and the row of its peak.
+    """Return the second overshoot as a fraction of the first [1], and the row of its peak.
 
-    exp(-2 pi zeta / sqrt(1 - zeta^2)) of a second-order response: a quarter is the classical aim of
-    tuning by Ziegler and Nichols. NaN if the response does not go beyond the reference twice, or
-    the recording ends on the way to the second peak.
+    exp(-2 pi zeta / sqrt(1 - zeta^2)) for a second-order response; a quarter is the classical
+    target of Ziegler-Nichols tuning. NaN if the response goes beyond the reference fewer than two
+    times, or the recording ends before the second peak.
     """
     rows = find_crossing_rows(error, 0.0, memory)
     # The error that is beyond the reference.
@@ -172,7 +171,7 @@ def find_decay_ratio(
 
 
 def _interpolate(time_s: Values, values: Values, row: int, threshold: float) -> float:
-    """Return when the line from a row to the next comes to a threshold that lies between them."""
+    """Return the time at which the line between two rows reaches a threshold."""
     before, after = values[row], values[row + 1]
     share = (threshold - before) / (after - before)
     return time_s[row] + share * (time_s[row + 1] - time_s[row])  # type: ignore[no-any-return]
@@ -181,7 +180,7 @@ def _interpolate(time_s: Values, values: Values, row: int, threshold: float) -> 
 def integrate_square(step_s: Values, values: Values) -> float:
     """Return the integral of the signal's square [unit^2 s]: ISE of an error.
 
-    Of a line from a to b over T: T (a^2 + a b + b^2) / 3.
+    For a line from a to b over T: T (a^2 + a b + b^2) / 3.
     """
     before, after = values[:-1], values[1:]
     squares = add_triples(step_s, before, before)
@@ -191,10 +190,10 @@ def integrate_square(step_s: Values, values: Values) -> float:
 
 
 def integrate_time_weighted(time_s: Values, step_s: Values, values: Values) -> float:
-    """Return the integral of time times signal [unit s^2]; ITAE where it is a folded error.
+    """Return the integral of time times signal [unit s^2]; for a folded error this is the ITAE.
 
-    Time counts from 0 of `time_s`. Of lines from t to u and from a to b: (u - t) (2 t a + t b +
-    u a + 2 u b) / 6.
+    Time counts from 0 of `time_s`. For lines from t to u and from a to b: (u - t) (2 t a + t b + u
+    a + 2 u b) / 6.
     """
     begin_s, end_s, before, after = time_s[:-1], time_s[1:], values[:-1], values[1:]
     same = add_triples(step_s, begin_s, before) + add_triples(step_s, end_s, after)
@@ -203,7 +202,7 @@ def integrate_time_weighted(time_s: Values, step_s: Values, values: Values) -> f
 
 
 def compute_rms(step_s: Values, values: Values, memory: Any) -> float:
-    """Return the root of the mean square over time [unit]; of one moment its magnitude."""
+    """Return the root of the mean square over time [unit]; for a single row, its magnitude."""
     length_s = add_values(step_s, memory)
     if length_s <= 0.0:
         return abs(values[-1])  # type: ignore[no-any-return]
@@ -269,20 +268,20 @@ most after one, and beyond they steer to the goal from the other side."""
 
 
 def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: float) -> int:
-    """Return what a response does around its reference, as a number of `VERDICTS`.
+    """Return the verdict on a response around its reference, as an index into `VERDICTS`.
 
-    `rests`: its swings die out, or are small and do not grow. `swings`: the oscillation keeps its
+    `rests`: the swings die out, or are small and do not grow. `swings`: the oscillation keeps its
     amplitude, which is large or reaches the limit, or it grows. `away`: it ends further from the
-    reference than it began. Nobody can tell where it is `passing`, and ends as it passes the
-    reference; `slow`, and has not come near; `unknown`: there are too few swings, or they change
-    too little.
+    reference than it began. Undecided: `passing`, if it ends while it passes the reference; `slow`,
+    if it has not come near the reference; `unknown`, if there are too few swings or they change too
+    little.
 
     Args:
         error: Reference minus value, shape (n,), n >= 2.
-        rows: Those by which it has come to the other side, as `find_crossing_rows` tells them.
+        rows: Rows of the crossings, as from `find_crossing_rows`.
         clipped: The last row at whose time the command was at its limit; or `NEVER`, or
             `NOBODY_KNOWS`.
-        most: Magnitude of an error beyond which no response counts as one that decays.
+        most: Magnitude of an error beyond which no response counts as decaying.
     """
     count, largest = len(rows) - 1, find_largest(error)[0]
     decays = largest <= least(_BEYOND * abs(error[0]), most)
@@ -312,12 +311,12 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
 
 
 def _find_peak(error: Values, rows: NDArray[np.int64], first: int, count: int) -> float:
-    """Return the largest magnitude of so many whole swings from one on."""
+    """Return the largest magnitude of the given number of whole swings from a given one on."""
     return find_largest(error[rows[first] : rows[first + count]])[0]
 
 
 def _judge_approach(error: Values, largest: float, decays: bool, is_elsewhere: bool) -> int:  # noqa: FBT001
-    """Judge a response that swings less than twice."""
+    """Judge a response with fewer than two swings."""
     end = abs(error[-1])
     if end > _NEAR * largest:
         return AWAY if end == largest and end > abs(error[0]) else SLOW

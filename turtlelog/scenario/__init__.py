@@ -1,6 +1,6 @@
-"""Scenario: everything that determines a run; TOML in and out; presets.
+"""Scenario: everything that determines a run; reading and writing TOML; presets.
 
-The names stand in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

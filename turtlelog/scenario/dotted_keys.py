@@ -33,10 +33,10 @@ def nest_parameters(parameters: "Mapping[str, Parameter]") -> dict[str, Any]:
 
 
 def set_nested(tables: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value by its dotted key in nested tables, which are made where they are missing.
+    """Set a value by its dotted key in nested tables; missing tables are made.
 
     Raises:
-        ScenarioError: If a key on the way holds a value, or the key itself a table.
+        ScenarioError: If a table of the key is a value, or the key itself is a table.
     """
     *parents, last = key.split(".")
     for depth, parent in enumerate(parents, start=1):
@@ -64,7 +64,7 @@ _WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or 
 
 
 def describe_type(hint: Any) -> str:
-    """Return what a type admits: `a number > 0`, `bearing or heading`, `a table`."""
+    """Return the values that a type admits: `a number > 0`, `bearing or heading`, `a table`."""
     origin, args = get_origin(hint), get_args(hint)
     if origin is Annotated:
         bounds = next((found for found in args[1:] if isinstance(found, msgspec.Meta)), None)
@@ -80,7 +80,7 @@ def describe_type(hint: Any) -> str:
 
 
 def describe_value(value: Any, *, longest: int = 60) -> str:
-    """Return a value as a scenario file has it, cut where it is long; `no value` for None."""
+    """Return a value as in a scenario file, cut if it is long; `no value` for None."""
     if value is None:
         return "no value"
     try:
@@ -93,7 +93,7 @@ def describe_value(value: Any, *, longest: int = 60) -> str:
 
 
 def name_key(key: str) -> str:
-    """Return a key as it can stand in one line."""
+    """Return a key in a form that fits into one line."""
     return key if key.isprintable() else repr(key)
 
 

@@ -33,11 +33,11 @@ class Start:
     """Start pose of the turtle.
 
     Attributes:
-        x_m: World frame [m].
-        y_m: World frame [m].
-        heading_rad: Counter-clockwise from +x [rad].
-        precision: `float32`: rounded to 32 bits, as spawning does; `float64`: as given, where a
-            turtle stands that moved before.
+        x_m: x in the world frame [m].
+        y_m: y in the world frame [m].
+        heading_rad: Heading, counter-clockwise from +x [rad].
+        precision: `float32`: rounded to 32 bits, as spawning does; `float64`: unrounded, for a
+            turtle that moved before.
     """
 
     x_m: float = SPAWN_XY_M
@@ -51,9 +51,9 @@ class Target:
     """Goal of the turtle.
 
     Attributes:
-        x_m: World frame [m].
-        y_m: World frame [m].
-        heading_rad: Final heading [rad], None if any will do.
+        x_m: x in the world frame [m].
+        y_m: y in the world frame [m].
+        heading_rad: Final heading [rad]; None for any heading.
     """
 
     x_m: float = 2.0
@@ -67,8 +67,8 @@ class LawTable:
 
     Attributes:
         values: Values as written, without `kind`.
-        sources: Origins of the values, for error lines; the first named the law.
-        is_trusted: Whether the user named the law; one that a recording names is not loaded.
+        sources: Origins of the values for error lines; the first one named the law.
+        is_trusted: Whether the user named the law; a law that only a recording names is not loaded.
     """
 
     values: Mapping[str, Any]
@@ -78,11 +78,12 @@ class LawTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawChoice:
-    """The law under test and its parameters.
+    """A law and its parameters.
 
     Attributes:
         kind: A built-in kind, `path.py:Class` or `package.module:Class`.
-        parameters: The law's own frozen dataclass; a `LawTable` until its code is loaded.
+        parameters: Parameters in the law's own frozen dataclass; a `LawTable` until its code is
+            loaded.
     """
 
     kind: str = DEFAULT_LAW
@@ -97,22 +98,22 @@ def _list_at(place: Place) -> tuple[Effect, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """Everything that determines a run. The defaults are the textbook's: no implementation effects.
+    """Everything that determines a run. The defaults have no implementation effects.
 
     Attributes:
         name: Short name for tables and legends.
-        max_duration_s: Simulated time after which a run is cut [s].
-        seed: Seed of effects that draw random numbers.
+        max_duration_s: Simulated time after which a run is ended [s].
+        seed: Seed of the random numbers of effects.
         start: Start pose of the turtle.
         goal: Goal of the turtle.
-        law: The law under test.
+        law: Control law.
         limits: Limits at which commands are clipped.
         loop: Queues, delays and precision.
         path: Path for a law that tracks a path; None if there is none.
         plant: Plant that is driven.
         disturbance: Disturbances of the plant.
         sensing: Effects of the sensing of poses.
-        shaping: Shaping of the commands that the law wants.
+        shaping: Shaping of the law's commands before the limits.
     """
 
     name: str = "textbook"

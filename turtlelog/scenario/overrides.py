@@ -40,8 +40,8 @@ def override_scenario(
         scenario: Scenario to be changed.
         values: New values by dotted key.
         source: Begins error lines.
-        trust_law: Whether a law that is not built in may run; None: where the scenario's may, or
-            `law.kind` is among the values, as who sets it names the law.
+        trust_law: Whether a law that is not built in may run. None: if the scenario's law may, or
+            if `law.kind` is among the values, because whoever sets it names the law.
 
     Raises:
         ScenarioError: If a key or value is wrong.
@@ -58,16 +58,16 @@ def choose_scenario(
     law: Any = None,
     changes: Mapping[str, Any] | None = None,
 ) -> Scenario:
-    """Return the scenario that is meant, with another law and values.
+    """Return a scenario with another law and changed values.
 
     Args:
         scenario: A scenario, the name of a preset, or a file.
         law: Law to use instead of the scenario's law: text that names one, or the law itself; None:
-            its own.
+            the scenario's law.
         changes: Values by dotted key.
 
     Raises:
-        LawError: If `law` is no law.
+        LawError: If `law` is not a law.
         ScenarioError: If there is no such scenario, or a change is wrong.
     """
     if not isinstance(scenario, Scenario):
@@ -80,12 +80,12 @@ def choose_scenario(
 
 
 def unwrap_number(value: Any) -> Any:
-    """Return a number of numpy as one of Python; anything else as it is."""
+    """Return a numpy number as a Python number; any other value unchanged."""
     return value.item() if hasattr(value, "item") and not getattr(value, "ndim", 1) else value
 
 
 def _require_tables(scenario: Scenario, values: Mapping[str, Any], source: str) -> None:
-    """Refuse a key without its table, and say which keys end like it."""
+    """Raise an error for a key without its table; name the keys with the same ending."""
     if all("." in key for key in values):
         return
     known = dict.fromkeys(["goal.heading_rad", *flatten_scenario(scenario), *PATH_KEYS])
@@ -107,10 +107,10 @@ def override_gains(
 ) -> Scenario:
     """Return the scenario with one value for all gains.
 
-    A gain that is an int takes a whole number as one.
+    An integer gain takes only a whole number.
 
     Raises:
-        ScenarioError: As `override_scenario`.
+        ScenarioError: If `override_scenario` raises it.
     """
     is_whole = float(kp).is_integer() and abs(kp) <= _LARGEST_WHOLE
     gains = {key: int(kp) if is_whole and _is_int(scenario, key) else kp for key in keys}
@@ -118,7 +118,7 @@ def override_gains(
 
 
 def _is_int(scenario: Scenario, key: str) -> bool:
-    """Return whether a law's parameter is an int: by its value, or else as the law has it."""
+    """Return whether a law's parameter is an int: by its value, or else by its type in the law."""
     known = flatten_scenario(scenario)
     if key in known or not _is_trusted(scenario):
         return isinstance(known.get(key), int)
@@ -161,11 +161,11 @@ def _is_trusted(scenario: Scenario) -> bool:
 
 
 def complete_scenario(run: Run, base: Scenario) -> Scenario:
-    """Return the scenario of a run: what it holds of its own, and the rest from another.
+    """Return the scenario of a run: its recorded values, and the rest from another scenario.
 
-    An imported log knows gains, tolerances, limits and goal at most. Keys that the law of `base`
-    does not have are left out; a law of its own is loaded to know them. A law that only the run
-    names may not run.
+    An imported log contains at most gains, tolerances, limits and goal. Keys that the law of `base`
+    lacks are left out; a user law is loaded to find its keys. A law that only the run names may not
+    run.
 
     Raises:
         ScenarioError: If a value of the run is wrong, or the law of `base` may not run.
@@ -179,15 +179,16 @@ def complete_scenario(run: Run, base: Scenario) -> Scenario:
 
 
 def replay_commands(scenario: Scenario, run: Run) -> Scenario:
-    """Return the scenario with the commands of a run in place of its law, by the law `open-loop`.
+    """Return the scenario with the law `open-loop` and the commands of a run.
 
-    Their times count from the run's first sample, or from its first command where that is earlier.
-    If several commands were published at one time, the last one is used. A command that repeats the
-    one before is left out, because each holds until the next: what waited in a queue cannot be
+    Their times count from the run's first sample, or from its first command if that is earlier. If
+    several commands were published at one time, the last one is used. Repeated commands are left
+    out, because each command is held until the next: commands that waited in a queue cannot be
     distinguished.
 
     Raises:
-        ScenarioError: If the run has no commands, more than a scenario holds, or sideways ones.
+        ScenarioError: If the run has no commands, more than a scenario can contain, or sideways
+            commands.
     """
     commands = run.commands
     if not len(commands):
@@ -225,10 +226,10 @@ def replay_commands(scenario: Scenario, run: Run) -> Scenario:
 
 
 def parse_assignments(assignments: Iterable[str], *, source: str = "changes") -> dict[str, Any]:
-    """Return the values of `key=value` texts; a value is TOML, or plain text where it is none.
+    """Return the values of `key=value` texts; a value is TOML, otherwise plain text.
 
     Raises:
-        ScenarioError: If one has no key or no equals sign.
+        ScenarioError: If a text has no key or no equals sign.
     """
     values: dict[str, Any] = {}
     for assignment in assignments:

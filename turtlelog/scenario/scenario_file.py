@@ -1,7 +1,8 @@
 """Scenarios by name: presets as tables, TOML files in and out, and files of numbers in them.
 
-`[law] file = "commands.csv"` is read when the scenario file is, from its folder. The scenario, and
-so the recording, holds the numbers and no name of a file: reading a recording opens no other file.
+`[law] file = "commands.csv"` is read together with the scenario file, from the same folder. The
+scenario, and so the recording, contains the numbers and no file name: reading a recording opens no
+other file.
 """
 
 import csv
@@ -47,10 +48,10 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """Return the scenario in a TOML file, with the numbers of the files that it names.
+    """Return the scenario in a TOML file, with the numbers from the files that it names.
 
     Raises:
-        ScenarioError: If the file cannot be read, is no TOML, or a key or value is wrong.
+        ScenarioError: If the file cannot be read, is not TOML, or a key or value is wrong.
     """
     try:
         text = read_text_file(path)
@@ -66,12 +67,12 @@ def read_scenario(path: str | Path) -> Scenario:
 
 
 def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
-    """Return the scenario that a TOML text describes. The text is the user's own: its law may run.
+    """Return the scenario in a TOML text. The text is the user's own: its law may run.
 
-    A text lies in no folder: it names no file of commands.
+    A text has no folder, so it cannot name a file of commands.
 
     Raises:
-        ScenarioError: If it is no TOML, or a key or value is wrong.
+        ScenarioError: If it is not TOML, or a key or value is wrong.
     """
     return _build(text, source, None)
 
@@ -94,7 +95,7 @@ def get_preset(name: str) -> Scenario:
     """Return a preset.
 
     Raises:
-        ScenarioError: If there is none of that name.
+        ScenarioError: If no preset has that name.
     """
     if name not in _PRESET_TABLES:
         raise ScenarioError(f"preset: expected one of {', '.join(PRESETS)}, found {name!r}")
@@ -102,7 +103,7 @@ def get_preset(name: str) -> Scenario:
 
 
 def iterate_paper_runs() -> Iterator[Scenario]:
-    """Yield the scenarios of the paper's experiment, by rising gain."""
+    """Yield the scenarios of the paper's experiment, in order of gain."""
     return (get_preset(name) for name in PAPER_RUNS)
 
 
@@ -184,17 +185,17 @@ _FILE: Final = "file"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableFile:
-    """What a table of a scenario takes from a file.
+    """The columns that a table of a scenario takes from a file.
 
     Attributes:
-        columns: Its columns; the first is needed.
-        most_rows: Below the line of names.
-        rises: Whether the first column rises, as times do.
-        key: The key of the table that holds all rows, each a list in the order of `columns`, which
-            are all needed, or need no line of names; None where each column is a key.
-        where: Values of the table with which its `file` is read; with others `file` is a key of
-            the law's own.
-        sets: Values that the table takes with the file; it may state the same.
+        columns: Names of the columns; the first is required.
+        most_rows: Largest number of rows below the header.
+        rises: Whether the first column must increase, as times do.
+        key: Key of the table for all rows, each a list in the order of `columns`, which are then
+            all required, or need no header; None if each column is a key.
+        where: Values of the table for which its `file` is read; with other values `file` is a key
+            of the law.
+        sets: Values that the file implies; the table may state the same values.
     """
 
     columns: tuple[str, ...]
@@ -206,7 +207,7 @@ class TableFile:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The keys of the table that the file gives."""
+        """The keys of the table that the file provides."""
         return self.columns if self.key is None else (self.key,)
 
 
@@ -225,10 +226,10 @@ _TABLE_FILES: Final[Mapping[str, TableFile]] = MappingProxyType(
 
 
 def _embed_files(tables: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """Return the tables of a scenario file with the numbers of the files that it names.
+    """Return the tables of a scenario file with the numbers from the files that it names.
 
     Raises:
-        ScenarioError: Where a file cannot be read, or what it holds stands in the table as well.
+        ScenarioError: If a file cannot be read, or the table already has its values.
     """
     embedded = dict(tables)
     for name, kind in _TABLE_FILES.items():
@@ -262,7 +263,7 @@ def _read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[floa
     """Return the columns of a CSV file by name.
 
     Raises:
-        ScenarioError: Where it cannot be read, or a line is wrong: file, line, expected, found.
+        ScenarioError: If it cannot be read, or a line is wrong: file, line, expected, found.
     """
     try:
         text = read_text_file(path)

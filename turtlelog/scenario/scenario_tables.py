@@ -1,4 +1,4 @@
-"""The tables of a scenario that follow from its parts: keys of effects, and those of the plant."""
+"""The tables of a scenario that are derived from its parts: keys of effects and of the plant."""
 
 import dataclasses
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, cast
@@ -13,7 +13,7 @@ _OPTIONS: Final[Any] = {"frozen": True, "slots": True, "kw_only": True}
 
 
 def _build_table(name: str, table: str, meaning: str) -> type[Any]:
-    """Return the dataclass of a table: the keys that files always hold, then the others."""
+    """Return the dataclass of a table: the keys that files always contain, then the others."""
     keys = [
         one for part in EFFECTS if table in part.tables for one in list_keys(part.tables[table])
     ]
@@ -33,10 +33,10 @@ def list_keys(kind: type) -> tuple[dataclasses.Field[Any], ...]:
 
 
 class _PlantTable:
-    """What is driven: the table `[plant]`.
+    """The plant: the table `[plant]`.
 
-    The keys are those of all kinds; of the plant's own, one that is not given has its default, or
-    stays None if files do without it, and one of another kind is refused.
+    The keys are those of all kinds. A missing key of the plant's kind has its default, or stays
+    None if files omit it; a key of another kind is an error.
     """
 
     __slots__ = ()
@@ -59,14 +59,14 @@ class _PlantTable:
 
     @property
     def keys(self) -> Any:
-        """The keys of its kind."""
+        """The keys of the plant's kind."""
         kind = PLANTS[self.kind].Keys
         given = {one.name: getattr(self, one.name) for one in list_keys(kind)}
         return kind(**{name: value for name, value in given.items() if value is not None})
 
     @property
     def facts(self) -> Plant:
-        """What the loop around the plant needs to know of it."""
+        """The properties of the plant that the loop needs."""
         return PLANTS[self.kind].find_facts(self.keys)
 
 
@@ -93,7 +93,7 @@ def _build_plant_table() -> type[Any]:
 if TYPE_CHECKING:
 
     class _Table:
-        """A table whose keys follow from the parts."""
+        """A table whose keys are derived from the parts."""
 
         __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -102,22 +102,22 @@ if TYPE_CHECKING:
         def __getattr__(self, name: str) -> Any: ...
 
     class LoopSettings(_Table):
-        """What lies between plant and controller."""
+        """Settings between plant and controller."""
 
     class Limits(_Table):
-        """Where the controller bounds its commands."""
+        """Limits of the controller's commands."""
 
     class Sensing(_Table):
-        """What lies between the plant's pose and the pose that is read."""
+        """Effects between the plant's pose and the pose that the controller reads."""
 
     class Shaping(_Table):
-        """What becomes of the wanted commands before the limits."""
+        """Effects on the wanted commands before the limits."""
 
     class Disturbance(_Table):
-        """What pushes the plant."""
+        """Disturbances of the plant."""
 
     class PlantChoice(_Table):
-        """What is driven."""
+        """Choice of the plant and its parameters."""
 
         kind: str
         facts: Plant

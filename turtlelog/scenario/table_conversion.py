@@ -1,4 +1,4 @@
-"""Nested tables to scenarios and back; the one place that judges keys and values."""
+"""Nested tables to scenarios and back; the only place that validates keys and values."""
 
 import copy
 import dataclasses
@@ -56,18 +56,18 @@ _PLACE = re.compile(r" - at `\$\.(.*)`$")
 def build_scenario(
     tables: Mapping[str, Any], *, source: str = "scenario", trust_law: bool = False
 ) -> Scenario:
-    """Return the scenario that nested tables describe; a key left out takes the textbook's value.
+    """Return the scenario in nested tables; a missing key has the default value.
 
-    Loads no code: the table of a law that is not built in is judged when the law is to run.
+    Loads no code: the table of a law that is not built in is validated when the law is run.
 
     Args:
         tables: Tables of a scenario file.
         source: Begins error lines.
-        trust_law: Whether a law that is not built in may run: where the user named it. Tables of
-            a recording name nothing.
+        trust_law: Whether a law that is not built in may run: if the user named it. A recording
+            does not count as the user.
 
     Raises:
-        ScenarioError: `source: key: expected ..., found ...`, for the first key that is wrong.
+        ScenarioError: If a key is wrong: `source: key: expected ..., found ...`, for the first one.
     """
     law_table = tables.get("law", {})
     if not isinstance(law_table, Mapping):
@@ -91,23 +91,23 @@ def build_scenario(
 
 
 def resolve_scenario(scenario: Scenario, *, trust_law: bool = False) -> Scenario:
-    """Return the scenario with the parameters of its law, whose code is loaded if need be.
+    """Return the scenario with the parameters of its law, whose code is loaded if necessary.
 
     Raises:
-        ScenarioError: As `resolve_law`.
+        ScenarioError: If `resolve_law` raises it.
     """
     return dataclasses.replace(scenario, law=resolve_law(scenario.law, trust_law=trust_law))
 
 
 def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
-    """Return the choice with the law's own parameters; the one place that loads what is named.
+    """Return the choice with the law's own parameters; the only place that loads a named law.
 
     Args:
-        choice: Returned as it is where it has them.
-        trust_law: Whether a law that a recording names may run, too.
+        choice: Choice of the law; returned unchanged if it has them.
+        trust_law: Whether a law named only by a recording may run.
 
     Raises:
-        ScenarioError: If the law stands in a recording and is not trusted, is not there, or does
+        ScenarioError: If the law is named by a recording and not trusted, does not exist, or does
             not have these keys and values.
     """
     table = choice.parameters
@@ -128,7 +128,7 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
 
 
 def _build_parameters(table: LawTable, law: AnyLaw) -> Any:
-    """Return a law's parameters, which a scenario file can hold; their defaults may be anything."""
+    """Return a law's parameters, valid in a scenario file; defaults may be any value."""
     kind, source = law.Parameters, ", ".join(table.sources)
     try:
         with print_to_stderr():
@@ -146,7 +146,7 @@ def _build_parameters(table: LawTable, law: AnyLaw) -> Any:
 
 
 def _write_value(value: Any, place: str) -> Any:
-    """Return a value as a file gives it back."""
+    """Return a value as it is read back from a file."""
     if isinstance(value, Mapping):
         return {key: _write_value(entry, f"{place}.{key}") for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -160,7 +160,7 @@ def _write_value(value: Any, place: str) -> Any:
 
 
 def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
-    """Return every value by its dotted key (`law.kp_linear`); what is None is left out."""
+    """Return every value by its dotted key (`law.kp_linear`), without None."""
     return flatten_tables(nest_scenario(scenario))
 
 
@@ -175,9 +175,9 @@ def nest_scenario(scenario: Scenario) -> dict[str, Any]:
 
 
 def _nest_values(value: Any) -> Any:
-    """Return a value as a file has it: dataclasses as tables, tuples as lists.
+    """Return a value as in a file: dataclasses as tables, tuples as lists.
 
-    Without what is None, and without keys that stay out of a file while they have their defaults.
+    None is left out, and so are keys that files omit if they have their defaults.
     """
     if type(value) in _PLAIN:
         return value
@@ -199,7 +199,7 @@ _FIELDS: Final[dict[type, list[tuple[dataclasses.Field[Any], bool]]]] = {}
 
 
 def _list_fields(kind: type) -> list[tuple[dataclasses.Field[Any], bool]]:
-    """Return the fields of a dataclass, and whether each stays out of files by default."""
+    """Return the fields of a dataclass, and whether files omit each by default."""
     if kind not in _FIELDS:
         _FIELDS[kind] = [
             (field, not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata))
@@ -214,11 +214,11 @@ def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> 
     Args:
         run: Run with its whole scenario.
         source: Beginning of error lines. Default: the name of the run.
-        trust_law: Whether the law that it names may run where it is not built in: that runs the
-            code that the run, or the file it was read from, names.
+        trust_law: Whether a recorded law that is not built in may run: this runs the code that the
+            run, or the file from which it was read, names.
 
     Raises:
-        ScenarioError: If the run does not hold all of it.
+        ScenarioError: If the run does not contain the whole scenario.
     """
     if not run.scenario_is_complete:
         raise ScenarioError(
@@ -230,7 +230,7 @@ def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> 
 
 
 def describe_unknown_key(key: str, known: list[str]) -> str:
-    """Return the end of an error line for a key that is not known, with the nearest that are."""
+    """Return the end of an error line for an unknown key, with the nearest known keys."""
     near = find_near(key, known)
     return (
         f"unknown key; did you mean {join_names(near)}?"
@@ -240,7 +240,7 @@ def describe_unknown_key(key: str, known: list[str]) -> str:
 
 
 def _list_unknown(run: Run) -> str:
-    """Return keys that a run lacks, those of the law first, and how many more."""
+    """Return keys that a run lacks, those of the law first, and the number of further ones."""
     keys = sorted(flatten_scenario(Scenario()).keys() - run.parameters.keys())
     keys.sort(key=lambda key: not key.startswith("law."))
     return f"{', '.join(keys[:4])} and {len(keys[4:])} more"
@@ -260,7 +260,7 @@ def _require_law_name(kind: str, source: str) -> None:
 
 
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:
-    """Refuse unknown keys and nan or inf, which msgspec lets pass."""
+    """Raise an error for unknown keys and for nan or inf, which msgspec accepts."""
     known = _list_keys(kind)
     for key, value in table.items():
         if key not in known:
@@ -279,7 +279,7 @@ _KEYS: Final[dict[type, dict[str, tuple[type | None, bool]]]] = {}
 
 
 def _list_keys(kind: type) -> Mapping[str, tuple[type | None, bool]]:
-    """Return the keys of a table: which table each may hold itself, and whether it may be inf."""
+    """Return the keys of a table: the table below each, and whether it may be inf."""
     if kind not in _KEYS:
         unlimited = {
             one.name
@@ -293,7 +293,7 @@ def _list_keys(kind: type) -> Mapping[str, tuple[type | None, bool]]:
 
 
 def _find_table(hint: Any) -> type | None:
-    """Return the dataclass that a type asks for, by itself or as an optional one."""
+    """Return the dataclass that a type requires, directly or as an optional one."""
     if dataclasses.is_dataclass(hint):
         return hint if isinstance(hint, type) else None
     kinds = [found for kind in get_args(hint) if (found := _find_table(kind)) is not None]
@@ -302,7 +302,7 @@ def _find_table(hint: Any) -> type | None:
 
 
 def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str) -> Any:
-    """Let msgspec judge; it says where, and the type there says what was expected."""
+    """Convert with msgspec, which finds the place of an error; its type says what is expected."""
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as err:
@@ -327,7 +327,7 @@ def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str
 
 
 def _find_value(table: Any, kind: Any, keys: list[str]) -> tuple[Any, Any]:
-    """Return what should stand at a place of nested tables, and what does."""
+    """Return the expected and the found value at a place of nested tables."""
     for key in keys:
         table = table.get(key) if isinstance(table, Mapping) else None
         kind = get_type_hints(_find_table(kind) or kind, include_extras=True)[key]
@@ -335,10 +335,10 @@ def _find_value(table: Any, kind: Any, keys: list[str]) -> tuple[Any, Any]:
 
 
 def _require_consistent(scenario: Scenario, source: str) -> None:
-    """Refuse a scenario whose values contradict each other; of its law nothing is judged.
+    """Raise an error if values contradict each other; parameters of the law are not checked.
 
     Raises:
-        ScenarioError: `source: key: expected ..., found ...`, for the first key that is wrong.
+        ScenarioError: If a key is wrong: `source: key: expected ..., found ...`, for the first one.
     """
     for judge in (_judge_places, _judge_path, *_list_judges(), _judge_dead_times):
         for key, expected, found in judge(scenario):
@@ -354,7 +354,7 @@ def _list_judges() -> Iterator[Judge]:
 
 
 def _judge_places(scenario: Scenario) -> Complaints:
-    """Start and goal lie in the plant's world."""
+    """Check that start and goal are inside the plant's world."""
     low_m, high_m = scenario.plant.facts.low_m, scenario.plant.facts.high_m
     expected = f"a number from {low_m:.10g} to {high_m:.10g}"
     for table in ("start", "goal"):
@@ -376,7 +376,7 @@ def _judge_path(scenario: Scenario) -> Complaints:
 
 
 def _judge_dead_times(scenario: Scenario) -> Complaints:
-    """Dead times of a robot end within the run."""
+    """Check that dead times of a robot are shorter than the run."""
     keys = PLANTS[scenario.plant.kind].delays
     delays = {f"plant.{key}": getattr(scenario.plant, key) for key in keys}
     yield from judge_delays(delays, scenario.max_duration_s)

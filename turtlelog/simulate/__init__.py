@@ -1,6 +1,6 @@
-"""Scenario -> samples -> Run: the queues, the closed loop.
+"""Scenario -> samples -> Run: the queues and the closed loop.
 
-The names stand in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -1,7 +1,7 @@
-"""The loop's functions put together from its parts: of the effects at a place one, in order.
+"""Assembly of the loop's functions from its parts; effects at one place are chained in order.
 
-What they are given is by the names of their parameters. The texts that are compiled here hold
-nothing but such calls, the same for both faces.
+Arguments are passed by parameter name. The texts that are compiled here contain only such calls,
+the same for ordinary Python and compiled code.
 """
 
 import math
@@ -64,14 +64,14 @@ class Parts(NamedTuple):
 
 
 def name_stream(effect: Effect, place: Place) -> str:
-    """Return what the rows of random numbers are called."""
+    """Return the name of a stream's rows of random numbers."""
     return f"{effect.name}_{place}"
 
 
 def bind_parts(
     plant: PlantPart, decide: Function, record: Function, effects: Iterable[Effect]
 ) -> Parts:
-    """Return the functions of a loop: one for each place, of the effects that act there."""
+    """Return the functions of a loop: one for each place, from the effects that act there."""
     chosen = tuple(effects)
     return Parts(
         decide=decide,
@@ -86,7 +86,7 @@ def bind_parts(
 
 @lru_cache(maxsize=256)
 def _chain(place: Place, effects: tuple[Effect, ...]) -> Function:
-    """Return what the effects at a place make of a value, in order."""
+    """Return a function that applies the effects at a place to a value, in order."""
     lines, names = [], {}
     for effect in effects:
         if place not in effect.actions:
@@ -102,10 +102,10 @@ def _chain(place: Place, effects: tuple[Effect, ...]) -> Function:
 
 @lru_cache(maxsize=64)
 def bind_step(step: Function) -> Function:
-    """Return what the loop asks of a law that is a part.
+    """Return the function that asks a law that is a part for its step.
 
     Raises:
-        LawError: Where the step asks for what the loop has nothing for.
+        LawError: If the step has a parameter that the loop does not know.
     """
     if unknown := [name for name in list_parameters(step) if name not in _OF_LAW]:
         code = step.__code__
@@ -120,7 +120,7 @@ def bind_step(step: Function) -> Function:
 
 @lru_cache(maxsize=64)
 def bind_states(states: tuple[str, ...]) -> Function:
-    """Return what enters the states of a law; it returns whether all are finite."""
+    """Return a function that records the states of a law, and returns whether all are finite."""
     lines = ["def record(state, rows, number):"]
     if not states:
         lines.append("    return True")
@@ -140,12 +140,12 @@ def _list_arguments(step: Function, known: dict[str, str], **words: str) -> str:
 
 
 def list_parameters(step: Function) -> list[str]:
-    """Return the names of the parameters of a step."""
+    """Return the parameter names of a step."""
     return [*signature(step).parameters]
 
 
 def compile_text(name: str, lines: list[str], names: dict[str, Any]) -> Function:
-    """Return the function that lines define, which calls others by names."""
+    """Return the function in source lines, which calls others by name."""
     scope: dict[str, Any] = {**names, "__name__": __name__}
     text = "\n".join(lines)
     exec(compile(text, f"<{name} of the loop>", "exec"), scope)

@@ -1,7 +1,7 @@
-"""The law of a scenario, and a law that is a class: asked pose by pose.
+"""The law of a scenario, and laws that are classes, which are called pose by pose.
 
-A law may answer with numpy's numbers, with whole ones, or with a list that it goes on changing:
-its answer is kept as plain numbers.
+A law may answer with numpy numbers, integers, or a list that it changes later: its answer is copied
+to plain numbers.
 """
 
 import sys
@@ -40,10 +40,10 @@ _FLOATS: Final = {float}
 
 
 class ClassLaw:
-    """Asks a law for its decision on each pose, and checks it; knows no queue, limit or delay.
+    """Asks a law for its decision on each pose and checks it; without queues, limits or delays.
 
     Attributes:
-        stops: Why it ended runs so far; a sample's `stop` is the place in it, from 1.
+        stops: Stop reasons of its runs so far; a sample's `stop` is the index in it, from 1.
     """
 
     __slots__ = (
@@ -72,7 +72,7 @@ class ClassLaw:
         path: Path | None,
         limits: tuple[float, float],
     ) -> None:
-        """Take a law, what it declares, and what asks for its `step`."""
+        """Take a law, its declaration, and the function that calls its `step`."""
         self._law, self._step, self._limits = law, step, limits
         self._goal = goal if declaration.uses_goal else None
         self._path = path
@@ -99,10 +99,10 @@ class ClassLaw:
         time_ns: int,
         xyh: tuple[float, float, float],
     ) -> tuple[float, float]:
-        """Enter what the law decides; return speed and turn rate. What the loop asks.
+        """Record the law's decision; return speed and turn rate. Called by the loop.
 
         Raises:
-            SimulationError: Where it is no decision, or one of its numbers is none.
+            SimulationError: If the answer is not a decision, or one of its numbers is invalid.
         """
         del settings, state
         pose = Pose(*xyh)
@@ -121,7 +121,7 @@ class ClassLaw:
         return decision.speed_m_s, decision.turn_rate_rad_s
 
     def record(self, state: Any, rows: Any, number: int) -> bool:
-        """Whether all states are finite; they are entered already."""
+        """Return whether all states are finite; they are already recorded."""
         del state, rows, number
         return True
 
@@ -152,7 +152,7 @@ class ClassLaw:
             row.reference_heading_rad = decision.reference.heading_rad
 
     def _judge(self, decision: Decision) -> int:
-        """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
+        """Return the index of a decision's phase; reject what cannot be executed or recorded."""
         speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
         phase = self._first_phase if decision.phase is None else decision.phase
         if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
@@ -209,7 +209,7 @@ class ClassLaw:
 
 
 def _describe_command(speed: float, turn_rate: float) -> str:
-    """Return that a command is none."""
+    """Return that a command is invalid."""
     return (
         f"expected a finite command (below {LARGEST_FLOAT:g}),"
         f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
@@ -220,7 +220,7 @@ def read_decision(found: object) -> Decision:
     """Return a decision with plain numbers.
 
     Raises:
-        SimulationError: Where it is no decision, or one of its numbers is none.
+        SimulationError: If it is not a decision, or one of its numbers is invalid.
     """
     if isinstance(found, tuple) and len(found) == 2:  # speed and turn rate
         found = Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
@@ -240,7 +240,7 @@ def read_decision(found: object) -> Decision:
 
 
 def _has_plain_errors(found: Decision) -> bool:
-    """Whether the errors are floats with a finite distance, or all left to us."""
+    """Return whether the errors are floats with a finite distance, or all left out."""
     if found.bearing_rad is None:
         return found.heading_error_rad is found.error_x_m is found.error_y_m is None
     x_m, y_m = found.error_x_m, found.error_y_m
@@ -278,7 +278,7 @@ def _read_decision(found: Decision) -> Decision:
 
 
 def _read_number(name: str, value: Any) -> float:
-    """Return a number of any kind as a float; an array of one is none."""
+    """Return a number of any type as a float; an array with one element is not a number."""
     if type(value) is float:
         return value
     try:
@@ -331,7 +331,7 @@ _ERRORS: Final = (
 
 
 def is_built_in(law: AnyLaw) -> bool:
-    """Whether a law is one of turtlelog's."""
+    """Return whether a law is one of turtlelog's."""
     return law in LAWS.values()
 
 
@@ -339,8 +339,8 @@ def build_law(choice: LawChoice) -> Any:
     """Return the law of a scenario with its parameters.
 
     Raises:
-        SimulationError: If it does not take them.
-        ScenarioError: As `resolve_law`.
+        SimulationError: If the law rejects them.
+        ScenarioError: If `resolve_law` raises it.
         LawError: If there is no such law.
     """
     choice = resolve_law(choice)
@@ -355,10 +355,10 @@ def build_law(choice: LawChoice) -> Any:
 
 
 def declare_scenario(scenario: Scenario) -> Declaration:
-    """Return what the law of a scenario declares; its code is loaded if need be.
+    """Return the declaration of a scenario's law; its code is loaded if necessary.
 
     Raises:
-        ScenarioError: As `resolve_law`.
+        ScenarioError: If `resolve_law` raises it.
         LawError: If there is no such law, or its declaration is wrong.
     """
     choice = resolve_law(scenario.law)
@@ -376,7 +376,7 @@ def describe_numbers(failure: int, row: SampleRow, states: Mapping[str, float]) 
 
     Args:
         failure: See `rows`.
-        row: What the law entered.
+        row: Sample that the law recorded.
         states: States of the sample.
     """
     if failure == COMMAND_FAILED:

@@ -44,10 +44,10 @@ def simulate_run(
             `LawPart`, or text that names one, as `my_law.py:MyLaw`.
         changes: Values by dotted key, as in `{"law.kp_linear": 4.0}`.
         step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
-            None: as long as it takes.
+            None: unlimited.
 
     Raises:
-        LawError: If `law` is no law.
+        LawError: If `law` is not a law.
         ScenarioError: If the law cannot be loaded or may not run, or a change is wrong.
         SimulationError: If the law fails or computes for longer, with the run so far as `run`, or
             no pose is answered within `max_duration_s`.
@@ -57,10 +57,10 @@ def simulate_run(
 
 
 def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
-    """Return the run that a scenario's ticks make.
+    """Return the run with a scenario's ticks.
 
     Raises:
-        SimulationError: If no pose was answered, or the law fails: with the run so far as `run`.
+        SimulationError: If no pose was answered or the law fails; `run` is the run so far.
     """
     collector = RunCollector(scenario)
     try:
@@ -74,7 +74,7 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
 
 
 class RunCollector:
-    """Ticks packed as they come, and the run that they make so far."""
+    """Collects ticks, and builds the run so far."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = resolve_scenario(scenario)
@@ -88,7 +88,7 @@ class RunCollector:
 
     @property
     def has_samples(self) -> bool:
-        """Whether there is a run yet: without a sample there is none."""
+        """Whether there is a run yet: it needs a sample."""
         return len(self._samples) > 0
 
     def take(self, ticks: Iterable[Tick]) -> None:
@@ -118,7 +118,7 @@ class RunCollector:
             self._stop_reason = tick.stop_reason
 
     def end_late(self, err: StepBudgetError) -> None:
-        """Enter the end of a loop whose step could not be ended, and has no last tick."""
+        """Record the end of a loop whose step could not be ended, and which has no last tick."""
         if self._stop_reason is None and self._poses:
             last_ns = int.from_bytes(self._poses[-_POSE_ROW.size :][:8], "little", signed=True)
             text = describe_stop(STEP_BUDGET, f": {err}")
@@ -157,7 +157,7 @@ class RunCollector:
 
 
 def _describe_law(kind: str) -> dict[str, str]:
-    """Return the source of a law that only this session has: text for people."""
+    """Return the source of a law that exists only in this session, as text for people."""
     source = read_law_source(kind) if is_given(kind) else None
     return {} if source is None else {"law_source": source}
 
@@ -171,7 +171,7 @@ def _describe_wait(scenario: Scenario) -> str:
 
 
 def _pack_sensed(ticks: Iterable[Tick], packed: bytearray) -> Iterator[Tick]:
-    """Yield ticks whose sensed poses are packed; NaN stands for what dropped out."""
+    """Yield ticks and collect their sensed poses; NaN for those that dropped out."""
     for tick in ticks:
         row = tick.row
         packed += _SENSED_ROW.pack(row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad)
@@ -209,12 +209,12 @@ _WHOLE: Final = 4
 
 
 class SampleRows:
-    """Packs the samples of a law, 8 bytes a value, whole numbers first."""
+    """Collects the samples of a law, 8 bytes a value, whole numbers first."""
 
     __slots__ = ("_declaration", "_extra", "_has_shaping", "_pack", "_packed")
 
     def __init__(self, declaration: Declaration, *, has_shaping: bool = False) -> None:
-        """Make room for the states and the reference that a law declares, and for shaping."""
+        """Allocate space for the declared states and reference of a law, and for shaping."""
         self._declaration, self._has_shaping = declaration, has_shaping
         self._pack = _SAMPLE_ROW.pack
         extra = len(declaration.states) + 3 * declaration.has_reference + 2 * has_shaping
@@ -229,7 +229,7 @@ class SampleRows:
         return _SAMPLE_ROW.size + (self._extra.size if self._extra else 0)
 
     def add(self, sample: SampleRow, states: tuple[float, ...] = ()) -> None:
-        """Take the next sample, and the states of its law."""
+        """Add the next sample and the states of its law."""
         self._packed += self._pack(
             sample.time_ns,
             sample.sequence,
@@ -297,5 +297,5 @@ def _split_rows(
 
 
 def keep_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return a column, None if a row holds no number: without a goal there are no errors."""
+    """Return a column; None if a row lacks a number: without a goal there are no errors."""
     return None if np.isnan(values).any() else values

@@ -1,7 +1,7 @@
-"""The outermost functions of compiled loops, in a file of its own.
+"""The entry functions of compiled loops, in a file of their own.
 
-Numba's cache looks at the time and size of the file of the function that it keeps; what that calls
-is in the stamp of its name (`compiled_loop`). The names in capitals are bound to a loop's twins.
+Numba's cache depends on the time and size of the entry function's file; the functions that it calls
+are in the stamp of its name (`compiled_loop`). The names in capitals are bound to a loop's twins.
 """
 
 # ruff: noqa: F821
@@ -9,7 +9,7 @@ is in the stamp of its name (`compiled_loop`). The names in capitals are bound t
 
 
 def run_loop(all_settings, states, rows):
-    """Simulate a scenario into `rows`; into the state how it ends, and of what how much."""
+    """Simulate a scenario into `rows`; write the stop reason and the counts to the state."""
     settings, state = all_settings[0], states[0]
     now = state.now
     for tick in range(settings.scene.last_tick + 1):
@@ -26,11 +26,11 @@ def run_loop(all_settings, states, rows):
 
 
 def run_rows(simulate, measure, begun, rows, told, entries):
-    """Simulate and measure rows, each in the same arrays; numbers and reasons are entered.
+    """Simulate and measure rows in the same arrays; write numbers and reasons.
 
-    `simulate` is a loop and `measure` measures its run. Both are pointers here: with their code in
-    this one, both would be compiled anew. `begun` are settings, states and lines of each row;
-    `told` what `measure` is told beside: facts, loops and memory.
+    `simulate` is a loop and `measure` measures its run. Both are pointers here, because otherwise
+    both would be compiled again. `begun` contains settings, states and lines of each row; `told`
+    the other arguments of `measure`: facts, loops and memory.
     """
     all_settings, states, lines = begun
     facts, loops, memory = told

@@ -1,7 +1,7 @@
-"""A loop compiled for a law and a plant, with all effects, from the sources that run plain.
+"""A loop compiled for a law and a plant, with all effects, from the same sources as in Python.
 
-Numba keeps it on disk. Its name holds a stamp of all that went in; older ones of the same parts are
-removed.
+Numba stores it on disk. Its name contains a stamp of all sources; older versions of the same parts
+are removed.
 """
 
 from dataclasses import dataclass, field, make_dataclass
@@ -34,16 +34,16 @@ from turtlelog.simulate.twins import (
 
 
 class Rows(NamedTuple):
-    """The arrays of a loop, by what `loop` calls them.
+    """The arrays of a loop, by their names in `loop`.
 
     Attributes:
-        ticks: Of `TICK`.
-        samples: Of `SAMPLE`.
-        states: Of the law's own numbers, beside `samples`.
-        events: Of `EVENT`.
-        waiting: Of the plant's `Waiting`.
-        table: Of the law, shape (n, k).
-        pieces: Of the path, of `PIECE`.
+        ticks: Rows of `TICK`.
+        samples: Rows of `SAMPLE`.
+        states: The law's states for each row of `samples`.
+        events: Rows of `EVENT`.
+        waiting: Rows of the plant's `Waiting`.
+        table: Table of the law, shape (n, k).
+        pieces: Pieces of the path, rows of `PIECE`.
         drawn_ticks: Random numbers of each tick.
         drawn_samples: Random numbers of each sample.
         new: A row of each kind with its defaults, shape (1,).
@@ -73,11 +73,11 @@ class Kinds:
     """The types of a loop's records.
 
     Attributes:
-        shape: The dataclasses that they are derived from.
+        shape: The dataclasses from which they are derived.
         settings: Record of the settings.
-        state: Of the state.
-        states: Of the law's own numbers in a sample.
-        waiting: Of what the plant keeps of commands.
+        state: Record of the state.
+        states: Record of the law's states in a sample.
+        waiting: Record of a command that waits for the plant.
         new: A row of each kind with its defaults, shape (1,).
     """
 
@@ -89,7 +89,7 @@ class Kinds:
     new: NDArray[Any]
 
     def allocate(self, ticks: int, samples: int) -> Rows:
-        """Return arrays for so many rows; what is not reached takes no memory."""
+        """Return arrays for the given numbers of rows; unused rows take no memory."""
         return Rows(
             ticks=np.empty(ticks, TICK),
             samples=np.empty(samples, SAMPLE),
@@ -106,7 +106,7 @@ class Kinds:
 
 @dataclass(slots=True)
 class _Nothing:
-    """A row of what a loop does not have."""
+    """A row of anything that a loop lacks."""
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
@@ -146,15 +146,15 @@ def find_kinds(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Kinds
 
 @dataclass(frozen=True, eq=False)
 class CompiledLoop:
-    """A loop, compiled.
+    """A compiled loop.
 
     Attributes:
-        law: What it is compiled for, as the next two.
-        plant: What is driven.
-        states: That the law declares.
+        law: Law for which it is compiled.
+        plant: Plant for which it is compiled.
+        states: States that the law declares.
         kinds: The types of its records.
-        run: Of settings, state and rows.
-        is_new: Whether it was not in the cache.
+        run: Function of settings, state and rows.
+        is_new: Whether it was missing in the cache.
     """
 
     law: LawPart
@@ -180,15 +180,15 @@ def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kind
 
 
 def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoop:
-    """Return the compiled loop of a law and a plant, from numba's cache where it is there.
+    """Return the compiled loop of a law and a plant, from numba's cache if it is there.
 
     Args:
-        law: That is a part.
-        plant: That it drives.
-        states: That the law declares.
+        law: Law that is a part.
+        plant: Plant of the loop.
+        states: States that the law declares.
 
     Raises:
-        TwinError: Where numba does not take the law, or what it reaches.
+        TwinError: If numba cannot compile the law or a function that it calls.
     """
     from numba import typeof, types
     from numba.core.errors import NumbaError
@@ -210,12 +210,12 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
 
 
 def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
-    """Return what simulates rows by a loop and measures them, compiled.
+    """Return a compiled function that simulates rows by a loop and measures them.
 
     Args:
-        loop: That simulates them.
-        measure: That measures a row, compiled.
-        measures: Its type.
+        loop: Loop that simulates them.
+        measure: Compiled function that measures a row.
+        measures: Type of this function.
     """
     from numba import typeof, types
 
@@ -242,9 +242,9 @@ def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
 
 
 def compile_entry(entry: Any, name: str, scope: dict[str, Any], signature: Any) -> Any:
-    """Return an outermost function compiled under a name, by which numba's cache knows it.
+    """Return an entry function compiled under a name, by which numba's cache finds it.
 
-    What the cache has of older versions is removed.
+    Older versions in the cache are removed.
     """
     from numba import njit
 
@@ -258,10 +258,10 @@ def compile_entry(entry: Any, name: str, scope: dict[str, Any], signature: Any) 
 
 
 def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
-    """Return what a loop is called in numba's cache.
+    """Return the name of a loop in numba's cache.
 
     Raises:
-        TwinError: Where the law reaches what cannot be compiled.
+        TwinError: If the law uses something that cannot be compiled.
     """
     stamp = _bind(law, plant, states)[2]
     # A law of the user's own may have the name of a built-in one, whose loop stays in the cache.

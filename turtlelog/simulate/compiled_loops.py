@@ -1,4 +1,4 @@
-"""Whether compiled code is worth loading; everything works without it."""
+"""Decision whether to load compiled code; everything works without it."""
 
 import gc
 import os
@@ -17,12 +17,12 @@ COMPILING: Final = Event()
 
 
 class CompiledLoops:
-    """Compiled code, loaded once it would have saved what it costs.
+    """Compiled code, loaded as soon as it would have saved its cost.
 
-    So no process takes more than twice as long as if it had known before how much it has to do.
+    Therefore no process takes more than twice as long as with perfect knowledge of its work.
 
     Attributes:
-        problem: Why it could not be compiled, or is not used any more; None where neither is so.
+        problem: Why it could not be compiled, or is no longer used; None if neither is true.
     """
 
     def __init__(
@@ -34,15 +34,16 @@ class CompiledLoops:
         first_s: float | None = None,
         beside: Sequence[str] = (),
     ) -> None:
-        """Take what loads the code and what it costs.
+        """Take the loader of the code and its cost.
 
         Args:
-            load: Returns the code. It may raise ImportError or RuntimeError, and what numba raises.
-            is_kept: Whether numba's cache has it.
-            cost_s: What numba's import and the code take from its cache [s].
-            first_s: What they take before it is in it [s]; None: hardly more.
-            beside: Modules that compile what it needs when they are imported, each in a process;
-                `load` takes them by `import_beside`.
+            load: Function that returns the code. It may raise ImportError or RuntimeError, and
+                errors of numba.
+            is_kept: Function that returns whether numba's cache contains it.
+            cost_s: Time to import numba and load the code from its cache [s].
+            first_s: Time if it is not in the cache [s]; None: hardly more.
+            beside: Modules that compile its requirements when they are imported, each in a process;
+                `load` imports them by `import_beside`.
         """
         self._load, self._is_kept, self._cached_s = load, is_kept, cost_s
         self._first_s = cost_s if first_s is None else first_s
@@ -53,10 +54,10 @@ class CompiledLoops:
         self.problem: str | None = None
 
     def expect(self, count: int, saving_s: float) -> Any:
-        """Add work that is done or will be: so many items, and what the code saves of each [s].
+        """Add expected work: a number of items, and the time that the code saves on each [s].
 
         Returns:
-            The code once all work together is worth loading it, otherwise None.
+            The code as soon as the total work is worth loading it, otherwise None.
         """
         with self._loading:
             before, self._saved_s = self._saved_s, self._saved_s + count * saving_s
@@ -67,23 +68,23 @@ class CompiledLoops:
 
     @cached_property
     def cost_s(self) -> float:
-        """What the code takes to load [s]: more where numba's cache lacks any of it."""
+        """Time to load the code [s]: more if numba's cache lacks any of it."""
         return self._cached_s if self._is_kept() else self._first_s
 
     def find(self) -> Any:
-        """Return the code where it is loaded, otherwise None."""
+        """Return the code if it is loaded, otherwise None."""
         return self._loops
 
     def give_up(self, problem: str) -> None:
-        """Use the code no more."""
+        """Stop using the code."""
         with self._loading:
             self._loops, self.problem = None, problem
 
     def load(self) -> Any:
-        """Return the code; None without numba, and where it cannot keep what it compiles.
+        """Return the code; None without numba, or if numba cannot store compiled code.
 
-        Without a place for its cache, beside the module or of the user, numba would compile anew in
-        every process.
+        Without a folder for its cache, in the module's folder or the user's, numba would compile
+        again in every process.
         """
         try:
             if import_module("numba").config.DISABLE_JIT:
@@ -106,7 +107,7 @@ class CompiledLoops:
 
 @contextmanager
 def _pause_garbage_collection() -> Iterator[None]:
-    """Look for no garbage: numba makes millions of objects that stay; a tenth less time."""
+    """Pause garbage collection, which saves 10 %: numba makes millions of permanent objects."""
     if not gc.isenabled():
         yield
         return
@@ -124,7 +125,7 @@ _IMPORT: Final = "import sys; sys.path[:] = sys.argv[2:]; __import__(sys.argv[1]
 
 
 def _start(modules: Sequence[str], processes: ExitStack) -> None:
-    """Compile what modules have into numba's cache, each in a process that is waited for."""
+    """Compile the contents of modules into numba's cache, each in a process, and wait for them."""
     import subprocess  # most commands never come here
 
     for module in modules:
@@ -138,20 +139,20 @@ def _start(modules: Sequence[str], processes: ExitStack) -> None:
 
 
 def import_beside(module: str) -> Any:
-    """Return a module, once the process that compiles what it has is done, if there is one."""
+    """Return a module after the process that compiles its contents, if any, has ended."""
     if (process := _BESIDE.pop(module, None)) is not None:
         process.wait()
     return import_module(module)
 
 
 def is_kept(module: str, function: str = "") -> bool:
-    """Whether numba's cache has what a module compiles, or a function of it, without loading it.
+    """Return whether numba's cache has a module's code, or a function of it, without loading it.
 
-    What is older than a file beside the module may have to be compiled again.
+    Code older than a file in the module's folder may need to be compiled again.
 
     Args:
-        module: Its name.
-        function: Its name, which tells by itself what it was compiled of; empty: any.
+        module: Name of the module.
+        function: Name of the function, which contains its stamp; empty: any.
     """
     found = find_spec(module)
     source = Path((found and found.origin) or "").absolute()
@@ -169,12 +170,12 @@ def is_kept(module: str, function: str = "") -> bool:
 
 
 def remove_others(module: str, function: str, kept: str) -> None:
-    """Remove what numba's cache has of older versions of a function.
+    """Remove older versions of a function from numba's cache.
 
     Args:
-        module: Its name.
-        function: How the name begins of it and of its older versions.
-        kept: Its name.
+        module: Name of the module.
+        function: Common beginning of the names of the function and its older versions.
+        kept: Name of the current version.
     """
     found = find_spec(module)
     source = Path((found and found.origin) or "").absolute()
@@ -186,10 +187,10 @@ def remove_others(module: str, function: str, kept: str) -> None:
 
 
 def _list_cache_folders(source: Path) -> list[Path]:
-    """Return where numba keeps what it compiles of a module, without loading it.
+    """Return the folders in which numba stores compiled code of a module, without loading it.
 
-    In NUMBA_CACHE_DIR; unless that is set beside the module, or, where it cannot write there, in
-    the user's cache, which is known here but for Windows and macOS.
+    NUMBA_CACHE_DIR if it is set; otherwise the module's folder, or if that is not writable, the
+    user's cache, which is known here except on Windows and macOS.
     """
     from hashlib import sha1  # most commands never come here
 

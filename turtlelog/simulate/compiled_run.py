@@ -1,4 +1,4 @@
-"""A run by a compiled loop: its arrays filled, simulated, and made the columns of a run."""
+"""A run by a compiled loop: its arrays are filled, simulated, and converted to columns."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -25,25 +25,25 @@ from turtlelog.simulate.versions import find_software
 
 
 class CompiledRunner:
-    """Simulates by compiled loops, one scenario after the other in the same arrays."""
+    """Simulates with compiled loops, one scenario after the other in the same arrays."""
 
     def __init__(self, step_budget_s: float | None = None) -> None:
-        """Begin without room for any.
+        """Start without arrays.
 
         Args:
-            step_budget_s: How long a law of the user's own may compute for one answer [s]; None: as
-                long as it takes.
+            step_budget_s: Time that a user law may compute for one answer [s]; None: unlimited.
         """
         self._rows: dict[Any, Any] = {}
         self._watched = None if step_budget_s is None else WatchedCode(step_budget_s)
 
     def simulate(self, loop: CompiledLoop, scenario: Scenario, plant: Plant) -> Run | None:
-        """Return the run of a scenario by a loop that covers it.
+        """Return the run of a scenario by a loop that supports it.
 
-        Its law is resolved. None where it fails or answers no pose: the plain loop says why.
+        Its law is resolved. None if the law fails or answers no pose; the loop in Python then says
+        why.
 
         Raises:
-            StepBudgetError: Where a step of the user's own does not return within its budget.
+            StepBudgetError: If a step of a user law does not return within its budget.
         """
         law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
         _, settings, start = build_settings(scenario, law, declaration, plant)
@@ -67,7 +67,7 @@ class CompiledRunner:
 
 
 def begin_rows(rows: Any, scenario: Scenario, ticks: int, samples: int) -> Any:
-    """Return the arrays with what a scenario fills them with before it begins."""
+    """Return the arrays with the initial values of a scenario."""
     draw_streams(rows, list_streams(scenario), scenario.seed, ticks, samples)
     table, pieces = build_tables(scenario)
     return rows._replace(table=table, pieces=pieces)
@@ -85,7 +85,7 @@ def build_tables(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[Any]]
 
 
 def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, samples: int) -> None:
-    """Draw the random numbers of effects, event by event."""
+    """Generate the random numbers of effects, event by event."""
     for table, count, of_ticks in (
         (rows.drawn_ticks, ticks, True),
         (rows.drawn_samples, samples, False),
@@ -98,7 +98,7 @@ def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, sample
 
 
 def name_stop(law: Any, number: int) -> str:
-    """Return why a compiled loop ends, in one word."""
+    """Return the stop reason of a compiled loop, in one word."""
     return "max_duration" if number == MAX_DURATION else law.stops[number - 1]
 
 

@@ -1,4 +1,4 @@
-"""A plant driven with commands that are given, by the loop's own steps; no law is asked."""
+"""A plant driven with given commands by the loop's own steps, without a law."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -17,14 +17,14 @@ State = tuple[float, float, float, float, float]
 
 
 class DrivenPlant:
-    """The plant of a scenario, its transport, what pushes it, and its sensing.
+    """The plant of a scenario with its transport, disturbances and sensing.
 
     Attributes:
-        taken: Commands that the plant took so far; one that arrives twice counts once.
+        taken: Number of commands that the plant took so far; a duplicate counts once.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        """Begin at the start of the scenario, on the clock of its plant."""
+        """Start at the scenario's start, on the clock of its plant."""
         made = PlainLoop(replace(scenario, law=LawChoice()))
         self._settings, self._state, self._rows = made.settings, made.state, made.rows
         self._parts, self._now, self.taken = made.parts, made.now, 0
@@ -35,7 +35,7 @@ class DrivenPlant:
         self._acts_in_steps = PLANTS[scenario.plant.kind].acts_in_steps
 
     def put(self, tick: int, time_ns: int, speed: float, turn_rate: float) -> None:
-        """Publish a command in a tick, at a time [ns], [m/s], [rad/s]."""
+        """Publish a command in a tick, at a time [ns], with speed [m/s] and turn rate [rad/s]."""
         number = self._now.samples
         row = self._rows.samples[number] = SampleRow()
         row.sequence, row.published_ns = number, time_ns
@@ -44,10 +44,10 @@ class DrivenPlant:
         loop.publish(self._settings, self._state, self._rows, self._parts, tick, number)
 
     def visit(self, tick: int, times_ns: Sequence[int] = ()) -> Iterator[State]:
-        """Yield the states at times since the tick before; move up to the time of the tick [ns].
+        """Yield the states at times since the previous tick; advance to the time of the tick [ns].
 
         Raises:
-            SimulationError: Where the plant runs away.
+            SimulationError: If the plant diverges.
         """
         scene, until_ns = self._settings.scene, tick * self._settings.scene.period_ns
         since_ns = until_ns - scene.period_ns
@@ -68,18 +68,18 @@ class DrivenPlant:
         self._move_to(until_ns)
 
     def read(self) -> State:
-        """Return the state as it is now."""
+        """Return the present state."""
         state: State = self._parts.read(self._state.plant)
         return state
 
     def sense(self, number: int, pose: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Return what is sensed of a pose, by its number."""
+        """Return the sensed pose for a pose, by its number."""
         row = TickRow(*pose)
         loop.sense(self._settings, self._state, self._sensed_rows, self._parts, row, number)
         return row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad
 
     def _hold(self, tick: int, since_ns: int, until_ns: int) -> None:
-        """Hand over the commands that arrive."""
+        """Pass on the commands that arrive."""
         settings, state, rows, parts = self._settings, self._state, self._rows, self._parts
         scene, now = settings.scene, self._now
         if scene.acts_on_arrival:

@@ -1,11 +1,11 @@
-"""The closed loop, tick by tick, around any plant, law and effects: the one source of both faces.
+"""The closed loop, tick by tick, for any plant, law and effects: the source of both versions.
 
-At one time the plant moves first, then commands arrive, then the pose is delivered, then the
-controller runs. A tick owns the time up to the next.
+At equal times the plant moves first, then commands arrive, then the pose is delivered, then the
+controller runs. A tick lasts until the next one.
 
-`parts` holds the functions of plant and law, and of each place what the effects there make of a
-value; `assemble` puts them together. `rows` holds the rows of each kind by number: plain those that
-are still needed, compiled all.
+`parts` contains the functions of plant and law, and the chained effects of each place; `assemble`
+makes it. `rows` contains the rows of each kind by number: in Python those that are still needed, in
+compiled code all.
 """
 
 import math
@@ -35,7 +35,7 @@ from turtlelog.simulate.rows import (
 
 
 def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
-    """Move the plant to a tick, publish its pose, and deliver what is sensed of it."""
+    """Move the plant to a tick, publish its pose, and deliver the sensed pose."""
     now, scene = state.now, settings.scene
     drive(settings, state, rows, parts, tick)
     if now.failure != 0:
@@ -58,7 +58,7 @@ def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> N
 
 
 def finish_tick(settings: Any, state: Any, rows: Any, parts: Any, tick: int, before: int) -> None:
-    """End a tick, before which there were `before` samples: note what changed since the last."""
+    """End a tick that began with `before` samples: record what changed since the last tick."""
     now = state.now
     if now.stop == 0 and tick == settings.scene.last_tick:
         now.stop = MAX_DURATION
@@ -98,7 +98,7 @@ def note(now: Any, rows: Any, tick: int) -> Any:
 
 @called
 def tell_losses(now: Any, losses: Any, rows: Any, tick: int) -> None:
-    """Note stretches that are over, once; with the run all are."""
+    """Record segments of losses that have ended, once; at the end of the run, all."""
     if now.stop != 0:
         end_stretch(losses)
     if losses.finished > 0:
@@ -109,7 +109,7 @@ def tell_losses(now: Any, losses: Any, rows: Any, tick: int) -> None:
 
 
 def count_lost(now: Any, losses: Any, time_ns: int) -> None:
-    """Count a pose or command that is lost at a time [ns], in a stretch of such."""
+    """Count a pose or command lost at a time [ns], in a segment of losses."""
     now.has_losses = True
     if losses.count == 0:
         losses.since_ns = time_ns
@@ -117,7 +117,7 @@ def count_lost(now: Any, losses: Any, time_ns: int) -> None:
 
 
 def end_stretch(losses: Any) -> None:
-    """End a stretch of losses, as something came through; stretches of a tick become one event."""
+    """End a segment of losses when something arrives; segments of a tick become one event."""
     if losses.count > 0:
         if losses.finished == 0:
             losses.finished_since_ns = losses.since_ns
@@ -129,7 +129,7 @@ def end_stretch(losses: Any) -> None:
 
 
 def drive(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
-    """Move the plant up to the time of a tick, with the commands that arrive and what pushes it."""
+    """Move the plant to the time of a tick, with the arriving commands and disturbances."""
     now, scene = state.now, settings.scene
     time_ns = tick * scene.period_ns
     since_ns = time_ns - scene.period_ns
@@ -149,7 +149,7 @@ def drive(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
 
 @called
 def push(settings: Any, state: Any, rows: Any, parts: Any, tick: int, since_ns: int) -> None:
-    """Push the plant in the step to a tick, from where on each push acts."""
+    """Disturb the plant in the step to a tick, from the start of each disturbance on."""
     now, scene = state.now, settings.scene
     until_ns = since_ns + scene.period_ns
     at_ns = until_ns
@@ -164,7 +164,7 @@ def push(settings: Any, state: Any, rows: Any, parts: Any, tick: int, since_ns: 
 
 @called
 def push_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: int) -> None:
-    """Push the plant from a time of the step to a tick on, unless that changes nothing."""
+    """Disturb the plant from a time within the step to a tick, unless nothing changes."""
     now = state.now
     speed, turn_rate = parts.push(settings, state, rows, tick, at_ns, (0.0, 0.0))
     if speed == now.push_speed and turn_rate == now.push_turn_rate:
@@ -183,7 +183,7 @@ def push_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: 
 
 
 def publish(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample: int) -> None:
-    """Send the command of a sample on its way. No command overtakes another."""
+    """Send the command of a sample. No command overtakes another."""
     now, scene, row = state.now, settings.scene, rows.samples[sample]
     now.published += 1
     now.stop = row.stop
@@ -219,7 +219,7 @@ def arrive(settings: Any, now: Any, rows: Any, until: int) -> None:
 
 
 def queue_command(settings: Any, now: Any, rows: Any, row: Any) -> None:
-    """Queue a command; a full queue pushes the oldest out."""
+    """Queue a command; a full queue drops the oldest."""
     if settings.scene.newest_only:
         now.newest_command, now.queue_count = row.sequence, 1
         return
@@ -246,7 +246,7 @@ def take_oldest(now: Any, rows: Any) -> int:
 
 
 def take(settings: Any, now: Any, rows: Any, until: int) -> int:
-    """Return the sample whose command a step begins with, -1 where none has arrived."""
+    """Return the sample whose command is used from the start of a step; -1 if none has arrived."""
     if now.commands_arrived < now.published:
         arrive(settings, now, rows, until)
     if now.has_losses and now.queue_count < settings.loop.command_queue:
@@ -262,7 +262,7 @@ def take(settings: Any, now: Any, rows: Any, until: int) -> int:
 
 @called
 def hold_arrived(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int) -> None:
-    """Hand the commands over that arrive before a time, past the queue."""
+    """Pass commands that arrive before a time to the plant, without the queue."""
     now = state.now
     while now.commands_arrived < now.published:
         row = rows.samples[now.commands_arrived]
@@ -279,7 +279,7 @@ def hold_arrived(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int
 
 
 def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> bool:
-    """Sense the pose of a tick; return whether it arrives at all."""
+    """Sense the pose of a tick; return whether it arrives."""
     now, scene = state.now, settings.scene
     if parts.lose_pose(settings, state, rows, tick, 0, False):  # noqa: FBT003
         count_lost(now, now.lost_poses, tick * scene.period_ns)
@@ -299,7 +299,7 @@ def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int)
 
 @called
 def receive(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> None:
-    """Send the pose of a tick on its way. No pose overtakes another."""
+    """Send the pose of a tick. No pose overtakes another."""
     now, time_ns = state.now, tick * settings.scene.period_ns
     arrival_ns = parts.pose_travel(settings, state, rows, tick, 0, time_ns)
     row.arrival_ns = max(arrival_ns, now.pose_arrived_ns)
@@ -307,7 +307,7 @@ def receive(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: in
 
 
 def queue_pose(settings: Any, now: Any, rows: Any, row: Any, tick: int) -> None:
-    """Queue the pose of a tick, every n-th of them; a full queue pushes the oldest out."""
+    """Queue the pose of a tick, only every n-th; a full queue drops the oldest."""
     loop = settings.loop
     if loop.period_ticks != 1 and tick % loop.period_ticks != 0:
         row.arrival_ns = -1
@@ -330,7 +330,7 @@ def take_pose(now: Any, rows: Any) -> int:
 
 
 def take_newest(now: Any) -> int:
-    """Take the newest pose alone; return its number."""
+    """Take only the newest pose; return its number."""
     now.poses_count = 0
     newest: int = now.newest
     return newest
@@ -348,7 +348,7 @@ def find_arrival(now: Any, rows: Any) -> int:
 
 @called
 def find_next(now: Any, rows: Any) -> int:
-    """Return when something happens next [ns]: a pose arrives, the timer fires, the law is free."""
+    """Return the next time [ns] at which a pose arrives, the timer fires, or the law is free."""
     next_ns = min(find_arrival(now, rows), now.fires_ns)
     if now.blocked >= 0:
         next_ns = min(next_ns, now.free_at)
@@ -357,7 +357,7 @@ def find_next(now: Any, rows: Any) -> int:
 
 @called
 def deliver(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
-    """Queue the poses that have arrived by now; mark an answer as due where the timer fires."""
+    """Queue the poses that have arrived; mark an answer as due when the timer fires."""
     scene = settings.scene
     while find_arrival(now, rows) <= now_ns:
         pose = now.poses_arrived
@@ -378,9 +378,9 @@ def deliver(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
 
 
 def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
-    """Answer the poses that wait or come up to the next tick, and publish what goes out.
+    """Answer the poses that wait or arrive before the next tick, and publish the commands.
 
-    While the law blocks, poses pile up, and one firing of the timer waits.
+    While the law blocks, poses are queued, and one firing of the timer waits.
     """
     now, scene = state.now, settings.scene
     delays_poses = scene.delays_poses
@@ -412,7 +412,7 @@ def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
 
 
 def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, number: int) -> int:
-    """Make the sample of a pose; return for how many ticks the law blocks."""
+    """Make the sample of a pose; return the number of ticks for which the law blocks."""
     now, scene = state.now, settings.scene
     read, sample = rows.ticks[number], now.samples
     row = begin_row(rows.samples, rows.new[0].sample, sample)
@@ -457,7 +457,7 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
 
 @called
 def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
-    """Enter the errors of a goal that the law leaves out, from the present position."""
+    """Add the errors to the goal that the law leaves out, from the present position."""
     x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
     bearing_rad = math.atan2(y_m, x_m)
     if math.isnan(row.bearing_rad):
@@ -473,7 +473,7 @@ def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
 
 
 def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> None:
-    """Refuse what cannot be executed or recorded; without a goal there are no errors."""
+    """Reject what cannot be executed or recorded; without a goal there are no errors."""
     reference = row.reference_x_m + row.reference_y_m + row.reference_heading_rad
     errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
     if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):

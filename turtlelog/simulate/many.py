@@ -1,4 +1,4 @@
-"""Many scenarios simulated: by compiled loops where that is worth it, in threads."""
+"""Simulation of many scenarios, with compiled loops if that is faster, in threads."""
 
 import threading
 from collections import deque
@@ -48,14 +48,14 @@ Simulated = Run | SimulationError
 
 
 class ManyRuns(Iterator[Simulated]):
-    """The runs of scenarios, in their order; where one fails its SimulationError in its place.
+    """The runs of scenarios, in order; a failed run is replaced by its SimulationError.
 
     Only a few runs are in memory, however many there are.
 
     Attributes:
         compiled: Number of runs that compiled loops have simulated.
-        interpreted: Number of runs that the plain loop has simulated: of laws that are classes,
-            where a run fails, without numba, or before they are worth loading a compiled one.
+        interpreted: Number of runs simulated in ordinary Python: laws that are classes, failed
+            runs, runs without numba, or runs before a compiled loop is worth loading.
         notes: Notes on the compiled loops, one line each.
     """
 
@@ -101,7 +101,7 @@ class ManyRuns(Iterator[Simulated]):
         return found.result() if isinstance(found, Future) else found
 
     def _start(self, scenario: Scenario) -> Simulated | Future[Simulated]:
-        """Simulate a scenario, or have a thread do so."""
+        """Simulate a scenario, or start it in a thread."""
         plant = scenario.plant.facts if self._plant is None else self._plant
         loop = find_loop(scenario, plant)
         if loop is None or loop.find() is None:
@@ -133,9 +133,10 @@ class ManyRuns(Iterator[Simulated]):
     def _simulate_both_ways(
         self, loop: CompiledLoops, scenario: Scenario, plant: Plant
     ) -> Simulated:
-        """Simulate a law of the user's own plain and compiled; note by how much they differ.
+        """Simulate a user law in ordinary Python and compiled; record the difference as a note.
 
-        Numba's arithmetic and Python's may differ in the last bits: of `x**3` in a quarter of all.
+        Numba's arithmetic and Python's may differ in the last bits: for `x**3` in a quarter of
+        cases.
         """
         found = self._simulate(scenario, plant)
         if isinstance(found, SimulationError):
@@ -149,7 +150,7 @@ class ManyRuns(Iterator[Simulated]):
         return again
 
     def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledLoops | None) -> Simulated:
-        """Simulate, and find out whether the others are worth loading a compiled loop."""
+        """Simulate in Python; decide whether a compiled loop is worth loading for the others."""
         with self._counting:
             self.interpreted += 1
         found = self._simulate(scenario, plant)
@@ -175,7 +176,7 @@ class ManyRuns(Iterator[Simulated]):
 
 @cache
 def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoops:
-    """Return the loop of a law and a plant, compiled once it is worth it."""
+    """Return the loop of a law and a plant, compiled when it is worth it."""
     return CompiledLoops(
         partial(_load, law, plant, states),
         partial(_is_kept, law, plant, states),
@@ -203,7 +204,7 @@ def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
 
 
 def find_loop(scenario: Scenario, plant: Plant) -> CompiledLoops | None:
-    """Return the compiled loop that covers a scenario, whose law is resolved; None: none does."""
+    """Return the compiled loop for a scenario with a resolved law; None if there is none."""
     law = find_law(scenario.law.kind)
     if not isinstance(law, LawPart) or (law.needs_path and scenario.path is None):
         return None
@@ -217,13 +218,13 @@ def find_loop(scenario: Scenario, plant: Plant) -> CompiledLoops | None:
 
 
 def find_saving(scenario: Scenario) -> float:
-    """Return what a compiled loop saves of each sample of a scenario, about [s]."""
+    """Return the approximate time that a compiled loop saves per sample of a scenario [s]."""
     part = PLANTS[scenario.plant.kind]
     return _SAVED_S if part.acts_in_steps and scenario.path is None else _STEPPED_SAVED_S
 
 
 def describe_difference(kind: str, plain: Run, compiled: Run) -> Iterator[str]:
-    """Yield by how much a law's first run differs compiled, where it does."""
+    """Yield the differences of a law's first run when compiled, if there are any."""
     if len(plain.samples) != len(compiled.samples):
         counts = f"{len(compiled.samples)} samples instead of {len(plain.samples)}"
         yield f"law {kind}: its first run has {counts} when compiled"
@@ -254,14 +255,15 @@ def simulate_many(
     Args:
         scenarios: Scenarios to simulate; taken as the runs are.
         plant: Plant whose clock is used; None: the plant of each scenario.
-        threads: That simulate at once; None: as many as cores.
-        step_budget_s: Time that a law may compute for one answer [s]; None: as long as it takes.
+        threads: Number of threads; None: one per core.
+        step_budget_s: Time that a law may compute for one answer [s]; None: unlimited.
 
     Returns:
-        An iterator of runs; where one fails its SimulationError, with the run so far as `run`.
+        An iterator of runs; a failed run is replaced by its SimulationError, whose `run` is the run
+        so far.
 
     Raises:
-        SimulationError: If `threads` is no number above 0.
-        ScenarioError: While iterating, where a law cannot be loaded or may not run.
+        SimulationError: If `threads` is not a number above 0.
+        ScenarioError: While iterating, if a law cannot be loaded or may not run.
     """
     return ManyRuns(scenarios, plant=plant, threads=threads, step_budget_s=step_budget_s)

@@ -1,4 +1,4 @@
-"""The loop run plain: tick by tick, around a law in any Python, with no compiler."""
+"""The loop in ordinary Python: tick by tick, for a law in any Python, without a compiler."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -73,12 +73,12 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         time_ns: Simulated time [ns].
-        row: The pose as published and as sensed.
+        row: Pose as published and as sensed.
         computed: Samples whose pose was answered in this tick, in order.
         published: Samples whose command went out in this tick, in order.
-        states: The law's own numbers, of each computed sample.
+        states: States of the law for each computed sample.
         events: Other events of the tick.
-        stop_reason: Why this tick is the last one, None while it is not.
+        stop_reason: Why this is the last tick; None otherwise.
     """
 
     time_ns: int
@@ -100,21 +100,21 @@ def iterate_ticks(
 ) -> Iterator[Tick]:
     """Return the ticks of a closed loop until the law is done or `max_duration_s` has passed.
 
-    Ticks are steps of the plant, one per period; what the scenario counts in ticks as well.
+    A tick is a step of the plant, one period long; counts of ticks in the scenario refer to it.
 
     Args:
         scenario: Scenario to simulate.
         plant: Plant whose clock is used; None: the scenario's plant.
         step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
-            None: as long as it takes. From 1 s on the steps of built-in laws are not watched, and
-            the loop of another law computes in a thread of its own.
-        one_by_one: Compute a tick when it is taken, not some ticks ahead.
-        made: Gets the loop as it begins.
+            None: unlimited. From 1 s on, the steps of built-in laws are not watched, and the loop
+            of another law computes in its own thread.
+        one_by_one: Whether to compute a tick when it is requested instead of some ticks ahead.
+        made: Function that receives the loop at its start.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
-        SimulationError: If the budget is no time. While iterating, if the law fails or answers with
-            something that is no number; after the tick in which it does, whose stop reason is
+        SimulationError: If the budget is not a time. While iterating, if the law fails or gives an
+            invalid answer; raised after the tick in which this happens, whose stop reason is
             `law_failed`, or `step_budget` if it computed for too long.
     """
     scenario = resolve_scenario(scenario)
@@ -132,13 +132,13 @@ def iterate_ticks(
 def _iterate(
     scenario: Scenario, plant: Plant | None, step_budget_s: float | None, made: list["PlainLoop"]
 ) -> Iterator[Tick]:
-    """Yield the ticks; `made` gets the loop."""
+    """Yield the ticks; `made` receives the loop."""
     made.append(PlainLoop(scenario, plant, step_budget_s=step_budget_s))
     yield from made[0].iterate()
 
 
 class PlainLoop:
-    """A loop around a scenario, plain.
+    """The loop of a scenario in ordinary Python.
 
     Attributes:
         declaration: Declaration of the law.
@@ -153,16 +153,15 @@ class PlainLoop:
         law: Law | None = None,
         step_budget_s: float | None = None,
     ) -> None:
-        """Begin.
+        """Start the loop.
 
         Args:
-            scenario: Its law is resolved.
+            scenario: Scenario with a resolved law.
             plant: Plant whose clock is used; None: the scenario's plant.
-            law: Takes the place of the scenario's. It declares by its attribute `parameters`, if it
-                has one, otherwise by those of the scenario.
-            step_budget_s: With a budget a step that computes for longer by the clock fails with a
-                StepBudgetError: a short one is measured here, of a longer one a `LimitedLoop` takes
-                care.
+            law: Law to use instead of the scenario's law. Its declaration uses its attribute
+                `parameters`, otherwise those of the scenario.
+            step_budget_s: Time limit of a step; a step beyond it fails with a StepBudgetError. A
+                short budget is measured here, a longer one by a `LimitedLoop`.
         """
         self._kind = scenario.law.kind if law is None else name_law(type(law))
         parameters = getattr(law, "parameters", scenario.law.parameters)
@@ -184,7 +183,7 @@ class PlainLoop:
     def _bind_law(
         self, scenario: Scenario, law: Law | None, goal: Goal
     ) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """Return what the loop asks of the law, and what enters its states."""
+        """Return the functions that ask the law and record its states."""
         is_timed = self._budget_s < TIMED_BELOW_S
         if isinstance(self._law, LawPart):
             decide = bind_step(self._law.step)
@@ -254,14 +253,14 @@ class PlainLoop:
         return failure
 
     def _take_states(self, computed: Samples) -> tuple[tuple[float, ...], ...]:
-        """Return the states of samples, which are forgotten then."""
+        """Return the states of samples and delete them."""
         return tuple([self.take_states(sample.sequence) for sample in computed])
 
     def answer_pose(self, time_ns: int, number: int, pose: Pose) -> SampleRow:
-        """Return the sample that a pose makes, which no loop of this one moved to.
+        """Return the sample for a pose to which this loop did not move.
 
         Raises:
-            SimulationError: If the law fails or answers with something that is no number.
+            SimulationError: If the law fails or gives an invalid answer.
         """
         row = self.rows.ticks[number] = TickRow(pose.x_m, pose.y_m, pose.heading_rad)
         row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad = (
@@ -284,17 +283,17 @@ class PlainLoop:
         return found
 
     def take_states(self, sample: int) -> tuple[float, ...]:
-        """Return the states of a sample, which are forgotten with that."""
+        """Return the states of a sample and delete them."""
         return () if self._read_states is None else self._read_states(self.rows.states.pop(sample))
 
     @property
     def asked(self) -> int:
-        """Number of poses that the law had to answer."""
+        """Number of poses for which the law was asked."""
         asked: int = len(self.rows.samples) + self.rows.forgotten
         return asked
 
     def name_stop(self, stop: int) -> str:
-        """Return why the run ends, in one word."""
+        """Return the stop reason of the run, in one word."""
         if stop < 0:
             return {MAX_DURATION: "max_duration", LAW_FAILED: "law_failed", LATE: STEP_BUDGET}[stop]
         if self._class_law is not None:
@@ -302,7 +301,7 @@ class PlainLoop:
         return self._law.stops[stop - 1]  # type: ignore[union-attr]
 
     def describe_late(self, what: str) -> str:
-        """Return that the latest answer is late, and how a longer budget is set."""
+        """Return that the latest answer is late, and how to set a longer budget."""
         number = max(self.asked - 1, 0)
         row = self.rows.samples.get(number)
         at_s = (0 if row is None else row.time_ns) / 1e9
@@ -310,7 +309,7 @@ class PlainLoop:
         return f"{place} {what}, at {at_s:.3f} s; {advise_budget(self._budget_s)}"
 
     def describe_failure(self, err: BaseException) -> SimulationError:
-        """Return why the law gave no answer, from what it raised."""
+        """Return why the law gave no answer, from its exception."""
         if isinstance(err, StepBudgetError | StepEnded):
             budget_s = self._budget_s
             ended = describe_excess(budget_s, budget_s, has_returned=False)
@@ -344,7 +343,7 @@ class PlainLoop:
         )
 
     def _forget(self) -> None:
-        """Forget the rows that nothing needs any more."""
+        """Delete the rows that are no longer needed."""
         now, rows = self.now, self.rows
         arrived = now.poses_arrived if self.settings.scene.delays_poses else now.ticks
         if now.poses_count == 0:
@@ -367,7 +366,7 @@ def _list_rows(rows: dict[int, Any], first: int, end: int) -> Samples:
 
 @dataclass(slots=True)
 class _New:
-    """What makes a row of each kind."""
+    """Factory of a row of each kind."""
 
     tick: type[TickRow]
     sample: type[SampleRow]
@@ -378,7 +377,7 @@ class _New:
 
 @dataclass(slots=True)
 class _Rows:
-    """The rows of a loop by number, those that are still needed; as `compiled_loop.Rows`."""
+    """The rows of a loop that are still needed, by number; as `compiled_loop.Rows`."""
 
     ticks: dict[int, TickRow]
     samples: dict[int, SampleRow]
@@ -394,7 +393,7 @@ class _Rows:
 
 
 def _drop(rows: dict[int, Any], before: int) -> int:
-    """Drop the rows before a number; return how many."""
+    """Delete the rows before a number; return how many."""
     old = [number for number in rows if number < before]
     for number in old:
         del rows[number]
@@ -431,7 +430,7 @@ def _build_rows(scenario: Scenario, law: AnyLaw, declaration: Declaration) -> An
 def _find_reader(
     law: AnyLaw, declaration: Declaration
 ) -> Callable[[Any], tuple[float, ...]] | None:
-    """Return what makes a tuple of the states of a sample; None without states."""
+    """Return a function that makes a tuple of a sample's states; None without states."""
     if not declaration.states:
         return None
     if not isinstance(law, LawPart):
@@ -445,7 +444,7 @@ def _find_reader(
 def describe_runaway(
     time_ns: int, state: tuple[float, float, float, float, float]
 ) -> SimulationError:
-    """Return that a plant is further or faster than a pose can hold."""
+    """Return that a plant is further or faster than a pose can contain."""
     return SimulationError(
         f"the robot runs away: at {time_ns / 1e9:g} s x = {state[0]:g} m,"
         f" y = {state[1]:g} m, speed {state[3]:g} m/s, turn rate {state[4]:g} rad/s;"

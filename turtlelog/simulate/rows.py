@@ -1,6 +1,6 @@
-"""What the loop keeps: its settings, where it stands, a row of each kind, and events in words.
+"""The data of the loop: its settings, its state, a row of each kind, and events in words.
 
-Plain they are objects, compiled they are records of the same fields.
+In ordinary Python they are objects, in compiled code records with the same fields.
 """
 
 import math
@@ -29,29 +29,29 @@ POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED, WALL_HIT, POSES_DROPPED, STOP = ran
 
 @dataclass(slots=True, kw_only=True)
 class Scene:
-    """What the loop reads of a scenario, and what its parts share.
+    """Settings that the loop reads from a scenario, and that its parts share.
 
     Attributes:
         period_ns: Step of the plant's clock [ns].
         period_s: Likewise [s].
-        tick_ns: Step of the plant as it is, for which laws block [ns].
-        block: Likewise, in the unit in which the loop counts: nanoseconds if poses travel,
-            otherwise steps of the clock.
-        watchdog_ns: The plant stops so long after it took a command [ns].
+        tick_ns: Period of the plant's own steps, for which laws block [ns].
+        block: The same period in the loop's unit: nanoseconds if poses travel, otherwise steps of
+            the clock.
+        watchdog_ns: Time after a command at which the plant stops [ns].
         last_tick: Number of the last tick.
-        end_ns: When the run ends [ns], and one more.
+        end_ns: End of the run plus 1 [ns].
         timer_ns: Period of the controller's timer [ns]; 0: it answers poses.
-        first_s: What passes before the first sample [s].
-        causal_ns: How long after a pose a command that arrives is taken for its step [ns].
-        start_backlog: Poses that come before the first answer.
+        first_s: Time before the first sample [s].
+        causal_ns: Time after a pose within which an arriving command counts for its step [ns].
+        start_backlog: Number of poses before the first answer.
         is_exact: Whether poses are published in 64 bits.
-        newest_only: Whether the plant takes the newest command, and drops the rest.
-        is_timed: Whether commands travel for nanoseconds of their own, not for whole ticks.
-        acts_in_steps: As of the plant.
+        newest_only: Whether the plant takes only the newest command, and drops the others.
+        is_timed: Whether command delays are in nanoseconds, not in whole ticks.
+        acts_in_steps: Property of the plant with this name.
         acts_on_arrival: Whether a command acts from its arrival on.
-        delays_poses: Whether poses travel, or a timer asks for answers.
-        senses: Whether poses are read otherwise than they are published.
-        is_pushed: Whether something pushes the plant.
+        delays_poses: Whether poses travel, or a timer triggers answers.
+        senses: Whether sensed poses differ from published ones.
+        is_pushed: Whether there are disturbances of the plant.
         shapes: Whether commands are shaped.
         has_goal: Whether the law has a goal.
         has_reference: Whether every sample has a reference pose.
@@ -85,7 +85,7 @@ class Scene:
 
 @dataclass(slots=True)
 class GoalNumbers:
-    """Where the robot should be; the heading is NaN if any will do."""
+    """Goal of the robot; the heading is NaN for any heading."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -94,14 +94,14 @@ class GoalNumbers:
 
 @dataclass(slots=True)
 class Losses:
-    """What is lost, by stretches: an event each would fill a log.
+    """Losses by segments, because an event for each would fill a log.
 
     Attributes:
         kind: Kind of `_EVENT_KINDS`.
-        since_ns: When the segment began that goes on [ns].
-        count: How many it lost so far.
-        finished_since_ns: When the first segment began that is over and not told yet [ns].
-        finished: Number of such segments lost.
+        since_ns: Start of the present segment [ns].
+        count: Number of losses in it so far.
+        finished_since_ns: Start of the first finished segment that is not recorded yet [ns].
+        finished: Number of losses in such segments.
     """
 
     kind: int = 0
@@ -113,38 +113,38 @@ class Losses:
 
 @dataclass(slots=True)
 class Progress:
-    """Where the loop stands.
+    """State of the loop.
 
     Attributes:
-        ticks: Rows of poses so far; so `samples` and `events`.
-        published: Commands that went out, which are those of the first samples.
-        stop: Why it ends, 0 while it goes on.
-        failure: What failed, 0 while nothing does.
-        waits_for: Poses that are to come before the first answer.
-        blocked: Sample whose command waits as the law blocks; -1: none.
-        free_at: Until when it blocks.
+        ticks: Number of pose rows so far; likewise `samples` and `events`.
+        published: Number of published commands, which are those of the first samples.
+        stop: Stop reason; 0 while it runs.
+        failure: Kind of failure; 0 if there is none.
+        waits_for: Number of poses to wait for before the first answer.
+        blocked: Sample whose command waits while the law blocks; -1: none.
+        free_at: End of the block.
         last_ns: Time of the last answer [ns]; -1: none.
-        phase_ended: Phase that the last sample ended; -1: none.
-        poses_first: No earlier pose waits.
-        poses_count: Number of poses that wait.
-        poses_arrived: No earlier pose is on its way.
-        pose_arrived_ns: When the last one arrives [ns].
-        poses_dropped: Number of poses that the full queue dropped; an event names `poses_told` of
-            them.
-        newest: The newest pose that came, for the timer; -1: none.
-        fires_ns: When the timer fires next [ns].
-        is_due: Whether it fired.
-        queue_first: No command of an earlier sample waits for the plant.
-        queue_count: Number of commands that wait.
-        commands_arrived: No command of an earlier sample is on its way.
-        command_arrived_ns: When the last one arrives [ns].
-        newest_command: Sample of the newest command that came.
-        commands_dropped: Number of commands that the full queue dropped; an event names
-            `commands_told` of them.
+        phase_ended: Phase ended by the last sample; -1: none.
+        poses_first: First pose that may be in the queue.
+        poses_count: Number of poses in the queue.
+        poses_arrived: First pose that may be on its way.
+        pose_arrived_ns: Arrival time of the last pose [ns].
+        poses_dropped: Number of poses that the full queue dropped; `poses_told` of them are in
+            events.
+        newest: The newest pose that arrived, for the timer; -1: none.
+        fires_ns: Next time of the timer [ns].
+        is_due: Whether the timer has fired.
+        queue_first: First sample whose command may be in the plant's queue.
+        queue_count: Number of commands in the queue.
+        commands_arrived: First sample whose command may be on its way.
+        command_arrived_ns: Arrival time of the last command [ns].
+        newest_command: Sample of the newest command that arrived.
+        commands_dropped: Number of commands that the full queue dropped; `commands_told` of them
+            are in events.
         has_losses: Whether a pose or command was lost so far.
-        was_at_wall: Whether the plant was at the wall a tick ago.
-        push_speed: What is added to the plant's speed now [m/s].
-        push_turn_rate: Likewise [rad/s].
+        was_at_wall: Whether the plant was at the wall in the previous tick.
+        push_speed: Disturbance of the plant's speed now [m/s].
+        push_turn_rate: Disturbance of the plant's turn rate now [rad/s].
     """
 
     ticks: int = 0
@@ -185,14 +185,15 @@ class Progress:
 
 @dataclass(slots=True)
 class TickRow:
-    """A pose as published and as sensed (NaN: it dropped out), and what the plant did.
+    """A pose as published and as sensed (NaN: it dropped out), and the plant's motion.
 
     Attributes:
-        x_m: World frame [m]; so `y_m`.
-        heading_rad: Counter-clockwise from +x [rad].
+        x_m: x in the world frame [m]; likewise `y_m`.
+        heading_rad: Heading, counter-clockwise from +x [rad].
         speed_m_s: Magnitude of the applied velocity [m/s].
         turn_rate_rad_s: Applied turn rate [rad/s].
-        arrival_ns: Time at which it reaches the controller [ns]; -1: it does not, or is not queued.
+        arrival_ns: Time of arrival at the controller [ns]; -1: it does not arrive, or is not
+            queued.
     """
 
     x_m: float = 0.0
@@ -208,7 +209,7 @@ class TickRow:
 
 @dataclass(slots=True)
 class SampleRow:
-    """One controller callback. What a law does not enter is NaN, or 0.
+    """One controller callback. A value that a law does not set is NaN, or 0.
 
     Attributes:
         time_ns: Time at which the pose was answered [ns].
@@ -217,22 +218,24 @@ class SampleRow:
         published_ns: Time at which its command is published [ns]: later if the law blocks.
         arrival_ns: Time [ns] or tick at which its command arrives; -1: never.
         arrivals: Number of arrivals.
-        queued: Number of copies that wait for the plant.
-        phase: Index of the phase in the declaration's `phase_names`. Entered by the law, as all
-            that follows but for the commands.
-        blocks_ticks: Ticks that the law blocks for before its command goes out.
-        stop: Why this is the last sample: place in the law's `stops`, from 1; 0: it is not.
+        queued: Number of copies in the plant's queue.
+        phase: Index of the phase in the declaration's `phase_names`. The law sets this and all
+            following fields except the commands.
+        blocks_ticks: Number of ticks for which the law blocks before its command is published.
+        stop: Why this is the last sample: index in the law's `stops`, from 1; 0: it is not.
         ends_phase: Whether the next sample is of another phase.
         bearing_rad: Goal bearing [rad].
         heading_error_rad: Reference heading minus heading [rad].
-        error_x_m: Goal minus position, world frame [m]; so `error_y_m`.
+        error_x_m: Goal minus position in the world frame [m]; likewise `error_y_m`.
         distance_m: Distance from the pose to the goal [m].
-        world_v_x_m_s: Gain times error before projection [m/s]; so `world_v_y_m_s`.
+        world_v_x_m_s: Gain times error before projection [m/s]; likewise `world_v_y_m_s`.
         reference_x_m: Reference position [m]; likewise `reference_y_m`.
         reference_heading_rad: Reference heading [rad].
-        wanted_speed_m_s: Command before shaping and limits [m/s]; so `wanted_turn_rate_rad_s`.
-        shaped_speed_m_s: After shaping, before the limits [m/s]; so `shaped_turn_rate_rad_s`.
-        speed_m_s: Command after the limits [m/s]; so `turn_rate_rad_s`.
+        wanted_speed_m_s: Command before shaping and limits [m/s]; likewise
+            `wanted_turn_rate_rad_s`.
+        shaped_speed_m_s: Command after shaping, before the limits [m/s]; likewise
+            `shaped_turn_rate_rad_s`.
+        speed_m_s: Command after the limits [m/s]; likewise `turn_rate_rad_s`.
     """
 
     time_ns: int = 0
@@ -266,7 +269,7 @@ class SampleRow:
 
 @dataclass(slots=True)
 class EventRow:
-    """What happened in a tick: the number of `_EVENT_KINDS`, and two numbers of the kind."""
+    """An event in a tick: its number in `_EVENT_KINDS`, and two numbers that depend on the kind."""
 
     tick: int = 0
     kind: int = 0
@@ -288,10 +291,10 @@ def describe_event(
     """Return an event in words.
 
     Args:
-        row: Of `EventRow`.
-        period_ns: Of the clock [ns].
-        name_stop: Returns a stop reason by number.
-        because: Goes on after the stop reason.
+        row: Row of `EventRow`.
+        period_ns: Period of the clock [ns].
+        name_stop: Function that returns a stop reason by number.
+        because: Text after the stop reason.
     """
     number, first, second = int(row.kind), row.first, row.second
     kind = _EVENT_KINDS[number]
@@ -314,7 +317,7 @@ def describe_stop(stop_reason: str, because: str = "") -> str:
 
 
 def _describe_loss(kind: str, since_ns: int, lost: int) -> str:
-    """Return what a stretch of losses was."""
+    """Return the losses of a segment in words."""
     who, what = _LOSSES[kind]
     when = f"{what}s from" if lost > 1 else f"{what} at"
     return f"{who} {lost} {when} {since_ns / 1e9:.3f} s{' on' if lost > 1 else ''}."

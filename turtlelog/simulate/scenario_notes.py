@@ -1,6 +1,6 @@
 """Notes on a scenario before it is run.
 
-They name gains that theory calls unstable, and settings that nothing uses.
+They name gains that are unstable in theory, and settings that are not used.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -34,21 +34,21 @@ _DEFAULTS: Final = flatten_scenario(Scenario())
 
 
 def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> tuple[str, ...]:
-    """Return notes on a scenario that is to be run, one line each; () where there is none.
+    """Return notes on a scenario before its run, one line each; () if there are none.
 
-    A gain gets a note where theory's linear loop, with the plant's time constant, the sampling
-    period and the least dead time that the scenario's settings make certain, is unstable. The run
-    itself may still end, or go on in an oscillation that clipping bounds. Nothing is said of what
-    is not known: a loop without theory or whose law declares no gain, a timing that is random or
-    changes from sample to sample, other shaping than a low-pass.
+    A gain gets a note if theory's linear loop is unstable with it, for the plant's time constant,
+    the sampling period and the smallest dead time that the settings guarantee. The run itself may
+    still end, or oscillate within the limits. There is no note if a value is unknown: a loop
+    without theory or without a declared gain, a timing that is random or changes between samples,
+    or shaping other than a low-pass.
 
     Args:
-        scenario: Scenario as it is run; the code of its law is loaded if needed.
-        given: Keys that the user set, even if to the default, as in `goal.x_m`.
+        scenario: Scenario to be run; the code of its law is loaded if needed.
+        given: Keys that the user set, also to the default, as in `goal.x_m`.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
-        LawError: If what the law says of itself is wrong.
+        LawError: If the law's declaration is wrong.
     """
     scenario = resolve_scenario(scenario)
     declaration = declare_scenario(scenario)
@@ -62,10 +62,10 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
 def _describe_wrong_signs(
     declaration: Declaration, parameters: Mapping[str, Parameter]
 ) -> Iterator[str]:
-    """Yield the loops whose plant turns the feedback around.
+    """Yield the loops whose plant inverts the feedback.
 
-    Their open loop is real and negative for real z > 1, from minus infinity at 1 up to 0: whatever
-    the gains, delays and lags, one pole of the closed loop lies there.
+    Their open loop is real and negative for real z > 1, from minus infinity at 1 up to 0: for any
+    gains, delays and lags, one pole of the closed loop lies there.
     """
     for loop in declaration.loops:
         for name in ("gain", "reverse_gain"):
@@ -79,7 +79,7 @@ def _describe_wrong_signs(
 
 
 def _describe_idle(scenario: Scenario) -> Iterator[str]:
-    """Yield settings that have no effect, as the effects say."""
+    """Yield settings without an effect, as the effects report them."""
     for effect in EFFECTS:
         if effect.notes is not None:
             yield from effect.notes(scenario)
@@ -120,7 +120,7 @@ def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) ->
 
 
 def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTiming) -> str | None:
-    """Return why a loop is unstable at every dead time that it may have, None if it is not."""
+    """Return why a loop is unstable for every dead time that it may have; None if it is not."""
     others = ((loop.integral_gain, gains.ki), (loop.derivative_gain, gains.kd))
     values = [f"{key} = {_write(value)}" for key, value in others if value > 0.0]
     named = f"{loop.gain} = {_write(gains.kp)}"
@@ -147,7 +147,7 @@ def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTim
 
 
 def _judge_each(gains: PidGains, process: Process, timing: LoopTiming, words: str) -> str | None:
-    """Return that a loop is unstable, whose limit may rise with the dead time, at each of them."""
+    """Return that a loop is unstable at each dead time, for limits that rise with it."""
     for ticks in range(round((timing.most_s - timing.least_s) / timing.step_s) + 1):
         late = replace(process, dead_time_s=process.dead_time_s + ticks * timing.step_s)
         if is_pid_stable(gains, period_s=timing.period_s, process=late):
@@ -156,7 +156,7 @@ def _judge_each(gains: PidGains, process: Process, timing: LoopTiming, words: st
 
 
 def _round_towards(limit: float, kp: float) -> str:
-    """Return a limit in few digits, as many as leave it on its side of a gain."""
+    """Return a limit with few digits, but enough to stay on its side of a gain."""
     for digits in range(4, 17):
         text = f"{limit:.{digits}g}"
         if float(text) != kp and (float(text) < kp) == (limit < kp):

@@ -1,8 +1,7 @@
-"""A scenario as numbers: the settings and the first state of a loop, of its law, plant and effects.
+"""A scenario as numbers: settings and initial state of a loop, of its law, plant and effects.
 
-Of each table there is a dataclass of the numbers among its keys. A word is the number of its place
-in its `Literal`; a key without a value is NaN, or -1 where it is a whole number. What is no number
-is left out.
+Each table has a dataclass with the numbers among its keys. A word is its index in its `Literal`; a
+key without a value is NaN, or -1 if it is a whole number. Other values are left out.
 """
 
 import dataclasses
@@ -34,7 +33,7 @@ Convert = Callable[[Any], Any]
 
 @dataclass(slots=True)
 class NoNumbers:
-    """A law in any Python reads its own parameters."""
+    """Settings of a law in any Python, which reads its own parameters."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Mirror:
 
     Attributes:
         kind: A dataclass with slots and defaults.
-        read: Returns its values, of an object with the keys.
+        read: Function that returns its values from an object with the keys.
     """
 
     kind: type[Any]
@@ -78,7 +77,7 @@ _NONE: Final[dict[type, Any]] = {float: math.nan, int: -1, bool: False}
 
 
 def _find_number(hint: Any) -> tuple[type | None, Convert | None]:
-    """Return the type of a key as a number, and what makes one of its value."""
+    """Return the numeric type of a key, and the function that converts its value."""
     choices = [one for one in get_args(hint) if one is not type(None)]
     if get_origin(hint) is Literal:
         return int, choices.index
@@ -103,7 +102,7 @@ class Shape:
 def find_shape(
     law: type[Any], law_numbers: type[Any], plant: PlantPart, states: tuple[str, ...]
 ) -> Shape:
-    """Return the shape of a loop, of the dataclasses of its law's state and numbers."""
+    """Return the shape of a loop, from the dataclasses of its law's state and numbers."""
     make = dataclasses.make_dataclass
     settings: list[tuple[str, Any]] = [
         ("scene", Scene),
@@ -123,13 +122,13 @@ def find_shape(
 
 @cache
 def find_states(names: tuple[str, ...]) -> type[Any]:
-    """Return the dataclass of the states of a law, as they are recorded."""
+    """Return the dataclass of the recorded states of a law."""
     found = [(name, float, dataclasses.field(default=math.nan)) for name in names]
     return dataclasses.make_dataclass("States", found, slots=True)
 
 
 def find_law_numbers(law: AnyLaw) -> Any:
-    """Return the dataclass of what a law reads as `settings.law`."""
+    """Return the dataclass that a law reads as `settings.law`."""
     if not isinstance(law, LawPart):
         return NoNumbers
     keys: Any = law.Parameters
@@ -137,7 +136,7 @@ def find_law_numbers(law: AnyLaw) -> Any:
 
 
 def read_law(law: AnyLaw, parameters: Any) -> Any:
-    """Return what a law reads as `settings.law`."""
+    """Return the values that a law reads as `settings.law`."""
     if not isinstance(law, LawPart):
         return NoNumbers()
     if law.prepare is not None:
@@ -149,13 +148,13 @@ def read_law(law: AnyLaw, parameters: Any) -> Any:
 def build_settings(
     scenario: Scenario, law: AnyLaw, declaration: Declaration, plant: Plant
 ) -> tuple[Shape, Any, Any]:
-    """Return the shape of a loop, its settings, and the state in which it starts.
+    """Return the shape of a loop, its settings, and its initial state.
 
     Args:
-        scenario: Its law is resolved.
+        scenario: Scenario with a resolved law.
         law: Law of the scenario.
         declaration: Declaration of the law.
-        plant: On whose clock.
+        plant: Plant whose clock is used.
     """
     part, goal, start = PLANTS[scenario.plant.kind], scenario.goal, scenario.start
     state_kind: Any = law.State if isinstance(law, LawPart) else NoNumbers
@@ -185,7 +184,7 @@ def build_settings(
 
 
 def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant: Plant) -> Scene:
-    """Return what the loop itself reads of a scenario."""
+    """Return the values that the loop itself reads from a scenario."""
     loop, part = scenario.loop, PLANTS[scenario.plant.kind]
     tick_ns = scenario.plant.facts.period_ns
     duration_ns = round(scenario.max_duration_s * 1e9)
@@ -221,7 +220,7 @@ def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant
 
 
 def needs_time(scenario: Scenario) -> bool:
-    """Whether commands travel for nanoseconds of their own, not for whole ticks."""
+    """Return whether command delays are in nanoseconds, not in whole ticks."""
     return (
         not PLANTS[scenario.plant.kind].acts_in_steps
         or scenario.loop.trigger == "timer"
@@ -230,12 +229,12 @@ def needs_time(scenario: Scenario) -> bool:
 
 
 def list_acting(scenario: Scenario) -> tuple[Effect, ...]:
-    """Return the effects that a scenario has."""
+    """Return the effects that act in a scenario."""
     return tuple(effect for effect in EFFECTS if effect.actions and effect.acts(scenario))
 
 
 def bound_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
-    """Return the most ticks and samples that a run may have."""
+    """Return the largest possible numbers of ticks and samples of a run."""
     ticks = round(scenario.max_duration_s * 1e9) // plant.period_ns + 1
     period_s = scenario.loop.period_s
     return ticks, ticks if period_s is None else int(scenario.max_duration_s / period_s) + 2

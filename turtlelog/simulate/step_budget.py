@@ -1,9 +1,9 @@
-"""How long a law may compute for one answer, by the clock; also of one that never returns.
+"""Time limit for one answer of a law, by the clock; also for a step that never returns.
 
-A step that computes is ended by an exception, which is raised in the thread of the law alone: it
-hits nothing but the law. Code that goes on nevertheless, as it catches everything or waits in C, is
-left to itself in its thread, which ends with the process at the latest. Only C code that never
-releases the interpreter's lock holds a run up.
+A step beyond its limit is ended by an exception that is raised only in the thread of the law. Code
+that continues nevertheless, because it catches everything or waits in C, is left in its thread,
+which ends with the process at the latest. Only C code that never releases the interpreter's lock
+can block a run.
 """
 
 import contextvars
@@ -69,43 +69,43 @@ class StepBudgetError(SimulationError):
 
 
 class StepEnded(SystemExit):
-    """What ends a step that does not return. Threads end with a SystemExit without a word."""
+    """Exception that ends a step that does not return. Threads end silently with a SystemExit."""
 
 
 def require_budget(budget_s: float) -> None:
-    """Refuse a budget that is no time.
+    """Raise an error for an invalid budget.
 
     Raises:
-        SimulationError: If it is not above 0, or infinite.
+        SimulationError: If it is not above 0, or is infinite.
     """
     if not 0.0 < budget_s < inf:
         raise SimulationError(f"step_budget_s: expected a time above 0 s, found {budget_s}")
 
 
 def describe_excess(budget_s: float, took_s: float, *, has_returned: bool = True) -> str:
-    """Return how long a step took, or is at work already [s]."""
+    """Return how long a step took, or has been running [s]."""
     took = f"{format_number(took_s * 1e3)} ms"
     more = "" if has_returned else "more than "
     return f"took {more}{took}{_OF_A_BUDGET}{format_number(budget_s * 1e3)} ms"
 
 
 def is_late(reason: str) -> bool:
-    """Whether the reason of a failure is that a step took longer than its budget."""
+    """Return whether a failure is due to a step that exceeded its budget."""
     return _OF_A_BUDGET in reason
 
 
 def advise_budget(budget_s: float) -> str:
-    """Return how a longer budget is set."""
+    """Return how to set a longer budget."""
     longer_s = 6.0 * budget_s
     option = f"--step-budget-ms {format_number(longer_s * 1e3)}"
     return f"a slow law needs more: {option}, in Python step_budget_s={format_number(longer_s)}"
 
 
 class _Worker(Generic[_Result]):
-    """A thread that calls a function when it is asked to.
+    """A thread that calls a function on request.
 
     Attributes:
-        start_s: When the call began that it is at, if it is at one [s].
+        start_s: Start of the present call, if there is one [s].
     """
 
     def __init__(self, call: Callable[..., _Result], name: str) -> None:
@@ -123,22 +123,22 @@ class _Worker(Generic[_Result]):
         weakref.finalize(self, self._questions.put, None)
 
     def ask(self, *question: Any) -> None:
-        """Have the function called."""
+        """Request a call of the function."""
         self.start_s.clear()
         self._questions.put(question)
 
     def wait(self, most_s: float) -> tuple[_Result | None, BaseException | None, float]:
-        """Return what the function returned or raised, and how long it took [s].
+        """Return the result or exception of the function, and its duration [s].
 
         Raises:
-            Empty: If it takes longer than this [s].
+            Empty: If it takes longer than the given time [s].
         """
         return self._answers.get(timeout=min(most_s, _LONGEST_S))
 
     def wait_while(
         self, count: Callable[[], int], most_s: float
     ) -> tuple[_Result | None, BaseException | None, float] | None:
-        """Likewise, while a count changes at least once in a time [s]; None if it does not."""
+        """Do the same while a count changes within a given time [s]; None if it does not."""
         seen, waited_s, look_s = -1, 0.0, most_s / _LOOKS
         while waited_s < most_s:
             began_s = time.perf_counter()
@@ -159,17 +159,17 @@ class _Worker(Generic[_Result]):
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread.ident or 0), ended)
 
     def leave(self) -> None:
-        """Go on without it; the thread is ended as soon as that is possible."""
+        """Abandon the thread; it ends as soon as possible."""
         self._questions.put(None)
         arguments = self._thread, self.interrupt
         threading.Thread(target=_end, args=arguments, name="step end", daemon=True).start()
 
     def end(self) -> None:
-        """Let the thread end once it has nothing to do."""
+        """End the thread when it has nothing to do."""
         self._questions.put(None)
 
     def is_debugged(self) -> bool:
-        """Whether somebody looks at what it does, in a debugger."""
+        """Return whether a debugger or profiler is active in it."""
         frame = sys._current_frames().get(self._thread.ident or 0)
         while frame is not None:
             if str(frame.f_globals.get("__name__")).partition(".")[0] in _DEBUGGERS:
@@ -179,16 +179,16 @@ class _Worker(Generic[_Result]):
 
 
 class StepBudget:
-    """A law's `step` that computes in a thread of its own, and is timed.
+    """Calls a law's `step` in its own thread, with a time limit.
 
     A step that cannot be ended does not delay the run.
     """
 
     def __init__(self, step: Step, budget_s: float) -> None:
-        """Take a law's `step` and how long it may compute [s]; only the step itself is measured.
+        """Take a law's `step` and its time limit [s]; only the step itself is timed.
 
         Raises:
-            SimulationError: Where that is no time above 0.
+            SimulationError: If that is not a time above 0.
         """
         require_budget(budget_s)
         self._step, self._budget_s = step, budget_s
@@ -198,7 +198,7 @@ class StepBudget:
         """Return the law's decision, or raise what the law raises.
 
         Raises:
-            StepBudgetError: Where it took longer; the text goes on after the number of the sample.
+            StepBudgetError: If it took longer; the text continues after the number of the sample.
         """
         worker = self._worker = self._worker or _Worker(self._step, "step")
         worker.ask(*question)
@@ -214,7 +214,7 @@ class StepBudget:
         return decision
 
     def _wait(self, worker: _Worker[Any]) -> tuple[Any, BaseException | None, float]:
-        """Return the answer; of a step that is late, wait a while longer to know its time."""
+        """Return the answer; wait a little longer for a late step to know its time."""
         took_s, most_s = 0.0, self._budget_s + _PATIENCE_S
         while took_s < most_s:
             try:
@@ -226,30 +226,30 @@ class StepBudget:
 
 
 def needs_watch(step_budget_s: float | None, *, is_built_in: bool) -> bool:
-    """Whether a loop computes in a `LimitedLoop`: one of a law of the user's own does.
+    """Return whether a loop computes in a `LimitedLoop`: one with a user law does.
 
-    Steps that are timed one by one need none. Who debugs or profiles a thread would miss what
-    another one does.
+    Steps that are timed one by one do not need it. A debugger or profiler of a thread would miss
+    the work of another.
     """
     is_timed = step_budget_s is not None and step_budget_s < TIMED_BELOW_S
     return step_budget_s is not None and not (is_timed or is_built_in or _is_inspected())
 
 
 class WatchedLaw(Protocol):
-    """What asks a law, seen from another thread."""
+    """The number of answers requested from a law, as seen from another thread."""
 
     @property
     def asked(self) -> int:
-        """How many answers were asked for."""
+        """Number of requested answers."""
 
     def describe_late(self, what: str) -> str:
         """Return that the latest answer is late."""
 
 
 class LimitedLoop(Generic[_Item]):
-    """A loop that goes on in a thread of its own while its steps keep their budget.
+    """A loop that runs in its own thread while its steps keep their budget.
 
-    The thread hands out what it makes now and then, so that it costs as much as without a budget.
+    The thread hands over its items in batches, so that it is as fast as without a budget.
     """
 
     def __init__(
@@ -264,11 +264,11 @@ class LimitedLoop(Generic[_Item]):
         """Take a loop.
 
         Args:
-            items: What it makes, as its ticks.
-            asked: Has what asks its law once it has begun.
-            budget_s: How long the law may compute for one answer [s].
-            law: Its kind.
-            one_by_one: Whether each item is made when it is taken, as at the time of its own.
+            items: Items that the loop makes, such as its ticks.
+            asked: List that contains the object that asks its law, once it has started.
+            budget_s: Time limit for one answer of the law [s].
+            law: Kind of the law.
+            one_by_one: Whether to make each item when it is requested.
         """
         self._items, self._asked, self._budget_s = items, asked, budget_s
         self._law, self._one_by_one = law, one_by_one
@@ -301,7 +301,7 @@ class LimitedLoop(Generic[_Item]):
             raise error
 
     def _advance(self) -> bool:
-        """Make items until they are to be handed out; return whether there are no more."""
+        """Make items until a batch is complete; return whether there are no more."""
         self._hands_out = self._one_by_one
         made = self._made
         for item in islice(self._items, _AT_ONCE):
@@ -311,7 +311,7 @@ class LimitedLoop(Generic[_Item]):
         return len(made) < _AT_ONCE
 
     def _wait(self, worker: _Worker[bool]) -> tuple[bool, BaseException | None]:
-        """Return whether the loop is over, and what it raised.
+        """Return whether the loop has ended, and its exception.
 
         Raises:
             StepBudgetError: If a step is late and cannot be ended.
@@ -342,13 +342,13 @@ class LimitedLoop(Generic[_Item]):
 
 
 class WatchedCode:
-    """Calls compiled code that asks a law of the user's own, in a thread.
+    """Calls compiled code with a user law in a thread.
 
-    Nothing ends such code. If it never returns, the thread goes on until the process ends.
+    Such code cannot be ended. If it never returns, the thread lasts until the process ends.
     """
 
     def __init__(self, budget_s: float) -> None:
-        """Take how long the law may compute for one answer [s]."""
+        """Take the time limit for one answer of the law [s]."""
         self._budget_s = budget_s
         self._worker: _Worker[Any] | None = None
 
@@ -356,11 +356,11 @@ class WatchedCode:
         """Call code.
 
         Args:
-            code: Without Python's lock.
-            count: Returns how many answers it has asked for.
+            code: Function that runs without Python's lock.
+            count: Function that returns the number of requested answers.
 
         Raises:
-            StepBudgetError: If one takes longer than the budget and a while.
+            StepBudgetError: If an answer exceeds the budget by more than the grace period.
         """
         worker = self._worker or _Worker(_call, "compiled")
         self._worker = None  # whatever ends the wait but its answer
@@ -387,7 +387,7 @@ def _judge(
 
 
 def _is_inspected() -> bool:
-    """Whether somebody debugs or profiles this thread."""
+    """Return whether this thread is debugged or profiled."""
     debugger = getattr(sys.gettrace(), "__self__", None)
     return sys.getprofile() is not None or type(debugger).__module__.partition(".")[0] in _DEBUGGERS
 
@@ -398,7 +398,7 @@ def _work(
     answers: SimpleQueue[tuple[_Result | None, BaseException | None, float]],
     start_s: list[float],
 ) -> None:
-    """Answer one question after the other, with the time that each took [s]."""
+    """Process one request after the other, with the duration of each [s]."""
     with suppress(StepEnded):  # it may come when the step has just returned
         while (question := questions.get()) is not None:
             result, error = None, None
@@ -412,7 +412,7 @@ def _work(
 
 
 def _end(thread: threading.Thread, interrupt: Callable[[], None]) -> None:
-    """Raise an exception in a thread until it ends: code that catches all may catch some."""
+    """Raise an exception in a thread until it ends: code that catches everything may catch some."""
     while thread.is_alive():
         interrupt()
         thread.join(_AGAIN_S)

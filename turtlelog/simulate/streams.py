@@ -1,4 +1,4 @@
-"""Random numbers of effects: one stream each, so that switching one off changes no other."""
+"""Random numbers of effects, one stream each, so that removing one does not change the others."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
@@ -38,20 +38,20 @@ _BLOCK: Final = 256
 
 
 def list_streams(scenario: Scenario) -> frozenset[str]:
-    """Return the names of the streams whose numbers a scenario uses."""
+    """Return the names of the streams that a scenario uses."""
     return frozenset(name for name, keys in _READ.items() if any(read(scenario) for read in keys))
 
 
 @cache
 def build_row(stream: Stream) -> type[Any]:
-    """Return the dataclass of the numbers of one event of a stream."""
+    """Return the dataclass of the random numbers of a stream for one event."""
     found = [(name, float, dataclasses.field(default=0.0)) for name in stream.fields]
     return dataclasses.make_dataclass("Drawn", found, slots=True)
 
 
 @cache
 def list_of(*, ticks: bool) -> tuple[str, ...]:
-    """Return the names of the streams whose events are poses, or else samples."""
+    """Return the names of the streams whose events are poses, or samples."""
     return tuple(
         name_stream(effect, place)
         for effect in EFFECTS
@@ -62,22 +62,22 @@ def list_of(*, ticks: bool) -> tuple[str, ...]:
 
 @cache
 def build_events(*, ticks: bool) -> type[Any]:
-    """Return the dataclass of the numbers of one pose, or of one sample: of all streams."""
+    """Return the dataclass of the numbers of all streams for one pose, or for one sample."""
     rows = {name: build_row(STREAMS[name]) for name in list_of(ticks=ticks)}
     found = [(name, row, dataclasses.field(default_factory=row)) for name, row in rows.items()]
     return dataclasses.make_dataclass("Events", found, slots=True)
 
 
 class DrawnEvents:
-    """The random numbers of the streams of poses, or of samples, by number of the event.
+    """The random numbers of the streams for poses, or for samples, by number of the event.
 
-    Of what a scenario does not use there is None.
+    Streams that a scenario does not use are None.
     """
 
     __slots__ = ("_event", "_number", "_streams")
 
     def __init__(self, seed: int, used: frozenset[str], *, ticks: bool) -> None:
-        """Begin the streams that a scenario uses."""
+        """Start the streams that a scenario uses."""
         self._event = SimpleNamespace(**dict.fromkeys(list_of(ticks=ticks)))
         self._streams = [
             (name, DrawnRows(seed, STREAMS[name])) for name in list_of(ticks=ticks) if name in used
@@ -85,7 +85,7 @@ class DrawnEvents:
         self._number = -1
 
     def __getitem__(self, number: int) -> Any:
-        """Return the numbers of an event; a later call asks for no earlier event."""
+        """Return the numbers of an event; later calls may not go back."""
         if number != self._number:
             self._number = number
             for name, rows in self._streams:
@@ -94,24 +94,24 @@ class DrawnEvents:
 
 
 class DrawnRows:
-    """The random numbers of a stream by the number of the event that they belong to.
+    """The random numbers of a stream by number of the event.
 
-    They are drawn for every event, whether it uses them or not.
+    They are generated for every event, used or not.
     """
 
     __slots__ = ("_draw", "_first", "_kind", "_rows", "_width")
 
     def __init__(self, seed: int, stream: Stream) -> None:
-        """Begin a stream of a scenario's seed."""
+        """Start a stream from a scenario's seed."""
         self._draw, self._width = _begin_stream(seed, stream), len(stream.fields)
         self._kind, self._first = build_row(stream), 0
         self._rows: list[Any] = []
 
     def __getitem__(self, number: int) -> Any:
-        """Return the numbers of an event; a later call asks for no earlier event.
+        """Return the numbers of an event; later calls may not go back.
 
         Raises:
-            IndexError: Where it does.
+            IndexError: If a call goes back.
         """
         while number >= self._first + len(self._rows):
             self._first += len(self._rows)

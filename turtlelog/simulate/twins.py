@@ -1,11 +1,11 @@
-"""Compiled twins of plain functions: numba compiles the same source, inlined, without marks.
+"""Compiled twins of Python functions: numba compiles the same source, inlined, without markers.
 
-A function is bound anew, with the functions that it calls replaced by their twins. It may call
-functions that stand in a module by name, those of `math`, and Python's own; what numba would freeze
-unseen (other modules, objects, closures, defaults) is refused.
+A function is rebuilt with the functions that it calls replaced by their twins. It may call named
+functions of a module, those of `math`, and Python's own; objects that numba would freeze silently
+(other modules, objects, closures, defaults) are rejected.
 
-Some functions of `arithmetic` have other compiled code with the same values. It is compiled into
-the loops that call them; plain Python never comes here.
+Some functions of `arithmetic` have different compiled code with the same values. It is compiled
+into the loops that call them; ordinary Python never uses it.
 """
 
 import builtins
@@ -39,14 +39,14 @@ _PLAIN: Final = (int, float, bool, str, type(None))
 
 
 class TwinError(TypeError):
-    """A function that numba cannot take."""
+    """A function that numba cannot compile."""
 
 
 def _find_globals(function: FunctionType) -> dict[str, Any]:
-    """Return what a function looks up by name in its module; not by the names of attributes.
+    """Return the names that a function looks up in its module, without attribute names.
 
     Raises:
-        TwinError: Where it has a closure or defaults.
+        TwinError: If it has a closure or defaults.
     """
     if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
         place = f"{function.__code__.co_filename}, line {function.__code__.co_firstlineno}"
@@ -66,17 +66,17 @@ def _find_globals(function: FunctionType) -> dict[str, Any]:
 
 
 def take_twin(thing: Any) -> Any:
-    """Return what compiled code has in place of a function or another thing."""
+    """Return the compiled replacement of a function or another object."""
     if isinstance(thing, FunctionType):
         thing = getattr(thing, "twin", thing)
     return _TWINS.get(thing, thing) if callable(thing) else thing
 
 
 def stamp_functions(functions: typing.Iterable[Function], *more: Any) -> str:
-    """Return a stamp of all code and constants that functions reach, as they are compiled.
+    """Return a stamp of all code and constants that functions use, as they are compiled.
 
     Raises:
-        TwinError: Where one reaches what numba would freeze unseen.
+        TwinError: If one uses an object that numba would freeze silently.
     """
     stamp = _Stamp()
     stamp.add_text(*more)
@@ -93,7 +93,7 @@ class _Stamp:
         self._seen: set[Any] = set()
 
     def add(self, thing: Any, place: str) -> None:
-        """Add a function with all that it reaches, or what stands in one at a place."""
+        """Add a function with all that it uses, or the object at a place in one."""
         thing = take_twin(thing)
         if isinstance(thing, FunctionType):
             if thing not in self._seen:
@@ -109,7 +109,7 @@ class _Stamp:
             self.add_text(_describe(thing, place))
 
     def add_text(self, *things: Any) -> None:
-        """Add what has a text of its own."""
+        """Add objects by their text."""
         self.digest.update(repr(things).encode())
 
     def _add_function(self, function: FunctionType) -> None:
@@ -128,7 +128,7 @@ class _Stamp:
 
 
 def _describe(thing: Any, place: str) -> tuple[str, Any]:
-    """Return what a constant is, as compiled code knows it."""
+    """Return the type and value of a constant, as compiled code contains it."""
     if isinstance(thing, _PLAIN):
         return type(thing).__name__, thing
     if thing is math or isinstance(thing, BuiltinFunctionType | np.ufunc | type):
@@ -137,15 +137,15 @@ def _describe(thing: Any, place: str) -> tuple[str, Any]:
 
 
 class Twins:
-    """Compiles functions, and those that they call."""
+    """Compiles functions and those that they call."""
 
     def __init__(self, *, inline: bool = True, wide: frozenset[str] = frozenset()) -> None:
-        """Begin. Numba is loaded.
+        """Start. This loads numba.
 
         Args:
-            inline: Whether functions are repeated where they are called; LLVM's choice otherwise.
-            wide: Names of first parameters with dozens of fields: to hand them over takes longer to
-                compile than the function, which becomes a part of what calls it.
+            inline: Whether functions are inlined where they are called; otherwise LLVM decides.
+            wide: Names of first parameters with dozens of fields: passing them takes longer to
+                compile than the function, which is therefore inlined.
         """
         from numba import njit
 
@@ -167,7 +167,7 @@ class Twins:
         """Return the compiled twin of a function.
 
         Raises:
-            TwinError: Where it is no function of Python's, or has a closure or defaults.
+            TwinError: If it is not a Python function, or has a closure or defaults.
         """
         if function not in self._known:
             source = take_twin(function)
@@ -181,7 +181,7 @@ class Twins:
         return self._known[function]
 
     def _choose(self, source: FunctionType) -> Any:
-        """Return what compiles a function."""
+        """Return the compiler for a function."""
         if getattr(source, "is_called", False):
             return self._call
         is_wide = not self._wide.isdisjoint(source.__code__.co_varnames[:1])
@@ -196,7 +196,7 @@ _CODES: Final[dict[Any, str]] = {float: "f8", int: "i8", bool: "?"}
 
 
 def build_dtype(kind: type[Any]) -> np.dtype[Any]:
-    """Return the record of a dataclass of numbers, truths, and nested ones."""
+    """Return the record type of a dataclass of numbers, truth values and nested dataclasses."""
     hints = typing.get_type_hints(kind)
     found: list[tuple[str, Any]] = []
     for one in dataclasses.fields(kind):
@@ -238,7 +238,7 @@ _HEADS: Final = ("Failed in", "During", "File", "[", "-", "^", "<", "There are",
 
 
 def describe_numba_error(text: str) -> str:
-    """Return in one line what numba says of a function that it cannot compile, and where."""
+    """Return numba's error for a function that it cannot compile in one line, with its place."""
     found = [one for pattern in _PLACES for one in pattern.findall(text)]
     places = [one for one in found if "numba" not in Path(one[0]).parts]
     lines = [line.strip() for line in text.splitlines()]
@@ -310,7 +310,7 @@ def _square(value: float) -> tuple[float, float]:
 def _find_hypot(x: float, y: float) -> float:
     """Return the nearest double to the hypotenuse, as CPython does.
 
-    One step of Newton from the root of the rounded squares, with what is left of them exactly.
+    One Newton step from the root of the rounded squares, with their exact remainders.
     """
     large, small = abs(x), abs(y)
     if large < small:

@@ -1,4 +1,4 @@
-"""What simulates: the entries of `Run.simulated_by`."""
+"""The simulating software: the entries of `Run.simulated_by`."""
 
 import platform
 import sys
@@ -14,12 +14,12 @@ from turtlelog.version import __version__
 
 
 def find_software(law: str) -> dict[str, str]:
-    """Return the versions, the platform and, for a law of the user's own, a digest of its code.
+    """Return the versions, the platform and, for a user law, a digest of its code.
 
     The C library belongs to the platform: sines and cosines may differ in their last bits.
 
     Args:
-        law: The kind of the law that is simulated. It has been loaded.
+        law: Kind of the simulated law, which has been loaded.
     """
     code = None if law in LAWS else _read_code(law)
     digest = {} if code is None else {LAW: f"sha256 {sha256(code).hexdigest()[:16]}"}

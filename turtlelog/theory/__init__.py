@@ -1,8 +1,8 @@
-"""The plant, the ideal loop and the sampled one: responses, poles, margins, limits.
+"""The plant, the ideal loop and the sampled loop: responses, poles, margins, limits.
 
-python-control is loaded by the functions that say so, and by nothing else.
+Only functions that say so load python-control.
 
-The names stand in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -1,8 +1,8 @@
-"""The plant 1/s, a command's integral, and the ideal loop around it, Kp / (s + Kp).
+"""The plant 1/s (an integrator of the command) and the ideal loop around it, Kp / (s + Kp).
 
-Transfer functions are pairs of coefficients, highest power of s first, without common factors
-other than powers of s. python-control computes what theory's figures draw; the formulas here serve
-what is measured, without it and at times that are not even.
+Transfer functions are pairs of coefficients, highest power of s first, without common factors other
+than powers of s. python-control computes the curves of theory's figures; the formulas here serve
+measurement, without python-control and at uneven times.
 """
 
 import math
@@ -50,7 +50,7 @@ class FinalValue:
     Attributes:
         value: Limit for t to infinity; None if there is none.
         status: Why there is none.
-        reason: One sentence.
+        reason: Explanation in one sentence.
     """
 
     value: float | None
@@ -63,8 +63,8 @@ class BiboVerdict:
     """Whether every bounded input gives a bounded output.
 
     Attributes:
-        stable: It does.
-        reason: One sentence.
+        stable: Whether it is so.
+        reason: Explanation in one sentence.
     """
 
     stable: bool
@@ -72,7 +72,7 @@ class BiboVerdict:
 
 
 def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
-    """Return the response of 1/s to an impulse, a step or a ramp, by python-control (figure 2).
+    """Return the response of 1/s to an impulse, step or ramp, from python-control (figure 2).
 
     Args:
         kind: One of `PLANT_INPUTS`.
@@ -82,7 +82,7 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
         1, t or t^2 / 2, shape (n,).
 
     Raises:
-        TheoryError: If there is no such input, or times are not even.
+        TheoryError: If there is no such input, or times are not evenly spaced.
     """
     control, times = load_library("control"), require_even_times(time_s)
     _require_kind(kind)
@@ -96,7 +96,7 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def find_plant_final_value(kind: str) -> FinalValue:
-    """Return where the response of 1/s to an impulse, a step or a ramp ends.
+    """Return the final value of the response of 1/s to an impulse, a step or a ramp.
 
     Raises:
         TheoryError: If there is no such input.
@@ -109,15 +109,15 @@ def find_plant_final_value(kind: str) -> FinalValue:
 def find_final_value(numerator: ArrayLike, denominator: ArrayLike) -> FinalValue:
     """Return the limit of a signal for t to infinity from its Laplace transform Y(s).
 
-    The final value theorem: it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in the
-    open left half plane. If one does not, the theorem does not apply.
+    By the final value theorem, it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in
+    the open left half plane. Otherwise the theorem does not apply.
 
     Args:
         numerator: Numerator of Y(s), highest power first.
         denominator: Denominator of Y(s), highest power first.
 
     Raises:
-        TheoryError: If these are no coefficients, or the denominator is 0.
+        TheoryError: If these are not coefficients, or the denominator is 0.
     """
     above, below = _cancel(_require_polynomial(numerator), _require_polynomial(denominator))
     if below[-1] == 0.0:
@@ -138,16 +138,16 @@ def find_final_value(numerator: ArrayLike, denominator: ArrayLike) -> FinalValue
 
 
 def judge_bibo(numerator: ArrayLike, denominator: ArrayLike) -> BiboVerdict:
-    """Say whether a transfer function is stable from bounded inputs to bounded outputs.
+    """Return whether a transfer function is stable from bounded inputs to bounded outputs.
 
-    It is, where it is proper and all its poles lie in the open left half plane.
+    It is stable if it is proper and all its poles lie in the open left half plane.
 
     Args:
-        numerator: Highest power first.
-        denominator: Highest power first.
+        numerator: Coefficients of the numerator, highest power first.
+        denominator: Coefficients of the denominator, highest power first.
 
     Raises:
-        TheoryError: If these are no coefficients, or the denominator is 0.
+        TheoryError: If these are not coefficients, or the denominator is 0.
     """
     above, below = _cancel(_require_polynomial(numerator), _require_polynomial(denominator))
     poles = np.roots(below)
@@ -172,7 +172,7 @@ def compute_time_constant(kp: float) -> float:
 
 
 def compute_settling_time(kp: float) -> float:
-    """Return 4 tau [s], the textbook's rule for the 2 % settling time.
+    """Return 4 tau [s], the textbook rule for the 2 % settling time.
 
     Raises:
         TheoryError: If the gain is not a positive number.
@@ -181,7 +181,7 @@ def compute_settling_time(kp: float) -> float:
 
 
 def compute_exact_settling_time(kp: float) -> float:
-    """Return ln 50 tau [s], when exp(-t / tau) is 2 %: 3.912 tau.
+    """Return ln 50 tau [s] = 3.912 tau, the time at which exp(-t / tau) is 2 %.
 
     Raises:
         TheoryError: If the gain is not a positive number.
@@ -192,8 +192,8 @@ def compute_exact_settling_time(kp: float) -> float:
 def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> float:
     """Return the 2 % settling time [s] of the ideal loop whose command is clipped to a limit.
 
-    While Kp e > limit the error falls at that rate; the rest decays: with E = limit / Kp < step it
-    takes (step - E) / limit + tau ln(E / (0.02 step)), or 0.98 step / limit where E is inside 2 %.
+    While Kp e > limit the error falls at that rate; then it decays: with E = limit / Kp < step it
+    takes (step - E) / limit + tau ln(E / (0.02 step)), or 0.98 step / limit if E is within 2 %.
 
     Args:
         kp: Gain [1/s].
@@ -201,7 +201,7 @@ def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> 
         limit: Largest rate, > 0, in the same unit per second.
 
     Raises:
-        TheoryError: If one of them is not a positive number.
+        TheoryError: If one of these is not a positive number.
     """
     tau_s = compute_time_constant(kp)
     step, limit = require_positive("step", step), require_positive("limit", limit)
@@ -214,14 +214,14 @@ def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> 
 
 
 def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.float64]:
-    """Return the unit step response of Kp / (s + Kp), by python-control (figure 4).
+    """Return the unit step response of Kp / (s + Kp), from python-control (figure 4).
 
     Args:
         kp: Gain [1/s].
         time_s: Times [s], shape (n,), from 0 in even steps, n at least 2.
 
     Raises:
-        TheoryError: If the gain is not a positive number, or times are not even.
+        TheoryError: If the gain is not a positive number, or times are not evenly spaced.
     """
     control = load_library("control")
     kp, times = require_gain(kp), require_even_times(time_s)
@@ -230,7 +230,7 @@ def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.flo
 
 
 def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
-    """Return the closed loop's pole for gains from 0 up (figure 5): where D(s) + Kp N(s) is 0.
+    """Return the closed loop's pole for gains from 0 up (figure 5): the root of D(s) + Kp N(s).
 
     Args:
         kp: Gains [1/s], shape (n,), none negative.
@@ -239,7 +239,7 @@ def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
         Poles in the s plane [1/s], shape (n,): -Kp, from the plant's pole at 0 to the left.
 
     Raises:
-        TheoryError: If a gain is negative or no number.
+        TheoryError: If a gain is negative or not a number.
     """
     numerator, denominator = map(np.array, PLANT)
     poles = [
@@ -260,10 +260,10 @@ def compute_step_response(
         kp: Gain [1/s].
         time_s: Times [s], any shape.
         initial: Level before the step, in any unit.
-        reference: Level that is asked for, in the same unit.
+        reference: Level after the step, in the same unit.
 
     Returns:
-        The response in that unit, in the shape of `time_s`.
+        Response in that unit, in the shape of `time_s`.
 
     Raises:
         TheoryError: If the gain is not positive or a number is not finite.
@@ -298,7 +298,7 @@ def _require_polynomial(coefficients: Any) -> NDArray[np.float64]:
 def _cancel(
     numerator: NDArray[np.float64], denominator: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both without their common powers of s; 0 is 0 / 1."""
+    """Return both without their common powers of s; 0 becomes 0 / 1."""
     if not len(denominator):
         raise TheoryError("transfer function: expected a denominator other than 0, found 0")
     if not len(numerator):

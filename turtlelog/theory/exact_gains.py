@@ -1,4 +1,4 @@
-"""Gains that give a sampled loop the overshoot or the phase margin that is wanted, exactly.
+"""Gains that give a sampled loop a wanted overshoot or phase margin, exactly.
 
 With L1 the open loop in z at Kp = 1, G the process and W the phase margin:
 
@@ -9,15 +9,15 @@ With L1 the open loop in z at Kp = 1, G the process and W the phase margin:
     PD   phase margin  Kd puts the controller's zero on the pole of the slowest lag
     PD   overshoot     both at once: the first on the way from that PD to P
 
-C = Kp + Ki T / (z - 1) is one Kp and one Ki at each frequency. The largest Ki leaves the least
-integrated error, 1 / Ki, of a constant push; K. J. Astrom, H. Panagopoulos and T. Hagglund seek it
-under another constraint (Automatica 34 (1998) 585-601). Kp + Kd / (Tf + T) (z - 1) / (z - a) has
-its zero at e = exp(-T / tau) where Kd = Kp (Tf + T) (e - a) / (1 - e); it too is one Kp and one Kd
-at each frequency.
+C = Kp + Ki T / (z - 1) gives one Kp and one Ki at each frequency. The largest Ki leaves the least
+integrated error, 1 / Ki, after a constant disturbance; K. J. Astrom, H. Panagopoulos and T.
+Hagglund maximise it under another constraint (Automatica 34 (1998) 585-601). Kp + Kd / (Tf + T) (z
+- 1) / (z - a) has its zero at e = exp(-T / tau) if Kd = Kp (Tf + T) (e - a) / (1 - e); it too gives
+one Kp and one Kd at each frequency.
 
-P does not overshoot up to the Kp at which its two slowest poles meet on the real axis: the largest
-value of -1 / L1(z) between the slowest lag's pole and 1. `sampled_loop` has it in closed form for
-an integrator. Overshoot is that of the motion, between samples too.
+P has no overshoot up to the Kp at which its two slowest poles meet on the real axis: the maximum of
+-1 / L1(z) between the slowest lag's pole and 1. `sampled_loop` has it in closed form for an
+integrator. The overshoot is that of the motion, also between samples.
 """
 
 import cmath
@@ -68,10 +68,10 @@ _PARTS: Final = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopDesign:
-    """A loop whose gains are sought.
+    """A loop whose gains are to be found.
 
     Attributes:
-        process: What the command passes, with all dead time.
+        process: Process between command and signal, with all dead time.
         period_s: Sampling period T [s].
         filter_s: Time constant Tf of the derivative's filter [s].
     """
@@ -82,27 +82,27 @@ class LoopDesign:
 
     @property
     def sampled(self) -> SampledProcess:
-        """The process from sample to sample."""
+        """The process sampled with the period."""
         return sample_process(self.process, self.period_s)
 
     @property
     def unit_gain(self) -> float:
-        """The Kp [1/s] with K Kp T = 1."""
+        """The Kp [1/s] for which K Kp T = 1."""
         return 1.0 / (self.process.gain * self.period_s)
 
     @property
     def is_slow(self) -> bool:
-        """Whether its responses are too long to be measured."""
+        """Whether its responses are too long to measure."""
         process = self.process
         slow_s = process.lag_s + process.low_pass_s + process.dead_time_s
         return slow_s > _MOST_SAMPLES * self.period_s
 
     def build_shape(self, gains: PidGains) -> LoopShape:
-        """Return the loop without units."""
+        """Return the loop in dimensionless form."""
         return build_shape(gains, self.sampled, self.period_s)
 
     def measure(self, gains: PidGains, *, to_rest: bool = True) -> StepMotion | None:
-        """Return what the motion does after a step; None where it is too slow or runs away."""
+        """Return the motion after a step; None if it is too slow or diverges."""
         if self.is_slow:
             return None
         return measure_step_motion(
@@ -110,7 +110,7 @@ class LoopDesign:
         )
 
     def read_margins(self, gains: PidGains) -> Margins | None:
-        """Return the margins; None where the loop is unstable."""
+        """Return the margins; None if the loop is unstable."""
         shape = self.build_shape(gains)
         return find_margins(shape, self.period_s) if is_stable(shape) else None
 
@@ -121,7 +121,7 @@ class LoopDesign:
         )[-1][1]
 
     def find_lag_ratio(self) -> float | None:
-        """Return the Kd / Kp that cancels the slowest lag; None where none does."""
+        """Return the Kd / Kp that cancels the slowest lag; None if there is no such value."""
         gaps = self.sampled.gaps
         if not gaps:
             return None
@@ -147,7 +147,7 @@ def find_p_without_overshoot(design: LoopDesign) -> float:
 
 
 def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
-    """Return the P that overshoots by as much, or why there is none."""
+    """Return the P with an overshoot, or why there is none."""
     if design.is_slow:
         return _SLOW
     start = find_p_without_overshoot(design)
@@ -161,7 +161,7 @@ def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
 
 
 def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
-    """Return the PI that overshoots by as much, or why there is none."""
+    """Return the PI with an overshoot, or why there is none."""
     if percent == 0.0:
         return (
             "on a plant that integrates, an integral always overshoots: it comes to rest only when"
@@ -180,7 +180,7 @@ def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
 
 
 def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) -> PidGains | str:
-    """Return the PD that overshoots by as much with a phase margin, or why there is none."""
+    """Return the PD with an overshoot and a phase margin, or why there is none."""
     whole = find_pd_of_margin(design, margin_rad)
     alone = find_p_of_margin(design, margin_rad)
     if isinstance(whole, str) or isinstance(alone, str):
@@ -193,7 +193,7 @@ def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) 
     )
 
     def follow(angle: float) -> PidGains:
-        """Return the only PD whose open loop passes the margin's point at an angle w T."""
+        """Return the only PD whose open loop passes through the margin's point at an angle w T."""
         z = cmath.exp(1j * angle)
         wanted = cmath.exp(1j * (margin_rad - math.pi)) / complex(evaluate_open_loop(shape, angle))
         difference = (z - 1.0) / (z - keep)
@@ -237,7 +237,7 @@ def find_pi_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
     shape = design.build_shape(PidGains(kp=design.unit_gain))
 
     def compute(angle: _Array) -> tuple[_Array, _Array]:
-        """Return Kp and Ki, each over the unit gain, Ki times T."""
+        """Return Kp divided by the unit gain, and Ki T divided by the unit gain."""
         wanted = cmath.exp(1j * (margin_rad - math.pi)) / evaluate_open_loop(shape, angle)
         integral = -2.0 * np.tan(0.5 * angle) * wanted.imag
         return wanted.real + 0.5 * integral, integral
@@ -279,7 +279,7 @@ def _find_pd(design: LoopDesign, ratio_s: float, margin_rad: float) -> PidGains 
 
 
 def _find_crossover(design: LoopDesign, gains: PidGains) -> float:
-    """Return the angle w T at which a loop with a phase margin crosses over."""
+    """Return the angle w T of the crossover of a loop with a phase margin."""
     margins = design.read_margins(gains)
     if margins is None or margins.crossover_rad_s is None:
         raise AssertionError(gains)
@@ -306,7 +306,7 @@ def _tell_no_lag(design: LoopDesign) -> str:
 
 
 def _rate(design: LoopDesign, gains: PidGains) -> float:
-    """Return an overshoot that can be compared, also of a loop that runs away."""
+    """Return an overshoot that can be compared, also for a loop that diverges."""
     motion = design.measure(gains, to_rest=False)
     return (
         _LARGEST_OVERSHOOT if motion is None else min(motion.overshoot_percent, _LARGEST_OVERSHOOT)
@@ -316,9 +316,9 @@ def _rate(design: LoopDesign, gains: PidGains) -> float:
 def _find_first(
     measure: Callable[[float], float], none: float, first: float, percent: float
 ) -> float:
-    """Return the first gain with an overshoot, tried from one on, above another that has none.
+    """Return the first gain with an overshoot, from a given gain up, above one without it.
 
-    At the limit of stability a loop swings by 100 %, so every smaller overshoot is met below.
+    At the limit of stability the overshoot is 100 %, so every smaller overshoot occurs below it.
     """
     low, below, high = none, 0.0, first
     while (value := measure(high)) < percent:
@@ -332,10 +332,10 @@ def _solve(
     end: tuple[float, float],
     target: float,
 ) -> float:
-    """Return where a measure is on target between two places on either side of it.
+    """Return where a measure meets its target between two points on either side of it.
 
-    By the secant through the ends, the value of an end that stays halved each time (the Illinois
-    method: M. Dowell and P. Jarratt, BIT 11 (1971) 168-174); by halves where that is no nearer.
+    Regula falsi, with the value at an end that stays halved each time (the Illinois method: M.
+    Dowell and P. Jarratt, BIT 11 (1971) 168-174); bisection if that is no nearer.
     """
     (at, value), (other, far) = (start[0], start[1] - target), (end[0], end[1] - target)
     for _ in range(80):
@@ -352,7 +352,7 @@ def _solve(
 
 
 def _maximise(compute: Callable[[_Array], _Array], low: float, high: float) -> tuple[float, float]:
-    """Return where a function of one maximum between two ends is largest, and its value there."""
+    """Return where a function with one maximum between two ends is largest, and its value there."""
     for _ in range(9):  # a 50th each time: 1e-15 of the interval
         places = np.linspace(low, high, 102)[1:-1]
         values = compute(places)

@@ -1,4 +1,4 @@
-"""What the theory can be asked about: gains, periods, dead times and levels in one sane range."""
+"""Valid ranges of inputs to theory: gains, periods, dead times and levels."""
 
 from numbers import Integral, Real
 from typing import Any, Final
@@ -21,46 +21,46 @@ MAX_COUNT: Final = 100_000_000
 
 
 def require_gain(kp: Any) -> float:
-    """Return a gain [1/s] as float; refuse what is not a positive number."""
+    """Return a gain [1/s] as float; raise an error if it is not a positive number."""
     return _require_between("kp", "a gain", kp)
 
 
 def require_period(period_s: Any) -> float:
-    """Return a sampling period [s] as float; refuse what is not a positive number."""
+    """Return a sampling period [s] as float; raise an error if it is not a positive number."""
     return _require_between("period_s", "a sampling period", period_s)
 
 
 def require_dead_time(ticks: Any) -> int:
-    """Return a dead time [ticks]; refuse what is not a whole number from 0 to 1000."""
+    """Return a dead time [ticks]; raise an error if it is not a whole number from 0 to 1000."""
     return _require_whole("dead_time_ticks", ticks, 0, MAX_DEAD_TIME_TICKS)
 
 
 def require_count(count: Any) -> int:
-    """Return a number of samples; refuse what is not a whole number from 1 to 1e8."""
+    """Return a number of samples; raise an error if it is not a whole number from 1 to 1e8."""
     return _require_whole("count", count, 1, MAX_COUNT)
 
 
 def require_level(name: str, value: Any) -> float:
-    """Return a level of a signal as float; refuse what is not a number within +-1e100."""
+    """Return a level of a signal as float; raise an error if it is not within +-1e100."""
     if not _is_real(value) or not abs(value) <= LARGEST:
         raise TheoryError(f"{name}: expected a number, found {value!r}")
     return float(value)
 
 
 def require_positive(name: str, value: Any) -> float:
-    """Return a magnitude as float; refuse what is not a positive number."""
+    """Return a magnitude as float; raise an error if it is not a positive number."""
     return _require_between(name, "a number", value)
 
 
 def require_not_negative(name: str, value: Any) -> float:
-    """Return a magnitude as float; refuse what is not a number from 0 to 1e100."""
+    """Return a magnitude as float; raise an error if it is not a number from 0 to 1e100."""
     if not _is_real(value) or not 0.0 <= value <= LARGEST:
         raise TheoryError(f"{name}: expected a number from 0 to {LARGEST:g}, found {value!r}")
     return float(value)
 
 
 def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
-    """Return gains [1/s] as an array of one axis; refuse negative ones."""
+    """Return gains [1/s] as an array of one axis; raise an error if any is negative."""
     try:
         gains = np.atleast_1d(np.asarray(kp, dtype=np.float64))
     except (TypeError, ValueError, OverflowError) as err:
@@ -77,7 +77,7 @@ def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
 
 
 def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
-    """Return times [s] as an array; refuse what is not finite."""
+    """Return times [s] as an array; raise an error if any is not finite."""
     try:
         times = np.asarray(time_s, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as err:
@@ -88,7 +88,7 @@ def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:
-    """Return times [s] that python-control can simulate over."""
+    """Return times [s] at which python-control can simulate; raise an error for other times."""
     times = require_times(time_s)
     if times.ndim != 1:
         raise TheoryError(

@@ -1,6 +1,6 @@
-"""The loops that a law declares, as loops of theory, or the reason why one is not known.
+"""The declared loops of a law as models of theory, or the reason why there is no model.
 
-A run and a scenario hold the same dotted keys, so both are read here.
+A run and a scenario have the same dotted keys, so both are read here.
 """
 
 import math
@@ -32,7 +32,7 @@ _SCENARIO: Final = "from the scenario"
 
 
 class Settings(TypedDict):
-    """Arguments of theory's functions beside the gains."""
+    """Arguments of theory's functions other than the gains."""
 
     period_s: float
     process: Process
@@ -55,18 +55,18 @@ class MeasuredTiming:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopModel:
-    """A declared loop as theory knows it.
+    """Model of a declared loop for theory.
 
     Attributes:
         loop: Loop as the law declares it.
-        gains: None if the reason says why.
-        process: Plant with all dead time; None if the reason says why.
-        period_s: Sampling period T [s], None likewise.
-        most_dead_time_s: Dead time that it may grow to [s]; None if it cannot grow.
-        growth: Cause that may make the dead time longer, in words.
-        ramp_s: By how much limits of the acceleration make the time constant longer in large steps
-            [s], which recommended gains allow for.
-        reason: Why theory does not know the loop; empty if it does.
+        gains: Gains of the controller; None if there is a reason.
+        process: Plant with all dead time; None if there is a reason.
+        period_s: Sampling period T [s]; None if there is a reason.
+        most_dead_time_s: Largest possible dead time [s]; None if it cannot grow.
+        growth: Possible cause of a longer dead time, in words.
+        ramp_s: Increase of the time constant in large steps due to acceleration limits [s], which
+            recommended gains allow for.
+        reason: Why theory has no model of the loop; empty if it has one.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
     """
@@ -83,29 +83,29 @@ class LoopModel:
     left_out: tuple[str, ...] = ()
 
     def analyse(self) -> PidLoop:
-        """Return what the loop does.
+        """Return the properties of the loop.
 
         Raises:
-            TheoryError: If it is not known; the line is the reason.
+            TheoryError: If there is no model; the message is the reason.
         """
         gains, settings = self.require()
         return analyse_pid_loop(gains, **settings)
 
     def require(self) -> tuple[PidGains, Settings]:
-        """Return gains, and period and process as theory's functions take them.
+        """Return the gains, and the other arguments of theory's functions.
 
         Raises:
-            TheoryError: If they are not known; the line is the reason.
+            TheoryError: If there is no model; the message is the reason.
         """
         if self.gains is None or self.process is None or self.period_s is None:
             raise TheoryError(f"{self.loop.name}: {self.reason}")
         return self.gains, {"period_s": self.period_s, "process": self.process}
 
     def require_slowest(self) -> Settings:
-        """Return period and process for recommended gains: with the most delay that may be.
+        """Return period and process for recommended gains, with the largest possible delay.
 
         Raises:
-            TheoryError: If they are not known; the line is the reason.
+            TheoryError: If there is no model; the message is the reason.
         """
         _, settings = self.require()
         process, most_s = settings["process"], self.most_dead_time_s
@@ -119,7 +119,7 @@ _Parameters = Mapping[str, Parameter]
 
 
 def model_loops(declaration: Declaration, parameters: _Parameters) -> tuple[LoopModel, ...]:
-    """Return the loops of a law under a scenario, one for each that it declares.
+    """Return the models of a law's loops under a scenario, one for each declared loop.
 
     Args:
         declaration: Declaration of the law.
@@ -135,12 +135,12 @@ def model_loop(
     timing: MeasuredTiming | str | None = None,
     sources: Mapping[str, str] | None = None,
 ) -> LoopModel:
-    """Return one loop as theory knows it.
+    """Return the model of one loop.
 
     Args:
         loop: Loop of a law.
         parameters: Parameters of a run or a scenario, by dotted key.
-        timing: Measured timing, or the reason why there is none; None: that of the scenario.
+        timing: Measured timing, or the reason why it is missing; None: that of the scenario.
         sources: Sources of gains and plant, if not the scenario.
     """
     told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
@@ -176,7 +176,7 @@ def model_loop(
 
 
 def _refuse_numbers(model: LoopModel) -> LoopModel:
-    """Return a model whose numbers theory takes, or one with the reason why it does not."""
+    """Return a model with numbers in theory's range, or one with the reason why they are not."""
     try:
         gains, settings = model.require()
         is_pid_stable(gains, **settings)
@@ -186,7 +186,7 @@ def _refuse_numbers(model: LoopModel) -> LoopModel:
 
 
 def list_known(models: Sequence[LoopModel]) -> list[LoopModel]:
-    """Return the models that theory knows."""
+    """Return the models that have no reason."""
     return [model for model in models if not model.reason]
 
 
@@ -244,9 +244,9 @@ class LoopTiming:
 
     Attributes:
         period_s: Sampling period T [s].
-        least_s: Dead time from a pose to the plant, without the plant's own, that is certain [s].
-        most_s: Dead time that it never exceeds for long [s].
-        step_s: Between the two only multiples of this are possible [s]: the plant's period.
+        least_s: Smallest dead time from a pose to the plant, without that of the plant [s].
+        most_s: Dead time that is never exceeded for long [s].
+        step_s: Resolution of the dead time between the two [s]: the plant's period.
     """
 
     period_s: float
@@ -256,7 +256,7 @@ class LoopTiming:
 
 
 def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
-    """Return the gains of a loop that theory knows, or why there are none."""
+    """Return the gains of a loop for theory, or why there are none."""
     kp = loop.read_gain(parameters)
     if not loop.is_integrator:
         words = SIGNAL_WORDS[loop.signal], COMMAND_WORDS[loop.command]
@@ -279,14 +279,14 @@ def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
 
 
 def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float) -> Process | str:
-    """Return what a loop's command passes, or why it is not known.
+    """Return the process that a loop's command drives, or why it is unknown.
 
-    The gain is the larger one of both directions.
+    The gain is the larger one of the two directions.
 
     Args:
         loop: Loop of a law.
         parameters: Parameters of a run or a scenario.
-        dead_time_s: Beside that of the plant [s].
+        dead_time_s: Dead time in addition to that of the plant [s].
     """
     key = PLANT_KEYS[loop.command]
     own_s = read_number(parameters, f"{key}dead_time_s")
@@ -303,11 +303,11 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
 
 
 def _find_ramp_s(loop: ControlLoop, parameters: _Parameters) -> float:
-    """Return by how much limits of the acceleration make large steps slower, as time constant [s].
+    """Return the delay of large steps by acceleration limits, as a time constant [s].
 
-    A fifth of the time that the largest change of the rate takes: that of the largest command, or
-    up to the bound. Within the robot's loop, what is slower than the limit has no ramp. Without a
-    largest command it is 0.
+    It is a fifth of the time for the largest change of the rate: that of the largest command, or
+    the bound. For a limit within the robot's loop, changes slower than the limit have no ramp.
+    Without a largest command it is 0.
     """
     key = PLANT_KEYS[loop.command]
     command = read_number(parameters, loop.limit_key, math.inf)
@@ -322,7 +322,7 @@ def _find_ramp_s(loop: ControlLoop, parameters: _Parameters) -> float:
 
 
 def find_timing(parameters: _Parameters) -> LoopTiming | str:
-    """Return when the loops of a scenario act, or why theory does not have that timing."""
+    """Return the timing of a scenario's loops, or why theory has no such timing."""
     kind, step_s = parameters.get("plant.kind", TURTLESIM.name), read_plant(parameters).period_s
     if kind not in _KINDS:
         return f"theory knows no plant of the kind {kind}"
@@ -352,7 +352,7 @@ def find_timing(parameters: _Parameters) -> LoopTiming | str:
 
 
 def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ...]:
-    """Return what of a run or a scenario theory's linear loop leaves out, as `key = value`."""
+    """Return the settings that theory's linear loop leaves out, as `key = value`."""
     found = []
     for key, value in parameters.items():
         if key in _MODELLED or key.startswith(_BESIDE) or value == float("inf"):
@@ -371,7 +371,7 @@ def _is_of(command: str, key: str) -> bool:
 
 
 def hides_stability(parameters: _Parameters) -> bool:
-    """Return whether something that theory leaves out may steady a loop that it calls unstable."""
+    """Return whether a neglected setting may stabilise a loop that theory calls unstable."""
     known = _MODELLED | _ADDED
     if _find_most_age(parameters, read_plant(parameters).period_s):
         return True
@@ -379,10 +379,10 @@ def hides_stability(parameters: _Parameters) -> bool:
 
 
 def _find_most_age(parameters: _Parameters, step_s: float) -> float:
-    """Return how old the pose that a timer reads may be [s].
+    """Return the largest age of the pose that a timer reads [s].
 
-    The timer begins when a pose comes. If its period is no multiple of the plant's, some later pose
-    is up to one period of the plant old.
+    The timer starts when a pose arrives. If its period is no multiple of the plant's, a later pose
+    may be up to one plant period old.
     """
     if parameters.get("loop.trigger") != "timer":
         return 0.0

@@ -1,4 +1,4 @@
-"""The sampled PID loop with a process, held between samples: poles, verdict, limits, margins.
+"""The sampled PID loop with a process and zero-order hold: poles, stability, limits, margins.
 
 The controller, as the law `sequential-pid` computes it, with e = r - y:
 
@@ -14,14 +14,15 @@ gives the characteristic polynomial
 
     z^d (z - 1)^2 (z - a) + Kp T (z - 1) (z - a) + Ki T^2 (z - a) + b (z - 1)^2
 
-with b = Kd T / (Tf + T). Without an integral one factor z - 1 leaves it, without a derivative
-z - a. What lag, part of a sample and low-pass add stands in `process` and `pid_stability`. P alone
-on an integrator is the business of `sampled_loop`, whose numbers are returned here.
+with b = Kd T / (Tf + T). Without an integral it has one factor z - 1 less, without a derivative the
+factor z - a is missing. Lag, fractional dead time and low-pass are added in `process` and
+`pid_stability`. P alone on an integrator is computed by `sampled_loop`, whose numbers are returned
+here.
 
 Poles are the roots of z^d A(z) + B(z), found together by Aberth's method (O. Aberth, "Iteration
 methods for finding all zeros of a polynomial simultaneously", Mathematics of Computation 27 (1973)
-339-344). It needs the polynomial's value and its slope only, and these come from A and B: 1000
-poles take a third of a second, where the eigenvalues of a companion matrix take many.
+339-344). It needs only the polynomial's value and slope, which come from A and B: 1000 poles take a
+third of a second, whereas the eigenvalues of a companion matrix take many seconds.
 """
 
 import math
@@ -61,18 +62,18 @@ class PidLoop:
     Attributes:
         gains: Gains of the controller.
         period_s: Sampling period T [s].
-        dead_time_ticks: Dead time beside that of the process [samples].
+        dead_time_ticks: Dead time in addition to that of the process [samples].
         process: Plant that the command drives.
-        poles: Complex, in the z plane, largest magnitude first: d + 1 of P, one more with an
-            integral, a derivative, a time constant, a low-pass or part of a sample of dead time
-            each. If two poles meet, half their digits are known.
-        stable: All poles lie inside the unit circle, farther from it than rounding reaches.
-        stable_gains: Intervals of Kp [1/s] in which the loop is stable with its other gains as
-            they are; () where there is none.
-        overshoot_percent: Furthest sample beyond the reference after a step [% of the step]; None
-            if it is unstable or slower than 500,000 samples (P alone: 2,000,000).
-        settling_time_s: First sample after a step from which on it stays within 2 % [s]; None as
-            before.
+        poles: Complex poles in the z plane, largest magnitude first: d + 1 for P, and one more each
+            for an integral, a derivative, a time constant, a low-pass, or a fractional dead time.
+            If two poles meet, half their digits are accurate.
+        stable: Whether all poles lie inside the unit circle, by more than rounding.
+        stable_gains: Intervals of Kp [1/s] in which the loop is stable with its other gains
+            unchanged; () if there is none.
+        overshoot_percent: Largest sample beyond the reference after a step [% of the step]; None if
+            it is unstable or slower than 500,000 samples (P alone: 2,000,000).
+        settling_time_s: First sample after a step from which it stays within 2 % [s]; None under
+            the same conditions.
         margins: Stability margins; None if it is unstable.
     """
 
@@ -89,22 +90,22 @@ class PidLoop:
 
     @property
     def dead_time_s(self) -> float:
-        """All dead time [s]."""
+        """Total dead time [s]."""
         return self.dead_time_ticks * self.period_s + self.process.dead_time_s
 
     @property
     def largest_magnitude(self) -> float:
-        """Magnitude of the slowest pole; 1 and above where the loop is unstable."""
+        """Magnitude of the slowest pole; 1 or more if the loop is unstable."""
         return float(abs(self.poles[0]))
 
     def to_control(self) -> Any:
-        """Return the open loop as a `control.TransferFunction` in z; it is exact.
+        """Return the open loop as a `control.TransferFunction` in z, without approximation.
 
-        `control.feedback` closes it. The derivative acts on the measurement, so what is closed
-        answers the reference as this loop does with P and PI alone.
+        Close it with `control.feedback`. The derivative acts on the measurement, so the closed loop
+        has the same response to the reference only for P and PI.
 
         Raises:
-            LibraryError: python-control is not installed.
+            LibraryError: If python-control is not installed.
         """
         shape, _ = _prepare(self.gains, self.period_s, self.dead_time_ticks, self.process)
         return build_open_loop(shape, self.period_s)
@@ -117,14 +118,14 @@ def analyse_pid_loop(
     dead_time_ticks: int = 0,
     process: Process = INTEGRATOR,
 ) -> PidLoop:
-    """Return what a PID loop does: poles, verdict, range of its gain, step response, margins.
+    """Analyse a PID loop: poles, stability, range of its gain, step response, margins.
 
     Args:
         gains: Gains of the controller.
         period_s: Sampling period T [s].
-        dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000 in all; with 1000
-            it takes about half a second.
-        process: Plant that the command drives; an integrator unless given.
+        dead_time_ticks: Dead time in addition to that of the process [samples], 0 to 1000 in total;
+            with 1000 the analysis takes about half a second.
+        process: Plant that the command drives. Default: an integrator.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -168,8 +169,8 @@ def compute_pid_poles(
 ) -> NDArray[np.complex128]:
     """Return the poles of a closed PID loop in the z plane, largest magnitude first.
 
-    If two poles meet, as every root of a polynomial they are known to half the digits, about 1e-8.
-    The verdict of `is_pid_stable` does not depend on them.
+    If two poles meet, they are accurate to half the digits, about 1e-8, as every double root of a
+    polynomial. The verdict of `is_pid_stable` does not depend on them.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -188,9 +189,9 @@ def compute_pid_locus(
     dead_time_ticks: int = 0,
     process: Process = INTEGRATOR,
 ) -> NDArray[np.complex128]:
-    """Return the poles of a closed PID loop at several Kp, its other gains held, in one row.
+    """Return the poles of a closed PID loop for several Kp with its other gains fixed, in rows.
 
-    Each as `compute_pid_poles` returns it, much faster of P on an integrator.
+    Each row is as from `compute_pid_poles`; for P on an integrator it is much faster.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -213,8 +214,8 @@ def is_pid_stable(
 ) -> bool:
     """Return whether all poles of a closed PID loop lie inside the unit circle.
 
-    They are counted by the argument principle, which is as good at 1000 ticks as at none. At the
-    limit itself, and so near to it that rounding could decide (1e-10), the answer is False.
+    They are counted by the argument principle, which is as accurate at 1000 ticks as at 0. At the
+    stability limit, or so close that rounding could decide (1e-10), the answer is False.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -229,16 +230,16 @@ def find_stable_gains(
     dead_time_ticks: int = 0,
     process: Process = INTEGRATOR,
 ) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of Kp [1/s] in which a loop is stable, its other gains held.
+    """Return the intervals of Kp [1/s] in which a loop is stable with its other gains fixed.
 
-    P and PD begin at 0. An integral needs some Kp beside it, so PI and PID begin above 0; too much
-    of it and there is no interval left. The ends themselves are unstable.
+    For P and PD they begin at 0. An integral needs some Kp, so for PI and PID they begin above 0;
+    with a too large integral there is no interval. The ends themselves are unstable.
 
     Args:
-        gains: Gains of the controller; its own Kp does not count.
+        gains: Gains of the controller; Kp is ignored.
         period_s: Sampling period T [s].
-        dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000 in all.
-        process: Plant that the command drives; an integrator unless given.
+        dead_time_ticks: Dead time in addition to that of the process [samples], 0 to 1000 in total.
+        process: Plant that the command drives. Default: an integrator.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -267,8 +268,8 @@ def compute_open_loop(
         gains: Gains of the controller.
         frequency_rad_s: Frequencies [rad/s], above 0 and up to pi / T.
         period_s: Sampling period T [s].
-        dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000 in all.
-        process: Plant that the command drives; an integrator unless given.
+        dead_time_ticks: Dead time in addition to that of the process [samples], 0 to 1000 in total.
+        process: Plant that the command drives. Default: an integrator.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -283,7 +284,7 @@ def compute_open_loop(
 def _prepare(
     gains: PidGains, period_s: float, dead_time_ticks: int, process: Process
 ) -> tuple[LoopShape, int | None]:
-    """Return a loop, and its dead time [samples] where it is P on an integrator."""
+    """Return a loop, and its dead time [samples] if it is P on an integrator."""
     sampled = sample_process(process, period_s, dead_time_ticks)
     is_known = gains.is_proportional and sampled.is_integrator
     return build_shape(gains, sampled, period_s), sampled.whole if is_known else None
@@ -312,7 +313,7 @@ def _find_poles(shape: LoopShape) -> NDArray[np.complex128]:
 
 
 def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the poles of a loop that has two: exact where they meet, in s = z - 1."""
+    """Return the poles of a loop with two poles: exact if they meet, in s = z - 1."""
     c0, c1, *_ = _expand_zeros(shape)
     gaps = shape.gaps if shape.a is None else (1.0 - shape.a, *shape.gaps)
     half = 0.5 * (c1 + sum(gaps) + shape.delay + shape.lift)
@@ -323,7 +324,7 @@ def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
 
 
 def _expand_zeros(shape: LoopShape) -> list[float]:
-    """Return B and what the process multiplies it by, in rising powers of z - 1."""
+    """Return B and its factor from the process, in rising powers of z - 1."""
     weights = [1.0, shape.ahead]
     if shape.lift:
         weights = [1.0, 1.0 + shape.ahead - shape.behind, shape.ahead]
@@ -334,8 +335,8 @@ def _expand_zeros(shape: LoopShape) -> list[float]:
 def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
     """Return the roots by Newton's steps with the other roots divided out.
 
-    It begins on a circle, turned a little so that no two of them mirror each other, and needs some
-    10 to 40 rounds where all roots are single, more where some crowd.
+    The start values lie on a circle, rotated slightly so that no two are conjugate. It takes some
+    10 to 40 iterations if all roots are single, more if some are close together.
     """
     angles = 2.0 * math.pi * (np.arange(shape.degree) + 0.37) / shape.degree
     roots = 0.98 * np.exp(1j * angles)
@@ -354,7 +355,7 @@ def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
 
 
 def _mirror(roots: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the roots of a real polynomial as exact pairs, and those of the real axis on it."""
+    """Return the roots of a real polynomial as exact conjugate pairs or exact real numbers."""
     is_real = np.abs(roots.imag) < _ON_AXIS * np.abs(roots)
     upper = roots[~is_real & (roots.imag > 0.0)]
     if 2 * len(upper) + is_real.sum() != len(roots):  # two that meet, on one side of the axis
@@ -363,9 +364,9 @@ def _mirror(roots: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def _compute_log_slope(z: NDArray[np.complex128], shape: LoopShape) -> NDArray[np.complex128]:
-    """Return P' / P of the characteristic polynomial, computed where z^d does not overflow.
+    """Return P' / P of the characteristic polynomial, computed such that z^d does not overflow.
 
-    In powers of z - 1, as slow poles crowd there.
+    It uses powers of z - 1, because slow poles are close to 1.
     """
     s, d = z - 1.0, shape.delay + shape.lift
     poles, slope = s**shape.integrators, shape.integrators / s

@@ -1,4 +1,4 @@
-"""The step response of a sampled PID loop, at its samples and between, and what is read from it."""
+"""The step response of a sampled PID loop, at samples and between them, and its metrics."""
 
 import math
 from dataclasses import dataclass
@@ -35,21 +35,21 @@ def compute_pid_step_response(
     push: float = 0.0,
     process: Process = INTEGRATOR,
 ) -> NDArray[np.float64]:
-    """Return a PID loop's response to a unit step of its reference at sample 0, unclipped.
+    """Return a PID loop's response to a unit reference step at sample 0, without limits.
 
-    It begins at rest, with y[0] to y[d] = 0. An unstable loop is stopped: from the first sample
-    further than 1e9 from the reference on, it stays at that distance, on that side.
+    It begins at rest, with y[0] to y[d] = 0. An unstable response is stopped: from the first sample
+    further than 1e9 from the reference, it stays at that distance, on that side.
 
     Args:
         gains: Gains of the controller.
         count: Number of samples, 1 to 1e8; a million takes about half a second.
         period_s: Sampling period T [s].
-        dead_time_ticks: Dead time beside that of the process [samples], 0 to 1000.
-        push: Disturbance that is added to the plant's rate from sample 0 on, in steps per second.
-        process: Plant that the command drives; an integrator unless given.
+        dead_time_ticks: Dead time in addition to that of the process [samples], 0 to 1000.
+        push: Disturbance added to the plant's rate from sample 0 on, in steps per second.
+        process: Plant that the command drives. Default: an integrator.
 
     Returns:
-        The response in steps at the times 0, T, 2 T ..., shape (count,).
+        Response in steps at the times 0, T, 2 T ..., shape (count,).
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -110,12 +110,12 @@ def measure_pid_step(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepMotion:
-    """Motion of a loop after a step of its reference, also between samples.
+    """Motion of a loop after a reference step, also between samples.
 
     Attributes:
         overshoot_percent: Overshoot [% of the step]; 0: none.
-        settling_time_s: First sample from which on it stays within 2 % [s]; None if it did not come
-            to rest.
+        settling_time_s: First sample from which it stays within 2 % [s]; None if it was not
+            followed to rest.
     """
 
     overshoot_percent: float
@@ -130,21 +130,22 @@ def measure_step_motion(
     process: Process = INTEGRATOR,
     to_rest: bool = True,
 ) -> StepMotion | None:
-    """Return what a loop's motion does after a step of its reference, unclipped.
+    """Return the motion of a loop after a reference step, without limits.
 
-    Between two samples the plant receives one command and then the next, so the motion is known in
-    closed form: its rate follows each along an exponential, and turns back where that is 0.
+    Between two samples the plant receives one command and then the next. The motion is therefore
+    known in closed form: its rate follows each command exponentially, and the motion reverses where
+    the rate is 0.
 
     Args:
         gains: Gains of the controller.
         period_s: Sampling period T [s].
-        dead_time_ticks: Dead time beside that of the process [samples].
-        process: Plant that the command drives; an integrator unless given.
-        to_rest: Whether it is followed to its rest, or until the overshoot is known.
+        dead_time_ticks: Dead time in addition to that of the process [samples].
+        process: Plant that the command drives. Default: an integrator.
+        to_rest: Whether to follow it to rest, otherwise only until the overshoot is known.
 
     Returns:
-        None if it goes beyond 1e9 steps, or neither rests nor has passed its furthest point after
-        200,000 samples.
+        None if it goes beyond 1e9 steps, or if after 200,000 samples it is neither at rest nor past
+        its furthest point.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -191,8 +192,8 @@ class _Motion:
     """Rate and signal of a process between samples, from rest at 0.
 
     Attributes:
-        y: The signal.
-        furthest: The furthest that it has been, at least 1.
+        y: Signal value.
+        furthest: The largest value so far, at least 1.
     """
 
     __slots__ = ("_gain", "_lag_s", "_pieces", "_v", "_wait_s", "furthest", "y")
@@ -210,11 +211,11 @@ class _Motion:
         self._v, self.y, self.furthest = 0.0, 0.0, 1.0
 
     def is_at(self, level: float) -> bool:
-        """Return whether it rests at a level, to less than any overshoot that counts."""
+        """Return whether it is at rest at a level, within a negligible overshoot."""
         return abs(self.y - level) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
 
     def hold(self, *commands: float) -> None:
-        """Move by one sample, in which one command acts and then the next."""
+        """Advance by one sample, in which one command acts and then the next."""
         y, v, furthest, lag_s = self.y, self._v, self.furthest, self._lag_s
         for number, time_s, gap in self._pieces:
             w = self._gain * commands[number]
@@ -232,16 +233,16 @@ def compute_steady_error(gains: PidGains, push: float, *, process: Process = INT
     """Return r - y that a constant disturbance leaves in a stable loop: -push / (K Kp), 0 with Ki.
 
     At rest the plant's input is 0, so K times the command is -push. Without an integral Kp e must
-    make it; with one the integral does, and it is at rest only where e = 0. A derivative is 0 at
-    rest.
+    produce it; with an integral, the integral does, and is at rest only if e = 0. A derivative is 0
+    at rest.
 
     Args:
         gains: Gains of the controller.
-        push: Disturbance that is added to the plant's rate, in the signal's unit per second.
-        process: Plant that the command drives; only its gain counts.
+        push: Disturbance added to the plant's rate, in the signal's unit per second.
+        process: Plant that the command drives; only its gain is used.
 
     Returns:
-        The error in the signal's unit.
+        Error in the signal's unit.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.

@@ -1,8 +1,8 @@
-"""The loop of a PID controller and a process: whether it is stable, by counted poles; margins.
+"""Stability of a PID controller with a process, by counting poles; stability margins.
 
-The open loop at the frequency w is L(exp(j w T)), with the hold, the part of a sample of dead time
-and the controller as the program computes it in it: no approximation up to pi / T, above which
-nothing is new. Its margins are read where it crosses the unit circle and the negative real axis.
+The open loop at the frequency w is L(exp(j w T)), with the hold, the fractional dead time and the
+controller as programmed: exact up to pi / T, above which it repeats. Its margins are taken where it
+crosses the unit circle and the negative real axis.
 """
 
 import math
@@ -33,17 +33,17 @@ _SMALLEST_X: Final = 1e-60
 
 @dataclass(frozen=True, slots=True)
 class LoopShape:
-    """A PID loop without units.
+    """A PID loop in dimensionless form.
 
     Attributes:
         p: K Kp T, with the gain K of the process.
-        i: K Ki T^2; 0: there is no integral.
+        i: K Ki T^2; 0: no integral.
         b: K Kd T / (Tf + T).
-        a: Tf / (Tf + T), from 0 up to 1; None: there is no derivative.
+        a: Tf / (Tf + T), from 0 up to 1; None: no derivative.
         delay: Dead time d [samples]; with a low-pass one less, so it may be -1.
-        gaps: 1 - e of each pole e of lag and low-pass.
-        ahead: w1.
-        behind: w2.
+        gaps: 1 - e for each pole e of lag and low-pass.
+        ahead: Weight w1, see `process`.
+        behind: Weight w2, see `process`.
     """
 
     p: float
@@ -57,12 +57,12 @@ class LoopShape:
 
     @property
     def integrators(self) -> int:
-        """Poles of the open loop at z = 1."""
+        """Number of open-loop poles at z = 1."""
         return 2 if self.i > 0.0 else 1
 
     @property
     def lift(self) -> int:
-        """Power of z that makes a polynomial of z^d A(z) + B(z): 0 or 1."""
+        """Power of z that makes z^d A(z) + B(z) a polynomial: 0 or 1."""
         return int(self.behind > 0.0 or self.delay < 0)
 
     @property
@@ -88,7 +88,7 @@ def is_stable(shape: LoopShape) -> bool:
 
 
 def _count_unstable(shape: LoopShape) -> int | None:
-    """Return the number of poles outside the unit circle; None where one is as good as on it."""
+    """Return the number of poles outside the unit circle; None if one is on it within rounding."""
     crossings = _find_crossovers(shape)
     halves = [0.5 * _compute_phase(shape, x) for x in crossings]
     # |1 + L| = 2 cos(half the phase) where |L| = 1.
@@ -111,8 +111,8 @@ def find_stable_intervals(
     """Return the intervals of Kp T in which a loop is stable, in rising order.
 
     Args:
-        build: Returns the loop at a Kp T.
-        held: Its other parameters; its own `p` does not count.
+        build: Function that returns the loop for a Kp T.
+        held: Loop with the other parameters; its own `p` is ignored.
     """
     edges = sorted({0.0, *(p for p in _list_boundaries(held) if p > 0.0)})
     found: list[tuple[float, float]] = []
@@ -124,7 +124,7 @@ def find_stable_intervals(
 
 
 def _find_crossovers(shape: LoopShape) -> list[float]:
-    """Return where |L| = 1, as x = 1 - cos(w T) strictly between 0 and 2, rising."""
+    """Return the points with |L| = 1, as x = 1 - cos(w T) strictly between 0 and 2, rising."""
     coefficients = _list_coefficients(shape)
     slope = [power * value for power, value in enumerate(coefficients)][1:]
     while len(slope) > 1 and abs(slope[-1]) < _NO_POWER * max(map(abs, slope[:-1])):
@@ -139,7 +139,7 @@ def _find_crossovers(shape: LoopShape) -> list[float]:
 
 
 def _bisect(shape: LoopShape, low: float, high: float) -> float:
-    """Return where |A| = |B| between two x, to the last digit whatever its magnitude."""
+    """Return where |A| = |B| between two x, to the last digit at any magnitude."""
     is_above = _compare(shape, low) > 0.0
     for _ in range(64):  # 8 halvings of the exponent, 52 of the digits, some to spare
         middle = math.sqrt(low * high)
@@ -197,7 +197,7 @@ def _compare(shape: LoopShape, x: float) -> float:
 def _turn_zeros(shape: LoopShape, x: float) -> float:
     """Return the phase of B at x, continuous along the half circle.
 
-    The imaginary part of B / z keeps one sign, as it is (c1 - c0) sin(w T); so does that of W.
+    The imaginary part of B / z, (c1 - c0) sin(w T), has one sign; so has that of W.
     """
     c0, c1, c2 = shape.numerator
     sine = math.sqrt(x * (2.0 - x))
@@ -222,12 +222,12 @@ def _compute_phase(shape: LoopShape, x: float) -> float:
 
 
 def _find_angle(x: float) -> float:
-    """Return w T of x = 1 - cos(w T)."""
+    """Return w T for x = 1 - cos(w T)."""
     return 2.0 * math.asin(math.sqrt(0.5 * x))
 
 
 def _is_at_minus_one(shape: LoopShape) -> bool:
-    """Return whether L is as good as -1 at z = -1, the end of the half circle."""
+    """Return whether L is -1 within rounding at z = -1, the end of the half circle."""
     c0, c1, c2 = shape.numerator
     denominator = (-1.0) ** shape.delay * (-2.0) ** shape.integrators
     denominator *= 1.0 if shape.a is None else -1.0 - shape.a
@@ -236,13 +236,13 @@ def _is_at_minus_one(shape: LoopShape) -> bool:
 
 
 def _weigh_end(shape: LoopShape) -> float:
-    """Return what lag, low-pass and part of a sample multiply the open loop by at z = -1."""
+    """Return the factor of lag, low-pass and fractional dead time in the open loop at z = -1."""
     factors = [gap / (gap - 2.0) for gap in shape.gaps]
     return math.prod(factors, start=1.0 - 2.0 * (shape.ahead + shape.behind))
 
 
 def _list_boundaries(held: LoopShape) -> list[float]:
-    """Return every Kp T at which some pole lies on the unit circle, and 0 is no pole there.
+    """Return every Kp T at which a pole lies on the unit circle, and 0 if none does there.
 
     There Kp T = -(z^d (z - 1) V + Ki T^2 / (z - 1) + b (z - 1) / (z - a)), which must be real; V is
     the product of (z - e) / (1 - e) over the poles e, divided by W.
@@ -250,7 +250,7 @@ def _list_boundaries(held: LoopShape) -> list[float]:
     d, a = held.delay, held.a or 0.0
 
     def split(angle: _Array) -> tuple[_Array, _Array]:
-        """Return the real part of that, and the imaginary part over -sin(angle)."""
+        """Return the real part of it, and the imaginary part divided by -sin(angle)."""
         sine, cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
         x = 2.0 * sine * sine
         size, turn = _invert_process(held, angle, x)
@@ -281,14 +281,14 @@ def _invert_process(shape: LoopShape, angle: _Array, x: _Array) -> tuple[_Array,
 
 
 def list_angles(shape: LoopShape) -> _Array:
-    """Return angles w T between 0 and pi, 64 in each half wave of the phase, dense towards 0."""
+    """Return angles w T between 0 and pi, 64 per half wave of the phase, denser towards 0."""
     waves = shape.delay + 2 + 2 * len(shape.gaps)
     even = np.linspace(0.0, math.pi - 1e-7, 64 * waves)[1:]
     return np.union1d(np.geomspace(1e-12, 0.1, 3000), even)
 
 
 def find_sign_changes(compute: Callable[[_Array], _Array], angles: _Array) -> _Array:
-    """Return where a function of the angle changes its sign."""
+    """Return where a function of the angle changes sign."""
     is_above = compute(angles) > 0.0
     at = np.flatnonzero(is_above[1:] != is_above[:-1])
     low, high, rises = angles[at], angles[at + 1], is_above[at + 1]
@@ -310,16 +310,17 @@ class Margins:
     """Stability margins of a loop.
 
     Attributes:
-        gain_margin: Least factor above 1 on all gains at once that makes it unstable; None if none
-            does.
-        gain_reduction: Largest factor below 1 that does; None if none does.
+        gain_margin: Smallest factor above 1 on all gains that makes it unstable; None if there is
+            none.
+        gain_reduction: Largest factor below 1 on all gains that makes it unstable; None if there is
+            none.
         gain_frequency_rad_s: Frequency at which the open loop has the phase -180 deg for
-            `gain_margin` [rad/s], None likewise.
-        phase_margin_rad: Least phase that may be lost where the open loop's magnitude is 1 [rad];
-            None if it is 1 nowhere.
-        crossover_rad_s: Frequency of the phase margin [rad/s], None likewise.
-        delay_margin_ticks: Dead time that may be added [samples]: as many whole ticks as it holds
-            keep the loop stable. None likewise.
+            `gain_margin` [rad/s]; None if there is none.
+        phase_margin_rad: Smallest phase loss that makes it unstable where the open loop's magnitude
+            is 1 [rad]; None if it is 1 nowhere.
+        crossover_rad_s: Frequency of the phase margin [rad/s]; None without one.
+        delay_margin_ticks: Additional dead time [samples] up to which the loop is stable, rounded
+            down to whole ticks. None without a crossover.
     """
 
     gain_margin: float | None
@@ -348,7 +349,7 @@ def evaluate_open_loop(shape: LoopShape, angle: ArrayLike) -> NDArray[np.complex
 
 
 def find_margins(shape: LoopShape, period_s: float) -> Margins:
-    """Return the margins of a loop that is stable."""
+    """Return the margins of a stable loop."""
     found = [(math.pi + _compute_phase(shape, x), _find_angle(x)) for x in _find_crossovers(shape)]
     phases = [(phase % (2.0 * math.pi), angle) for phase, angle in found]
     phase, crossover = min(phases, default=(None, None))
@@ -365,7 +366,7 @@ def find_margins(shape: LoopShape, period_s: float) -> Margins:
 
 
 def _list_factors(shape: LoopShape) -> list[tuple[float, float]]:
-    """Return each factor that brings L to -1 somewhere, and the angle w T where it does."""
+    """Return each factor for which L passes through -1, and the angle w T of the crossing."""
 
     def read_imaginary(angle: NDArray[np.float64]) -> NDArray[np.float64]:
         return evaluate_open_loop(shape, angle).imag
@@ -408,7 +409,7 @@ class PidGains:
 
     @property
     def is_proportional(self) -> bool:
-        """Whether it is P alone."""
+        """Whether the controller is P alone."""
         return self.ki == 0.0 and self.kd == 0.0
 
     def weigh_derivative(self, period_s: float) -> tuple[float, float]:
@@ -418,7 +419,7 @@ class PidGains:
 
 
 def build_shape(gains: PidGains, sampled: SampledProcess, period_s: float) -> LoopShape:
-    """Return a loop without units.
+    """Return a loop in dimensionless form.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.

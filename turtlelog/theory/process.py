@@ -1,10 +1,10 @@
-"""What a command passes on its way to the signal: K exp(-L s) / ((tau s + 1) s), and a low-pass.
+"""The process from command to signal: K exp(-L s) / ((tau s + 1) s), and a low-pass.
 
-It is sampled every T with the command held between samples (zero-order hold). Dead time may be any
-part of a sample: L = d T + m with 0 <= m < T. Between two samples the plant then receives one
-command for m and the next for T - m, so its answer is exact, without a Pade approximation
-(K. J. Astrom and B. Wittenmark, Computer-Controlled Systems, 3rd edition, section 2.6 and the
-modified z transform of chapter 2). With a = T / tau, c = m / tau and e = exp(-a):
+It is sampled every T with zero-order hold. Dead time may include any fraction of a sample: L = d T
++ m with 0 <= m < T. Between two samples the plant then receives one command for m and the next for
+T - m, so its response is exact, without a Pade approximation (K. J. Astrom and B. Wittenmark,
+Computer-Controlled Systems, 3rd edition, section 2.6 and the modified z transform of chapter 2).
+With a = T / tau, c = m / tau and e = exp(-a):
 
     y / u = K T / (z - 1)  (1 - e) / (z - e)  z^-d (w1 z + w0 + w2 / z)
 
@@ -13,8 +13,8 @@ modified z transform of chapter 2). With a = T / tau, c = m / tau and e = exp(-a
 
 Without lag e = 0, and (w1 z + w0 + w2 / z) / z is (T - m) / T + m / (T z).
 
-The low-pass stands before the plant, in the controller: v += (1 - exp(-T / Tl)) (u - v), once for
-each sample.
+The low-pass is in the controller, before the plant: v += (1 - exp(-T / Tl)) (u - v), once per
+sample.
 """
 
 import math
@@ -55,14 +55,14 @@ _SERIES_BELOW: Final = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Process:
-    """Process between a law's command and the signal: a delayed rate, integrated.
+    """Process between a law's command and the signal: a delayed and lagged rate, integrated.
 
     Attributes:
-        gain: K, rate by command [1].
-        lag_s: Time constant tau of the rate [s]; 0: it follows at once.
-        dead_time_s: Time after which a command begins to act [s], beside whole samples.
+        gain: Gain K, rate divided by command [1].
+        lag_s: Time constant tau of the rate [s]; 0: no lag.
+        dead_time_s: Time until a command begins to act [s], in addition to whole samples.
         low_pass_s: Time constant of a first-order filter of the command in the controller [s]; 0:
-            there is none.
+            no filter.
 
     Raises:
         TheoryError: If the gain is not positive, or a time is negative or not finite.
@@ -82,11 +82,12 @@ class Process:
         """Return a continuous `control.TransferFunction` from the command to the signal.
 
         Args:
-            pade_order: Order of the rational function that approximates the dead time; 0: none.
+            pade_order: Order of the rational function that approximates the dead time; 0: no dead
+                time.
 
         Raises:
-            TheoryError: The order is negative.
-            LibraryError: python-control is not installed.
+            TheoryError: If the order is negative.
+            LibraryError: If python-control is not installed.
         """
         lags = (self.lag_s * self.low_pass_s, self.lag_s + self.low_pass_s, 1.0, 0.0)
         return build_delayed([self.gain], lags, self.dead_time_s, pade_order)
@@ -95,17 +96,17 @@ class Process:
 def build_delayed(
     numerator: Sequence[float], denominator: Sequence[float], dead_time_s: float, pade_order: int
 ) -> Any:
-    """Return a continuous `control.TransferFunction` behind a dead time.
+    """Return a continuous `control.TransferFunction` with a dead time.
 
     Args:
         numerator: Coefficients in falling powers of s.
-        denominator: Likewise.
+        denominator: Coefficients in falling powers of s.
         dead_time_s: Dead time [s].
         pade_order: Order of the Pade approximation of the dead time; 0: no dead time.
 
     Raises:
-        TheoryError: The order is negative.
-        LibraryError: python-control is not installed.
+        TheoryError: If the order is negative.
+        LibraryError: If python-control is not installed.
     """
     if pade_order < 0:
         raise TheoryError(f"pade_order: must be at least 0, not {pade_order}")
@@ -122,16 +123,16 @@ INTEGRATOR: Final = Process()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampledProcess:
-    """A process as it looks from sample to sample.
+    """A sampled process.
 
     Attributes:
-        gain: K.
+        gain: Gain K.
         whole: Whole samples d of dead time.
-        part: Part m / T of a sample of dead time beside them.
-        ahead: w1; 0 without lag.
-        behind: w2; without lag m / T.
-        lag_gap: 1 - e of the lag, None without.
-        filter_gap: 1 - exp(-T / Tl) of the low-pass, None without.
+        part: Remaining fraction m / T of a sample of dead time.
+        ahead: Weight w1; 0 without lag.
+        behind: Weight w2; m / T without lag.
+        lag_gap: 1 - e of the lag; None without lag.
+        filter_gap: 1 - exp(-T / Tl) of the low-pass; None without low-pass.
     """
 
     gain: float
@@ -144,21 +145,21 @@ class SampledProcess:
 
     @property
     def at(self) -> float:
-        """w0; without lag (T - m) / T."""
+        """Weight w0; (T - m) / T without lag."""
         return 1.0 - self.ahead - self.behind
 
     @property
     def delay(self) -> int:
-        """Poles at z = 0, d of them; the zero that a low-pass has there takes one away."""
+        """Number of poles at z = 0, d; the zero of a low-pass cancels one."""
         return self.whole - (self.filter_gap is not None)
 
     @property
     def gaps(self) -> tuple[float, ...]:
-        """1 - e of each pole e that lag and low-pass add."""
+        """1 - e for each pole e of lag and low-pass."""
         return tuple(gap for gap in (self.lag_gap, self.filter_gap) if gap is not None)
 
     def list_weights(self) -> tuple[float, float, float]:
-        """Return what commands d, d + 1 and d + 2 samples old add to the rate that lags."""
+        """Return the weights of commands d, d + 1 and d + 2 samples old in the input of the lag."""
         weights = (self.at, self.behind, 0.0)
         if self.lag_gap is not None:
             weights = (self.ahead, self.at, self.behind)
@@ -171,15 +172,16 @@ class SampledProcess:
 
 
 def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) -> SampledProcess:
-    """Return a process as it looks from sample to sample.
+    """Return a sampled process.
 
     Args:
-        process: What a command passes.
+        process: Process to sample.
         period_s: Sampling period T [s].
-        dead_time_ticks: Dead time beside that of the process [samples].
+        dead_time_ticks: Dead time in addition to that of the process [samples].
 
     Raises:
-        TheoryError: If a number is out of its range, or dead times add up to over 1000 samples.
+        TheoryError: If a number is out of its range, or dead times add up to more than 1000
+            samples.
     """
     period_s = require_period(period_s)
     whole, part = _split_dead_time(process, period_s, dead_time_ticks)
@@ -198,7 +200,7 @@ def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) 
 
 
 def _split_dead_time(process: Process, period_s: float, dead_time_ticks: int) -> tuple[int, float]:
-    """Return the dead time as whole samples and the part of a sample that is left, below 1."""
+    """Return the dead time as whole samples and the remaining fraction of a sample, below 1."""
     samples = require_dead_time(dead_time_ticks) + process.dead_time_s / period_s
     if not samples <= MAX_DEAD_TIME_TICKS + _WHOLE:
         expected = f"at most {MAX_DEAD_TIME_TICKS} samples in all"
@@ -209,7 +211,7 @@ def _split_dead_time(process: Process, period_s: float, dead_time_ticks: int) ->
 
 
 def _scale_time(name: str, time_s: float, period_s: float) -> float:
-    """Return a time constant in samples; 0 where it is too short to change one."""
+    """Return a time constant in samples; 0 if it is too short to change a sample."""
     samples = time_s / period_s
     if samples > _LONGEST_LAG:
         expected = f"at most {_LONGEST_LAG:g} sampling periods"
@@ -229,7 +231,7 @@ def _weigh(a: float, part: float) -> tuple[float, float]:
 
 
 def _rest(value: float) -> float:
-    """Return exp(v) - 1 - v with all digits."""
+    """Return exp(v) - 1 - v to full precision."""
     if abs(value) > _SERIES_BELOW:
         return math.expm1(value) - value
     term = total = 0.5 * value * value
@@ -242,12 +244,12 @@ def _rest(value: float) -> float:
 def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
     """Return the open loop of a sampled PID loop as a discrete `control.TransferFunction`.
 
-    It is exact, as dead time is a power of z. `control.feedback` closes it; the derivative acts on
-    the measurement, so the closed loop answers a disturbance of the command, and with P and PI the
-    reference as well.
+    It is exact, because dead time is a power of z. Close it with `control.feedback`. The derivative
+    acts on the measurement, so the closed loop has the exact response to a disturbance of the
+    command, and with P and PI to the reference as well.
 
     Raises:
-        LibraryError: python-control is not installed.
+        LibraryError: If python-control is not installed.
     """
     lags = [(gap, (gap - 1.0, 1.0)) for gap in shape.gaps]
     above: list[Any] = [
@@ -269,7 +271,7 @@ def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
 
 
 def _shift(coefficients: Sequence[float]) -> Any:
-    """Return a polynomial in z - 1 as one in z, rising powers."""
+    """Return a polynomial in z - 1 as a polynomial in z, rising powers."""
     from numpy.polynomial import polynomial  # few theories need it
 
     total = np.zeros(1)

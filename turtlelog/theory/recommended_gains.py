@@ -1,7 +1,7 @@
-"""Gains to begin with: exact ones for a wanted overshoot or phase margin, and published rules.
+"""Recommended gains: exact ones for a wanted overshoot or phase margin, and published rules.
 
-The published rules are written for continuous time. T / 2 of the hold counts as dead time, as
-Skogestad (2003) proposes. Each returns gains, or the reason why it does not apply.
+The published rules are for continuous time. T / 2 of the hold counts as dead time, as Skogestad
+(2003) proposes. Each rule returns gains, or the reason why it does not apply.
 """
 
 import math
@@ -31,17 +31,17 @@ _EXACT: Final = "exact, of the sampled loop"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recommendation:
-    """Gains by one rule, or why it gives none.
+    """Gains from one rule, or why it gives none.
 
     Attributes:
         rule: `overshoot`, `phase-margin`, `simc`, `ziegler-nichols`, or `given`: gains in use.
-        controller: `P`, `PI`, `PD`, or of given gains `PID`.
+        controller: `P`, `PI`, `PD`; for given gains also `PID`.
         source: Publication of the rule.
-        gains: None if there are none.
-        reason: Why; empty if there are gains.
-        motion: Motion after a step, also between samples; None without gains, where the loop is
-            unstable, or too slow to be measured.
-        margins: Stability margins; None without gains or where it is unstable.
+        gains: Gains of the controller; None if there are none.
+        reason: Why there are no gains; empty if there are.
+        motion: Motion after a step, also between samples; None without gains, or if the loop is
+            unstable or too slow to measure.
+        margins: Stability margins; None without gains, or if the loop is unstable.
     """
 
     rule: str
@@ -64,7 +64,7 @@ def recommend_gains(
     """Return gains of P, PI and PD for a heading or a position loop.
 
     Args:
-        process: Plant that the command drives, with all dead time; an integrator unless given.
+        process: Plant that the command drives, with all dead time. Default: an integrator.
         period_s: Sampling period T [s].
         filter_s: Time constant of the derivative's filter [s]; 0: a plain difference.
         overshoot_percent: Wanted overshoot [% of the step], from 0 to below 100; None: any.
@@ -72,7 +72,7 @@ def recommend_gains(
             overshoot then has 60 deg.
 
     Returns:
-        The exact ones for what is wanted, then those of published rules.
+        The exact gains for the wanted values, then those of published rules.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -107,11 +107,11 @@ def recommend_gains(
 def measure_gains(
     gains: PidGains, process: Process = INTEGRATOR, *, period_s: float
 ) -> Recommendation:
-    """Return what given gains do, in the same figures as recommended ones.
+    """Return the properties of given gains, in the same form as recommended ones.
 
     Args:
         gains: Gains of the controller.
-        process: Plant that the command drives, with all dead time; an integrator unless given.
+        process: Plant that the command drives, with all dead time. Default: an integrator.
         period_s: Sampling period T [s].
 
     Raises:
@@ -123,14 +123,14 @@ def measure_gains(
 
 
 def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
-    """Return whether given gains need no change.
+    """Return whether given gains are as good as recommended ones.
 
-    They have at most the overshoot, or at least the phase margin, of the recommended gains, and
-    settle no later. Recommended gains rounded to three digits need none either.
+    They are if they have at most the overshoot, or at least the phase margin, of the recommended
+    gains, and settle no later. Recommended gains rounded to three digits count as equal.
 
     Args:
         given: Gains in use.
-        best: Gains for an overshoot or a phase margin.
+        best: Recommended gains for an overshoot or a phase margin.
     """
     if given.margins is None or given.motion is None or best.motion is None:
         return False
@@ -161,7 +161,7 @@ _SAME_GAIN: Final = 0.005
 
 
 def _are_same(given: PidGains | None, best: PidGains | None) -> bool:
-    """Return whether gains are the same in three digits."""
+    """Return whether gains are equal to three digits."""
     if given is None or best is None:
         return False
     pairs = [(given.kp, best.kp), (given.ki, best.ki), (given.kd, best.kd)]
@@ -175,7 +175,7 @@ def _judge(
     source: str,
     compute: Callable[[], PidGains | str],
 ) -> Recommendation:
-    """Return what a rule gives, and what its loop does."""
+    """Return the gains of a rule, and the properties of their loop."""
     try:
         gains = compute()
         margins = None if isinstance(gains, str) else design.read_margins(gains)
@@ -224,9 +224,9 @@ Rule = Callable[[LoopDesign], PidGains | str]
 
 
 def _compute_simc_p(design: LoopDesign) -> PidGains:
-    """Return SIMC without its integral: Kp = 1 / (K (tau_c + theta)), tau_c = theta.
+    """Return SIMC without integral: Kp = 1 / (K (tau_c + theta)), tau_c = theta.
 
-    The half rule makes dead time of half the largest lag and of all of the other.
+    By the half rule, half the largest lag and all of the other count as dead time.
     """
     theta_s, _ = _reduce(design, kept=0)
     return PidGains(kp=0.5 / (design.process.gain * theta_s))
@@ -240,10 +240,10 @@ def _compute_simc_pi(design: LoopDesign) -> PidGains:
 
 
 def _compute_simc_pd(design: LoopDesign) -> PidGains | str:
-    """Return SIMC for an integrator with lag and dead time, without its integral: tau_D = the lag.
+    """Return SIMC for an integrator with lag and dead time, without integral: tau_D = the lag.
 
-    The larger of two lags is kept. Half of the other adds to it, half to the dead time. The paper
-    asks for a derivative only where the lag exceeds the dead time.
+    The larger of two lags is kept. Half of the other is added to it, half to the dead time. The
+    paper recommends a derivative only if the lag exceeds the dead time.
     """
     theta_s, lag_s = _reduce(design, kept=1)
     if lag_s <= theta_s:
@@ -254,12 +254,12 @@ def _compute_simc_pd(design: LoopDesign) -> PidGains | str:
 
 
 def _compute_ziegler_nichols_p(design: LoopDesign) -> PidGains:
-    """Return half of the ultimate gain, so that the gain margin is 2."""
+    """Return half of the ultimate gain, for a gain margin of 2."""
     return PidGains(kp=0.5 * design.find_ultimate_gain())
 
 
 def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
-    """Return dead time theta and the lag that is kept [s], 0 where none is, by the half rule."""
+    """Return dead time theta and the remaining lag [s], 0 if there is none, by the half rule."""
     process = design.process
     lags = sorted((process.lag_s, process.low_pass_s), reverse=True)
     left = [*lags[:kept], 0.0][0]

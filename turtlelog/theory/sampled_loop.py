@@ -1,16 +1,16 @@
-"""The sampled loop: y[k+1] = y[k] + Kp T (r - y[k-d]), an integrator held between samples.
+"""The sampled loop: y[k+1] = y[k] + Kp T (r - y[k-d]), an integrator with zero-order hold.
 
 T is the sampling period, d the dead time in samples. Its poles are the roots of
 z^(d+1) - z^d + Kp T. Its open loop is Kp T / (z^d (z - 1)), with the magnitude
 Kp T / (2 sin(w T / 2)) and the phase -(pi / 2 + (d + 1/2) w T) at the frequency w.
 
 A companion matrix loses half the digits where two roots meet, which is exactly where overshoot
-begins. Here every root has an equation and an interval of its own. With z = r exp(j theta), the
-imaginary part of z^d (1 - z) = Kp T gives r = sin(d theta) / sin((d + 1) theta), the real part
-then Kp T = r^d sin(theta) / sin((d + 1) theta). Between 2 pi m / d and (2 m + 1) pi / (d + 1) this
-rises from 0 to infinity, for every m >= 1 with 2 m < d: one root each, and its conjugate. For m = 0
-it rises from d^d / (d + 1)^(d + 1), at theta = 0; below that gain two roots are real, on either
-side of d / (d + 1). For even d one more is negative.
+begins. Here every root has its own equation and interval. With z = r exp(j theta), the imaginary
+part of z^d (1 - z) = Kp T gives r = sin(d theta) / sin((d + 1) theta), and the real part Kp T = r^d
+sin(theta) / sin((d + 1) theta). Between 2 pi m / d and (2 m + 1) pi / (d + 1) this rises from 0 to
+infinity, for every m >= 1 with 2 m < d: one root each, and its conjugate. For m = 0 it rises from
+d^d / (d + 1)^(d + 1), at theta = 0; below that gain two roots are real, on either side of d / (d +
+1). For even d one more root is negative.
 """
 
 import math
@@ -51,21 +51,22 @@ class SampledLoop:
     Attributes:
         kp: Gain [1/s].
         period_s: Sampling period T [s].
-        dead_time_ticks: d [samples].
-        poles: Shape (d + 1,), complex, in the z plane, largest magnitude first.
-        stable: All poles lie inside the unit circle.
-        overshoots: The slowest poles have left the positive real axis.
-        damping_ratio: Damping ratio of the slowest pole: 1 on the positive real axis, negative
-            where unstable.
-        overshoot_percent: Furthest sample beyond the reference after a step [% of the step]; None
-            if it is unstable or slower than 2,000,000 samples.
-        settling_time_s: First sample after a step from which on it stays within 2 % [s]; None as
-            before.
-        gain_margin: Factor on Kp that makes it unstable; below 1 it is.
+        dead_time_ticks: Dead time d [samples].
+        poles: Complex poles in the z plane, largest magnitude first, shape (d + 1,).
+        stable: Whether all poles lie inside the unit circle.
+        overshoots: Whether the slowest poles have left the positive real axis.
+        damping_ratio: Damping ratio of the slowest pole: 1 on the positive real axis, negative if
+            unstable.
+        overshoot_percent: Largest sample beyond the reference after a step [% of the step]; None if
+            it is unstable or slower than 2,000,000 samples.
+        settling_time_s: First sample after a step from which it stays within 2 % [s]; None under
+            the same conditions.
+        gain_margin: Factor on Kp at the stability limit; below 1 if the loop is unstable.
         phase_margin_rad: Phase above -pi where the open loop's magnitude is 1 [rad]; None if Kp T >
-            2, whose magnitude is nowhere as small as 1.
-        delay_margin_ticks: Dead time that may be added, phase margin over crossover frequency
-            [samples]: as many whole ticks as it holds keep the loop stable. None as before.
+            2, because the magnitude is then above 1 at all frequencies.
+        delay_margin_ticks: Additional dead time up to which the loop is stable: phase margin
+            divided by crossover frequency [samples], rounded down to whole ticks. None as for the
+            phase margin.
     """
 
     kp: float
@@ -90,17 +91,17 @@ class SampledLoop:
     def to_control(self) -> Any:
         """Return the open loop as a `control.TransferFunction` in z, Kp T / (z^d (z - 1)).
 
-        It is exact. `control.feedback` closes it.
+        It is exact. Close it with `control.feedback`.
 
         Raises:
-            LibraryError: python-control is not installed.
+            LibraryError: If python-control is not installed.
         """
         poles = [1.0, -1.0, *[0.0] * self.dead_time_ticks]
         return load_library("control").tf([self.kp * self.period_s], poles, self.period_s)
 
 
 def compute_overshoot_gain(period_s: float, dead_time_ticks: int = 0) -> float:
-    """Return the largest Kp [1/s] without overshoot: d^d / (d + 1)^(d + 1) / T, 1 / T for d = 0.
+    """Return the largest Kp [1/s] without overshoot: d^d / (d + 1)^(d + 1) / T; 1 / T for d = 0.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -109,7 +110,7 @@ def compute_overshoot_gain(period_s: float, dead_time_ticks: int = 0) -> float:
 
 
 def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
-    """Return the Kp [1/s] from which the loop is unstable: 2 sin(pi / (2 (2 d + 1))) / T.
+    """Return the Kp [1/s] at the stability limit: 2 sin(pi / (2 (2 d + 1))) / T.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -120,12 +121,12 @@ def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
 
 
 def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0) -> SampledLoop:
-    """Return what the sampled loop does at a gain: poles, margins, overshoot, settling time.
+    """Analyse the sampled loop at a gain: poles, margins, overshoot, settling time.
 
     Args:
         kp: Gain [1/s].
         period_s: Sampling period T [s].
-        dead_time_ticks: d [samples], 0 to 1000.
+        dead_time_ticks: Dead time d [samples], 0 to 1000.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -160,24 +161,24 @@ def compute_sampled_step_response(
     initial: float = 0.0,
     reference: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Return the sampled loop's response to a step of its reference at sample 0, unclipped.
+    """Return the sampled loop's response to a reference step at sample 0, without limits.
 
     y[k+1] = y[k] + Kp T (reference - y[k-d]), at rest before: the command that answers sample 0
     first moves the plant between samples d and d + 1, so y[0] to y[d] are `initial`.
 
-    An unstable loop is stopped: from the first sample further than 1e9 steps from the reference
-    on, the response stays at that distance, on that side. Less than 1e-20 steps count as none.
+    An unstable response is stopped: from the first sample further than 1e9 steps from the
+    reference, it stays at that distance, on that side. Less than 1e-20 steps count as 0.
 
     Args:
         kp: Gain [1/s].
         count: Number of samples, at least 1.
         period_s: Sampling period T [s].
-        dead_time_ticks: d [samples], 0 to 1000.
+        dead_time_ticks: Dead time d [samples], 0 to 1000.
         initial: Level before the step, in any unit.
-        reference: Level that is asked for, in the same unit.
+        reference: Level after the step, in the same unit.
 
     Returns:
-        The response in that unit at the times 0, T, 2 T ..., shape (count,).
+        Response in that unit at the times 0, T, 2 T ..., shape (count,).
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -199,11 +200,11 @@ def interpolate_sampled_response(
     initial: float,
     reference: float,
 ) -> NDArray[np.float64] | None:
-    """Return the sampled loop's response at times from the step [s], shape (n,), rising.
+    """Return the sampled loop's response at times after the step [s], shape (n,), rising.
 
-    Its samples are at 0, T, 2 T ... and it moves along a line between them. None if the loop is
-    unstable and goes beyond `LARGEST_DEVIATION` before the last of the times. The arguments are
-    those of `compute_sampled_step_response`.
+    Its samples are at 0, T, 2 T ... and are joined by lines. None if the loop is unstable and goes
+    beyond `LARGEST_DEVIATION` before the last of the times. The arguments are those of
+    `compute_sampled_step_response`.
     """
     count = int(np.ceil(time_s[-1] / period_s)) + 2
     values = compute_sampled_step_response(
@@ -222,9 +223,9 @@ def interpolate_sampled_response(
 
 
 def _compute_stability_loop_gain(dead_time_ticks: int) -> float:
-    """Return Kp T = 2 sin(pi / (2 (2 d + 1))), where the slowest poles cross the unit circle.
+    """Return Kp T = 2 sin(pi / (2 (2 d + 1))), at which the slowest poles cross the unit circle.
 
-    There r = 1, so d theta and (d + 1) theta add up to pi, and Kp T = |1 - exp(j theta)|.
+    There r = 1, so d theta + (d + 1) theta = pi, and Kp T = |1 - exp(j theta)|.
     """
     return 2.0 * math.sin(math.pi / (2 * (2 * dead_time_ticks + 1)))
 
@@ -239,7 +240,7 @@ def _compute_margins(loop_gain: float, d: int) -> tuple[float | None, float | No
 
 
 def _compute_damping_ratio(pole: complex) -> float:
-    """Return -Re s / |s| of s = log z / T."""
+    """Return -Re s / |s| for s = log z / T."""
     if pole in {0.0, 1.0}:
         return 1.0
     exponent = np.log(complex(pole))
@@ -249,7 +250,7 @@ def _compute_damping_ratio(pole: complex) -> float:
 def _measure_step(
     poles: NDArray[np.complex128], loop_gain: float, d: int
 ) -> tuple[float | None, int | None]:
-    """Return overshoot [%] and 2 % settling time [samples] of the step response itself."""
+    """Return overshoot [%] and 2 % settling time [samples] of the step response."""
     # A pole at 0, which has no logarithm, counts as one of 1e-3: 0.1 % is left after one sample.
     decay = -math.log(max(abs(poles[0]), 1e-3)) if abs(poles[0]) < 1.0 else 0.0
     # exp(-12) of the slowest pole is left after so many samples, far below 2 %.
@@ -266,9 +267,9 @@ def _measure_step(
 def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> NDArray[np.float64]:
     """Return e[k+1] = e[k] - Kp T e[k-d] from e[0] = 1 and e[k] = 0 before it, shape (count,).
 
-    Each round doubles what is known. By superposition the samples that follow sample n are the
-    sum of this same response, once for every sample that the recursion still remembers at n:
-    scaled by e[n] and starting there, and scaled by -Kp T e[n-j] and starting d + 1 - j later.
+    Each iteration doubles the known samples. By superposition, the samples after sample n are the
+    sum of this same response, once for every sample that the recursion still uses at n: scaled by
+    e[n] and starting there, and scaled by -Kp T e[n-j] and starting d + 1 - j later.
     """
     deviation = np.ones(max(count, dead_time_ticks + 2))
     deviation[dead_time_ticks + 1] -= loop_gain
@@ -290,7 +291,7 @@ def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> ND
 
 
 def _find_stop(deviation: NDArray[np.float64]) -> int | None:
-    """Return the first sample that is too far away, None if there is none."""
+    """Return the first sample that is too far away; None if there is none."""
     beyond = np.abs(deviation) > LARGEST_DEVIATION
     return int(np.argmax(beyond)) if beyond.any() else None
 
@@ -311,7 +312,7 @@ def compute_sampled_poles(
 def compute_sampled_locus(
     kp: Sequence[float], *, period_s: float, dead_time_ticks: int = 0
 ) -> NDArray[np.complex128]:
-    """Return the poles of the sampled loop at n gains, shape (n, d + 1), as for each gain alone.
+    """Return the poles of the sampled loop at n gains, shape (n, d + 1), a row for each gain.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -328,9 +329,9 @@ def compute_sampled_locus(
 
 
 def _compute_meeting_gain(dead_time_ticks: int) -> float:
-    """Return Kp T = d^d / (d + 1)^(d + 1), where the two slowest poles meet; 1 for d = 0.
+    """Return Kp T = d^d / (d + 1)^(d + 1), at which the two slowest poles meet; 1 for d = 0.
 
-    It is the largest value of z^d (1 - z) between 0 and 1, at z = d / (d + 1).
+    It is the maximum of z^d (1 - z) between 0 and 1, at z = d / (d + 1).
     """
     d = dead_time_ticks
     return float((d / (d + 1)) ** d / (d + 1))
@@ -396,7 +397,7 @@ def _find_upper(
 def _polish(
     poles: NDArray[np.complex128], logs: NDArray[np.float64], d: int
 ) -> NDArray[np.complex128]:
-    """Take Newton steps for log z on d log z + log(1 - z) = log Kp T; it is nearly linear."""
+    """Take Newton steps for log z on d log z + log(1 - z) = log Kp T, which is nearly linear."""
     for _ in range(3):
         excess = d * np.log(poles) + np.log1p(-poles) - logs
         turns = np.round(excess.imag / (2.0 * math.pi))
@@ -406,7 +407,7 @@ def _polish(
 
 
 def _find_negative(loop_gains: Sequence[float], d: int) -> NDArray[np.complex128]:
-    """Return the negative pole that an even dead time has, for each gain."""
+    """Return the negative pole for an even dead time, for each gain."""
     if d % 2:
         return np.empty((len(loop_gains), 0), dtype=np.complex128)
     logs = _take_logarithms(loop_gains)
@@ -420,7 +421,7 @@ def _find_negative(loop_gains: Sequence[float], d: int) -> NDArray[np.complex128
 
 
 def _take_logarithms(numbers: Sequence[float]) -> NDArray[np.float64]:
-    """Return logarithms that are the same to the last bit for one number and for many."""
+    """Return logarithms with the same bits for a single number and for an array."""
     return np.array([math.log(number) for number in numbers])
 
 
@@ -429,7 +430,7 @@ def _bisect(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return where rising functions cross zero, to the last digit of the interval."""
+    """Return the zero crossings of rising functions, to the last digit of the interval."""
     for _ in range(52):  # 2^-52 of the interval is left, the last digit of a double near 1
         middle = low + 0.5 * (high - low)
         is_below = rise(middle) < 0.0

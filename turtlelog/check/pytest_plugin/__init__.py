@@ -1,7 +1,7 @@
-"""The pytest plugin: recordings as fixtures, failures that say where. docs/checking.md explains it.
+"""The pytest plugin: recordings as fixtures, and located failures. See docs/checking.md.
 
-pytest loads this in every session: it imports neither numpy nor rerun, nor anything of turtlelog
-that does, before a test asks for a recording.
+pytest loads this in every session: before a test uses a recording, it imports neither numpy nor
+rerun, nor any part of turtlelog that imports them.
 """
 
 import sys
@@ -40,15 +40,15 @@ NAME: Final = "turtlelog.check.pytest_plugin"
 
 
 class Entry:
-    """What pytest finds of an installed turtlelog, under the name that `-p no:turtlelog` blocks.
+    """The entry point of an installed turtlelog, with the name that `-p no:turtlelog` blocks.
 
     It loads the plugin under the name of its module, so that `-p turtlelog.check.pytest_plugin`,
-    which works where nothing is installed, loads it no second time.
+    which works without an installation, does not load it again.
     """
 
     @staticmethod
     def pytest_addoption(pluginmanager: pytest.PytestPluginManager) -> None:
-        """Load the plugin, if nobody did or forbade it."""
+        """Load the plugin unless it is already loaded or blocked."""
         if not pluginmanager.is_blocked(NAME) and not pluginmanager.has_plugin(NAME):
             pluginmanager.register(sys.modules[NAME], NAME)
 
@@ -84,7 +84,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the markers, and open the books."""
+    """Declare the markers, and start the session."""
     for marker in _MARKERS:
         config.addinivalue_line("markers", marker)
     config.stash[SESSION] = Session(config)
@@ -92,7 +92,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
-    """End what the session has started."""
+    """Release the resources of the session."""
     if SESSION in config.stash:
         config.stash[SESSION].end()
 
@@ -110,7 +110,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def turtlelog_recording(request: pytest.FixtureRequest) -> "Recording":
-    """One of the recordings that the test's marker names, read when it is first asked."""
+    """Recording from the test's marker, read on first use."""
     if not hasattr(request, "param"):
         raise pytest.UsageError(
             f'{request.node.nodeid}: the test needs @pytest.mark.recordings("runs/*.mcap")'
@@ -123,7 +123,7 @@ def turtlelog_recording(request: pytest.FixtureRequest) -> "Recording":
 def turtlelog_reference(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> "ReferenceFile":
-    """What recordings are held to: the file that the marker or the ini option names."""
+    """Reference of recordings: the file that the marker or the ini option names."""
     has_recording = "turtlelog_recording" in request.fixturenames
     stem = find_stem(request.getfixturevalue("turtlelog_recording").path) if has_recording else None
     path = find_reference(request, stem)
@@ -142,7 +142,7 @@ def turtlelog_simulate(
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Begin a test with empty books."""
+    """Clear the records of the previous test."""
     item.config.stash[SESSION].begin()
 
 
@@ -150,7 +150,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Give the report what was checked: properties, the whole message, artifacts."""
+    """Add what was checked to the report: properties, the whole message, artifacts."""
     session = item.config.stash[SESSION]
     if call.when == "call":
         item.user_properties += session.list_properties()
@@ -163,7 +163,7 @@ def pytest_runtest_makereport(
 
 
 def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str] | None:
-    """Say all there is to say where a comparison of a metric fails."""
+    """Write the message for a failed comparison of a metric."""
     if "turtlelog.measure.metric" not in _list_homes(left, right):
         return None
     from turtlelog.check.pytest_plugin.explaining import explain_comparison
@@ -172,7 +172,7 @@ def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str]
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Print the one line."""
+    """Print the summary line."""
     for reports in terminalreporter.stats.values():
         for report in reports:
             config.stash[SUMMARY].add(getattr(report, "turtlelog", None))

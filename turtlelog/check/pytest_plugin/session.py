@@ -1,4 +1,4 @@
-"""The books of one session: its recordings and references, what was checked, tracebacks."""
+"""The state of one session: its recordings and references, checks and tracebacks."""
 
 import glob
 import os
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Session:
-    """What lives as long as the session of one process: with xdist, of one worker."""
+    """State of the session of one process; with xdist, of one worker."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -40,7 +40,7 @@ class Session:
         trust_law: bool = False,
         **reading: Any,
     ) -> "Recording":
-        """Return the one recording of a file; it is read once, when it is first asked."""
+        """Return the recording of a file, one object per file; it is read on first use."""
         from turtlelog.check.recording import Recording
 
         if allow_partial is None:
@@ -59,11 +59,11 @@ class Session:
         return self._recordings[key]
 
     def open_reference(self, path: Path, scratch: Path) -> "ReferenceFile":
-        """Return the one reference of a file.
+        """Return the reference of a file, one object per file.
 
         Args:
-            path: The file.
-            scratch: A folder of this session; with xdist, below that which all workers share.
+            path: File of the reference.
+            scratch: Folder of this session; with xdist, inside the one that all workers share.
         """
         from turtlelog.check.reference import ReferenceFile
 
@@ -74,22 +74,22 @@ class Session:
         return self._references.setdefault(path.resolve(), reference)
 
     def end(self) -> None:
-        """Let go of what must not outlive the session."""
+        """Release what must not outlive the session."""
         if self._writer is not None:
             self._writer.close()
 
     def begin(self) -> None:
-        """Forget what the test before has done."""
+        """Forget the checks of the previous test."""
         self._used, self._results = {}, []
 
     def watch(self, recording: "Recording", result: "CheckResult | None") -> None:
-        """Note that a recording was used, or what a check came to."""
+        """Note that a recording was used, or the result of a check."""
         self._used[recording.file] = recording
         if result is not None:
             self._results.append((recording, result))
 
     def list_properties(self) -> list[tuple[str, object]]:
-        """Return every metric of the recordings that were used; none where no report wants them."""
+        """Return every metric of the used recordings; empty if no report needs them."""
         if not self._config.getoption("xmlpath", None):
             return []
         return [found for name in self._used for found in self._list_metrics(name)]
@@ -111,7 +111,7 @@ class Session:
             yield f"{prefix}{metric.id}{unit}", value
 
     def complete_report(self, item: pytest.Item, report: pytest.TestReport) -> None:
-        """Give a report its checks, and one of a failure its message and artifacts."""
+        """Add its checks to a report, and its message and artifacts to one of a failure."""
         if not self._used:
             return
         has_failed = report.failed
@@ -153,7 +153,7 @@ class Session:
 
 
 def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:
-    """Return what the summary needs, in types that travel between processes."""
+    """Return the data for the summary in types that can be sent between processes."""
     margin, verdict = result.margin, result.verdict.value
     if not has_failed:
         # What was denied, as in `assert not overshoot > 2`, was to be so.
@@ -168,7 +168,7 @@ def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:
 
 
 def _show_path(path: Path, root: Path) -> str:
-    """Return a path as seen from the root, where it lies below."""
+    """Return a path relative to the root if it is inside it."""
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
 
 
@@ -179,7 +179,7 @@ _WIDTH = 60
 
 
 class SessionSummary:
-    """Gathers what the reports of all processes tell."""
+    """Collects data from the reports of all processes."""
 
     def __init__(self) -> None:
         self._recordings: set[str] = set()
@@ -187,7 +187,7 @@ class SessionSummary:
         self._checks: list[dict[str, Any]] = []
 
     def add(self, told: dict[str, Any] | None) -> None:
-        """Take what one report tells, if anything."""
+        """Add the data of one report, if it has any."""
         if not told:
             return
         self._recordings.update(told["recordings"])
@@ -195,7 +195,7 @@ class SessionSummary:
         self._checks += told["checks"]
 
     def format_line(self) -> str:
-        """Return the line; empty where no recording was used."""
+        """Return the summary line; empty if no recording was used."""
         if not self._recordings:
             return ""
         failed = sum(check["verdict"] == "FAIL" for check in self._checks)
@@ -230,9 +230,9 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def end_at_test(error: BaseException) -> None:
-    """Cut the traceback of an error that turtlelog raised on purpose where turtlelog begins.
+    """Cut the traceback of a deliberate turtlelog error at the point where turtlelog begins.
 
-    pytest reads tracebacks anew, so this is the one place where frames can be left out.
+    pytest reads tracebacks anew, so frames can be left out only here.
     """
     if not isinstance(error, TurtlelogError):
         return
@@ -261,12 +261,12 @@ _SETTINGS: Final = (
 def choose_recordings(
     metafunc: pytest.Metafunc, marker: pytest.Mark
 ) -> tuple[list[Path], dict[str, Any]]:
-    """Return the files of a marker, and the settings that it gives for them.
+    """Return the files of a marker, and the settings that the marker gives for them.
 
-    Patterns are looked for beside the test, then below the root.
+    Patterns are searched in the folder of the test, then in the root.
 
     Raises:
-        CollectError: Where the marker is wrong, or a pattern has no file.
+        CollectError: If the marker is wrong, or a pattern matches no file.
     """
     place = f"{metafunc.definition.nodeid}: recordings"
     unknown = sorted(marker.kwargs.keys() - {*_SETTINGS})
@@ -305,7 +305,7 @@ def _require_settings(settings: Mapping[str, Any], place: str) -> None:
 
 
 def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
-    """Return a name for every file, as short as tells them apart."""
+    """Return a name for every file, as short as is unique."""
     names = [find_stem(path) for path in paths]
     counts = Counter(names)
     pairs = zip(paths, names, strict=True)
@@ -313,7 +313,7 @@ def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
 
 
 def find_stem(path: Path) -> str:
-    """Return a file's name without its suffix; of FILE:TOPIC with the topic, fit for a file."""
+    """Return a file's name without its suffix; for FILE:TOPIC with the topic, valid for a file."""
     from turtlelog.log.read_choice import split_topic
 
     head, topic = split_topic(path)
@@ -321,10 +321,10 @@ def find_stem(path: Path) -> str:
 
 
 def find_reference(request: pytest.FixtureRequest, stem: str | None) -> Path:
-    """Return the file that a test's marker or the ini option names.
+    """Return the reference file that a test's marker or the ini option names.
 
     Raises:
-        UsageError: Where neither names one, or the name cannot be filled in.
+        UsageError: If neither names one, or a placeholder of the name cannot be filled in.
     """
     marker = request.node.get_closest_marker("reference")
     given: Any = request.config.getini("turtlelog_reference") or None

@@ -1,7 +1,7 @@
-"""Figures for print: the paper's, from any recordings, with matplotlib.
+"""Figures for print with matplotlib: those of the paper, from any recordings.
 
-`figure_kinds` names them, `figure_curves` and the files of panels draw them, `page` gives them
-their size and looks, `legend` names what they show, `writing` writes them.
+`figure_kinds` defines them, `figure_curves` and the files of panels draw them, `page` sets size and
+style, `legend` names their contents, `writing` writes them.
 """
 
 from turtlelog.libraries import load_library

@@ -1,4 +1,4 @@
-"""The attribution of one run: a waterfall of its contributions, beside the run and its ghost."""
+"""The attribution of one run: a waterfall of its contributions, with the run and its ghost."""
 
 import re
 import textwrap
@@ -71,13 +71,13 @@ _CONNECTOR: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.5", "linewi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explained:
-    """A run with what caused its value, and its ghost.
+    """A run with the causes of its value, and its ghost.
 
     Attributes:
-        run: As recorded.
-        found: The attribution; it has contributions, or nothing to divide.
-        ghost: What it would have been without all that acts; None where nothing does.
-        ghost_name: What the ghost lacks, in words.
+        run: Recorded run.
+        found: Attribution; it has contributions, or nothing to divide.
+        ghost: The run without all acting causes; None if none acts.
+        ghost_name: Causes that the ghost lacks, in words.
     """
 
     run: Run
@@ -95,12 +95,13 @@ def explain_for_figure(
     """Explain one run, as `turtlelog explain` does.
 
     Args:
-        runs: One.
-        metric: Its id; the same as `explain` chooses unless given.
-        report: Called with the simulations that are done, and how many there are.
+        runs: Sequence of one run.
+        metric: Id of the metric. Default: the choice of `explain`.
+        report: Function called with the numbers of simulations done and in total.
 
     Raises:
-        ShowError: Where there is not one run, or it has no contributions; the line says why.
+        ShowError: If there is not exactly one run, or it has no contributions; the message says
+            why.
     """
     if len(runs) != 1:
         raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
@@ -134,12 +135,12 @@ def _tell(found: Attribution) -> str:
 def draw_attribution(
     figure: Figure, runs: Sequence[Run], *, explained: Explained | None = None
 ) -> None:
-    """Draw the waterfall of a run's metric, beside the run and its ghost.
+    """Draw the waterfall of a run's metric, with the run and its ghost.
 
     Args:
-        figure: To draw on.
-        runs: One.
-        explained: What `explain_for_figure` returned; it is called where this is not given.
+        figure: Figure to draw on.
+        runs: Sequence of one run.
+        explained: Result of `explain_for_figure`; it is called if this is None.
     """
     told = explained or explain_for_figure(runs)
     waterfall = draw_up_attribution(told.found)
@@ -163,12 +164,12 @@ def draw_attribution(
 
 
 def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
-    """Draw the bars of a waterfall, each with its words.
+    """Draw the bars of a waterfall, each with its text.
 
     Args:
-        axes: To draw on.
-        waterfall: What it consists of.
-        room_inch: Width for the bars and the words beside them.
+        axes: Axes to draw on.
+        waterfall: Waterfall to draw.
+        room_inch: Width for the bars and their text [inch].
     """
     steps, factor = waterfall.steps, waterfall.scale.factor
     starts = np.array([step.start for step in steps]) * factor
@@ -200,7 +201,7 @@ def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
 
 
 def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: float) -> float:
-    """Return how wide the axis must be for the words beside the bars, in the unit of the bars."""
+    """Return the width of the axis for the text beside the bars, in the unit of the bars."""
     span = least
     for text, right in zip(texts, rights, strict=True):
         words_inch = max(map(measure_text_mm, text.split("\n"))) / 25.4 + 0.08
@@ -210,7 +211,7 @@ def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: fl
 
 
 def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:
-    """Draw what the metric is of: where the run ends, or the signal of its loop."""
+    """Draw the data of the metric: the end of the run, or the signal of its loop."""
     loop = told.run.declaration.find_loop(told.found.metric.rpartition(".")[0])
     if loop is None and told.found.metric != "final.heading_error":
         _draw_ends(axes, told)
@@ -221,7 +222,7 @@ def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:
 
 
 def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
-    """Draw a signal of the run and of its ghost, from where it comes near its reference."""
+    """Draw a signal of the run and of its ghost, from where it approaches its reference."""
     for level in {level.value for level in list_levels(told.run, signal)} or {0.0}:
         axes.axhline(level, **REFERENCE)
     lines = [(told.run, choose_lines(1)[0], "recorded")]
@@ -251,7 +252,7 @@ def _find_rows(time_s: Values, window_s: tuple[float, float] | None) -> NDArray[
 
 
 def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
-    """Return from when to when a loop's signal is within a tenth of its step; None without one."""
+    """Return when a loop's signal comes within a tenth of its step; None without one."""
     curve = read_curve(told.run, signal)
     steps = [step for step in find_steps(told.run, signal) if curve is not None]
     steps = [step for step in steps if told.found.metric.startswith(f"{step.loop.name}.")]
@@ -267,7 +268,7 @@ def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
 
 
 def _draw_ends(axes: Axes, told: Explained) -> None:
-    """Draw where the run and its ghost end, close up where they arrive."""
+    """Draw the ends of the run and its ghost, enlarged if they arrive."""
     lines = [(told.run, choose_lines(1)[0], "recorded")]
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
@@ -301,7 +302,7 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
 
 
 def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> WordSpace:
-    """Give the panel its limits: those of the close-up, or of all that was driven."""
+    """Set the limits of the panel: those of the close-up, or of the whole paths."""
     if close_up is not None:
         center, half_m = np.array(close_up.goal_xy_m), close_up.half_m
     else:
@@ -322,7 +323,7 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Word
 
 
 def _tell_miss(told: Explained, miss_m: float) -> str:
-    """Return a distance, with the decimals of the waterfall where that is of the same."""
+    """Return a distance, with the decimals of the waterfall if that shows the same metric."""
     if told.found.metric == "final.position_error":
         return choose_step_scale(told.found).format_value(miss_m)
     return format_length(miss_m)

@@ -1,4 +1,4 @@
-"""Figures of one thing beside another: runs, a robot and its model, a path and its reference."""
+"""Figures of comparisons: runs, a robot and its model, a path and its reference."""
 
 import math
 from collections.abc import Mapping
@@ -37,12 +37,12 @@ _BARS = 0.72
 def write_difference_figure(
     found: ExplainedDifference, path: str | Path, *, page: Page | None = None
 ) -> Path:
-    """Write a figure of what makes the difference of two runs, and return its path.
+    """Write a figure of the causes of a difference between two runs, and return its path.
 
     Args:
-        found: What `turtlelog.explain_difference` returned.
-        path: Ends in .pdf, .png or .svg.
-        page: Where it will stand.
+        found: Result of `turtlelog.explain_difference`.
+        path: File name that ends in .pdf, .png or .svg.
+        page: Page format.
 
     Raises:
         ShowError: If there are no contributions, or the file cannot be written.
@@ -63,16 +63,16 @@ def write_difference_figure(
 def write_robot_figure(
     model: RobotModel, run: Run, path: str | Path, *, page: Page | None = None
 ) -> Path:
-    """Write the figure `rates` of a run with a model of its own, and return its path.
+    """Write the figure `rates` of a run with a given model, and return its path.
 
     Args:
-        model: What `turtlelog.identify_robot` returned.
-        run: Whose motion is drawn: one that was identified, or another.
-        path: Ends in .pdf, .png or .svg.
-        page: Where it will stand.
+        model: Result of `turtlelog.identify_robot`.
+        run: Run whose motion is drawn: an identified one, or another.
+        path: File name that ends in .pdf, .png or .svg.
+        page: Page format.
 
     Raises:
-        ShowError: Where no axis is known, or the file cannot be written.
+        ShowError: If no axis is known, or the file cannot be written.
     """
     path = require_figure_path(path)
     if not any(axis.is_known for axis in model.axes):
@@ -107,15 +107,15 @@ _SIMULATED: Final = "simulated"
 def write_prediction_figure(
     found: RobotComparison, path: str | Path, *, page: Page | None = None
 ) -> Path:
-    """Write a figure of a recorded robot beside a simulated one, and return its path.
+    """Write a figure of a recorded robot and a simulated one, and return its path.
 
     Args:
-        found: What `turtlelog.compare.compare_robot` returned.
-        path: Ends in .pdf, .png or .svg.
-        page: Where it will stand.
+        found: Result of `turtlelog.compare.compare_robot`.
+        path: File name that ends in .pdf, .png or .svg.
+        page: Page format.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     path = require_figure_path(path)
     page = page or Page(kind="page")
@@ -196,15 +196,15 @@ _ROW_HEIGHT: Final = 0.26
 def write_trajectory_figure(
     found: TrajectoryComparison, path: str | Path, *, page: Page | None = None
 ) -> Path:
-    """Write a figure of an aligned trajectory beside its reference, and return its path.
+    """Write a figure of an aligned trajectory and its reference, and return its path.
 
     Args:
-        found: What `turtlelog.compare.compare_trajectories` returned.
-        path: Ends in .pdf, .png or .svg.
-        page: Where it will stand.
+        found: Result of `turtlelog.compare.compare_trajectories`.
+        path: File name that ends in .pdf, .png or .svg.
+        page: Page format.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     path = require_figure_path(path)
     page = page or Page(kind="page")

@@ -1,4 +1,4 @@
-"""Curves of figures: of runs, thinned, of the ideal loop beside them, and of theory alone."""
+"""Curves of figures: of runs (thinned), of the ideal loop, and of theory alone."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -45,9 +45,9 @@ class Pole:
     """The poles of a closed loop, drawn as dots.
 
     Attributes:
-        values: In the plane of s [1/s] or z, shape (n,).
+        values: Poles in the s plane [1/s] or the z plane, shape (n,).
         looks: Colour and marker of the run.
-        label: In the legend.
+        label: Label in the legend.
     """
 
     values: NDArray[np.complex128]
@@ -56,13 +56,13 @@ class Pole:
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
-    """Draw a curve, as stairs where it holds; a long one is thinned."""
+    """Draw a curve, as steps if it is held; a long one is thinned."""
     drawstyle = "steps-post" if curve.holds else "default"
     draw_thinned(axes, curve.time_s, curve.values, curve.values, drawstyle=drawstyle, **looks)
 
 
 def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
-    """Draw a line; where points are left out the extremes of `kept` stay, and a note says so."""
+    """Draw a line; if points are left out, the extremes of `kept` stay and a note is added."""
     across, up = _thin(axes, across, up, kept)
     if len(up) == 1:  # a line would be nothing
         looks |= {"marker": "o", "ms": 3.0, "markevery": None}
@@ -72,7 +72,7 @@ def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: 
 
 
 def _space_marks(up: Values, every: Any) -> Any:
-    """Return where a curve has marks: along its way, but one that swings by its rows."""
+    """Return the positions of marks on a curve: along its length, or by rows if it oscillates."""
     known = up[np.isfinite(up)]
     if every is None or np.abs(np.diff(known)).sum() <= _MOST_SWINGS * np.ptp(known):
         return every
@@ -81,7 +81,7 @@ def _space_marks(up: Values, every: Any) -> Any:
 
 
 def draw_points(axes: Axes, across: Values, up: Values, **looks: Any) -> None:
-    """Draw points without a line between them, thinned as lines are."""
+    """Draw points without a joining line, thinned like lines."""
     across, up = _thin(axes, across, up, up)
     axes.plot(across, up, **looks)
 
@@ -96,7 +96,7 @@ def _thin(axes: Axes, across: Values, up: Values, kept: Values) -> tuple[Values,
 
 
 def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
-    """Draw level lines under one name."""
+    """Draw level lines with one label."""
     for index, level in enumerate(levels):
         shown = dict(looks)
         if index:
@@ -105,7 +105,7 @@ def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
 
 
 def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
-    """Draw the plant 1/s answering an impulse, a step and a ramp."""
+    """Draw the response of the plant 1/s to an impulse, a step and a ramp."""
     time_s = np.linspace(0.0, _LAST_S, 201)
     for axes, kind in zip(figure.subplots(1, 3), PLANT_INPUTS, strict=True):
         axes.plot(time_s, compute_plant_response(kind, time_s), **choose_lines(1)[0])
@@ -135,7 +135,7 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
-    """Return how each gain looks: the colour of the first run with it, dashes for its others."""
+    """Return the style of each gain: the colour of the first run with it, dashes for its others."""
     styled: dict[float, Mapping[str, Any]] = {}
     for run, looks in zip(runs, choose_lines(len(runs)), strict=True):
         for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
@@ -144,7 +144,7 @@ def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
 
 
 def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
-    """Draw the ideal closed loops' poles s = -Kp, from the plant's at the origin leftward."""
+    """Draw the ideal closed loops' poles s = -Kp, from the plant's pole at 0 to the left."""
     left = 1.25 * min(float(pole.values.real.min()) for pole in poles)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
     axes.text(-0.12 * left, 0.6, "unstable", ha="center", fontsize=7.0, color="0.4")
@@ -157,7 +157,7 @@ def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
 
 
 def list_paper_poles() -> list[Pole]:
-    """Return the poles of the ideal loops with the gains of the paper."""
+    """Return the poles of the ideal loops for the gains of the paper."""
     styled = zip(PAPER_GAINS, choose_lines(len(PAPER_GAINS)), strict=True)
     return [
         Pole(values=compute_root_locus([kp]), looks=looks, label=f"Kp = {kp:g}")
@@ -166,7 +166,7 @@ def list_paper_poles() -> list[Pole]:
 
 
 def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
-    """Draw poles; of equal ones those that come first are larger discs below."""
+    """Draw poles; of equal ones the first are larger discs below."""
     labels = name_some(axes, [pole.label for pole in poles])
     for number, (pole, label) in enumerate(zip(poles, labels, strict=True)):
         later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
@@ -177,7 +177,7 @@ def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of the loops that theory knows in rising order; without runs the paper's."""
+    """Return the gains of loops known to theory, rising; without runs, those of the paper."""
     if not runs:
         return PAPER_GAINS
     found = {

@@ -1,4 +1,4 @@
-"""The figures by name: what each shows, what it needs, and how it is drawn."""
+"""The figures by name: content, required data, and drawing function of each."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,12 +57,12 @@ class Panel:
     """One panel of a figure.
 
     Attributes:
-        name: What it shows, in a word or two.
-        needs: What a run must hold to be drawn.
-        draw: Draws it for some runs.
-        loop: Signal that a loop of some run must control; of a usual panel, a run whose loops are
-            not known is taken to do so. Empty: whatever is controlled.
-        is_usual: Whether it is missed where no run has anything for it.
+        name: Content, in a word or two.
+        needs: Data that a run must contain.
+        draw: Function that draws it for several runs.
+        loop: Signal that a loop of a run must control; for a usual panel, a run with unknown loops
+            is assumed to do so. Empty: any.
+        is_usual: Whether it is reported as missing if no run has data for it.
         plot: Name of the plot over time that it shows; empty for another panel.
     """
 
@@ -74,7 +74,7 @@ class Panel:
     is_usual: bool = True
 
     def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
-        """Return what each run lacks to be drawn, empty where nothing."""
+        """Return the data that each run lacks; empty if none."""
         if self.loop and not any(self._is_of(run) for run in runs):
             return (_LOOPS[self.loop],) * len(runs)
         return find_lacks(runs, self.needs)
@@ -90,16 +90,16 @@ class FigureKind:
     """One figure.
 
     Attributes:
-        title: What it shows, for captions.
-        paper: The paper's figure that it stands beside; empty where there is none.
-        height: Over its width, with all of its usual panels.
-        needs: What at least one run must hold; each panel has needs of its own where there are any.
-        draw: Draws it for some runs, where it has no panels.
-        panels: Those that no run has anything for are left out.
-        list_more: More panels, that depend on what the laws of runs declare.
-        is_usual: Whether it is missed where no run has anything for it.
-        is_extra: Whether it is drawn only where it is asked for by name.
-        arrange: Puts panels where they stand.
+        title: Content, for captions.
+        paper: The corresponding figure of the paper; empty if there is none.
+        height: Height divided by width, with all of its usual panels.
+        needs: Data that at least one run must contain; panels have further needs.
+        draw: Function that draws it for several runs, if it has no panels.
+        panels: Panels; those without data in any run are left out.
+        list_more: Function that returns further panels, which depend on the declarations of laws.
+        is_usual: Whether it is reported as missing if no run has data for it.
+        is_extra: Whether it is drawn only if it is requested by name.
+        arrange: Function that places the panels.
     """
 
     title: str
@@ -114,7 +114,7 @@ class FigureKind:
     arrange: Arrange = draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
-        """Return what is missing to draw it, None where nothing is; theory needs no runs."""
+        """Return what is missing to draw it; None if nothing; theory needs no runs."""
         if not runs:
             return (find_lack_of_gain(()) or None) if self.needs in OF_THEORY else "a recording"
         if self.draw is not None:
@@ -127,12 +127,12 @@ class FigureKind:
         )
 
     def choose_panels(self, runs: Sequence[Run]) -> tuple[Panel, ...]:
-        """Return the panels that a run has something for."""
+        """Return the panels for which a run has data."""
         found = tuple(panel for panel in self.panels if not all(panel.find_lacks(runs)))
         return (*found, *self.list_more(runs))
 
     def find_height(self, runs: Sequence[Run]) -> float:
-        """Return its height over its width: fewer panels need less, and beside a plane more."""
+        """Return its height divided by its width: less for fewer panels, more beside a plane."""
         if self.draw is draw_plane and has_one_plane(runs):
             return 1.0
         if self.arrange is draw_overview:
@@ -144,10 +144,10 @@ class FigureKind:
         return self.height * (1.0 + kept) / (1.0 + usual)
 
     def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
-        """Draw it for some runs.
+        """Draw it for several runs.
 
         Raises:
-            ShowError: Where a pose lies too far away for the limits of axes.
+            ShowError: If a pose is too far away for the limits of axes.
         """
         require_near(runs)
         if self.draw is not None:
@@ -160,7 +160,7 @@ class FigureKind:
 
 
 def list_usual_figures() -> tuple[str, ...]:
-    """Return the names of the figures that are drawn unless others are asked for."""
+    """Return the names of the figures that are drawn by default."""
     return tuple(name for name, kind in FIGURES.items() if not kind.is_extra)
 
 
@@ -178,7 +178,7 @@ def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = Non
 
 
 def _panels(figure: str) -> tuple[Panel, ...]:
-    """Return the panels of a figure: the plots that name it."""
+    """Return the panels of a figure: the plots that refer to it."""
     return tuple(_panel(name) for name, plot in TIME_PLOTS.items() if plot.figure == figure)
 
 
@@ -195,12 +195,12 @@ def _draw_track(axes: Axes, runs: Sequence[Run]) -> None:
 def list_state_panels(
     runs: Sequence[Run], *, of_commands: bool = False, most: int = MOST_STATES
 ) -> tuple[Panel, ...]:
-    """Return panels for states that are not always 0: of one run for those that belong together.
+    """Return panels for nonzero states: for a single run, one panel per group.
 
     Args:
-        runs: What is drawn.
-        of_commands: Only those that belong to a command.
-        most: How many there may be.
+        runs: Runs to draw.
+        of_commands: Whether to include only states that belong to a command.
+        most: Largest number of panels.
     """
     found = [run for run in runs if has_states(run)]
     panels = []
@@ -221,7 +221,7 @@ def list_state_panels(
 
 
 def _is_idle(name: str, runs: Sequence[Run]) -> bool:
-    """Whether a state is 0 throughout in every run that has it."""
+    """Return whether a state is 0 throughout in every run that has it."""
     curves = [read_curve(run, name) for run in runs if name in run.declaration.states]
     return not any(curve.values.any() for curve in curves if curve is not None)
 

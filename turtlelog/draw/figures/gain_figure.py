@@ -1,4 +1,4 @@
-"""Metrics against the gain, beside theory's limits for the dead time that the runs show."""
+"""Metrics against the gain, with theory's limits for the dead times of the runs."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -83,13 +83,13 @@ def draw_gains(
     """Draw metrics against the gain of each loop, with theory's limits.
 
     Args:
-        figure: To draw on.
-        runs: Those without a known gain are left out.
-        metrics: Ids, patterns, or names of metrics of any loop; overshoot, settling time and final
-            position error unless given.
+        figure: Figure to draw on.
+        runs: Runs; those without a known gain are left out.
+        metrics: Ids, patterns, or names of metrics of any loop. Default: overshoot, settling time
+            and final position error.
 
     Raises:
-        ShowError: Where no gain is known, or no run has a value.
+        ShowError: If no gain is known, or no run has a value.
     """
     loops = find_loop_gains(runs)
     if not loops:
@@ -131,12 +131,12 @@ class GainLimits:
     """Theory's limits of Kp for one timing.
 
     Attributes:
-        dead_time_s: All dead time of the loop [s].
+        dead_time_s: Total dead time of the loop [s].
         period_s: Its sampling period [s].
-        overshoot: Kp from which it overshoots [1/s]; None where the loop is not proportional.
-        stability: Kp from which it is unstable [1/s]; None where no Kp is stable.
-        design: To compute responses with.
-        gains: Of one of its runs, at which the limits hold besides Kp.
+        overshoot: Kp above which it overshoots [1/s]; None if the loop is not proportional.
+        stability: Kp above which it is unstable [1/s]; None if no Kp is stable.
+        design: Loop for computing responses.
+        gains: Gains of one of its runs, for which the limits of Kp are valid.
     """
 
     dead_time_s: float
@@ -152,11 +152,11 @@ class LoopGains:
     """A loop's gain in each run.
 
     Attributes:
-        name: Of the loop.
-        gains: Kp [1/s], one for each run; NaN where it is not known.
-        limits: Of theory, one for each timing, in the order of dead times.
-        step: Size of the step and limit of the command, in rad or m and per second; None where
-            runs differ in them, or theory does not know the loop.
+        name: Name of the loop.
+        gains: Kp of each run [1/s]; NaN if unknown.
+        limits: Limits from theory, one for each timing, in order of dead time.
+        step: Size of the step and limit of the command, in rad or m and per second; None if runs
+            differ in them, or theory does not know the loop.
     """
 
     name: str
@@ -175,7 +175,7 @@ def _find_values(found: Sequence[MetricValues], name: str, loop: LoopGains) -> M
 
 
 def _name_loop(loop: LoopGains) -> str:
-    """Return a loop's name with the dead times for which the limits hold."""
+    """Return a loop's name with the dead times of its limits."""
     if not loop.limits:
         return f"{loop.name}: no theory"
     times_ms = sorted({round(1e3 * one.dead_time_s, 1) for one in loop.limits})
@@ -230,7 +230,7 @@ def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
 
 
 def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
-    """Draw from which gain theory's loop overshoots, and from which it is unstable."""
+    """Draw the gains above which theory's loop overshoots, and is unstable."""
     left, right = axes.get_xlim()
     starts: dict[str, float] = {}
     beyond = []
@@ -258,7 +258,7 @@ def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
 
 
 def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], name: str) -> None:
-    """Draw a line for each limit; of many a band."""
+    """Draw a line for each limit; for many limits, a band."""
     if len(limits) > _MOST_LINES:
         band = {"color": looks["color"], "alpha": 0.25, "linewidth": 0.0, "label": name}
         axes.axvspan(limits[0], limits[-1], **band)
@@ -268,7 +268,7 @@ def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], n
 
 
 def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bool) -> None:
-    """Write the values of limits above their lines; two that stand left of others end at the last.
+    """Write the values of limits above their lines; two at the left end at the last line.
 
     In a column, the least and the greatest limit of overshoot would touch those of stability.
     """
@@ -280,7 +280,7 @@ def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bo
 
 
 def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> None:
-    """Tell the limits that the axis leaves out, at the side at which they lie."""
+    """Write the limits that the axis leaves out, on the side at which they are."""
     words = {"overshoot": "overshoots", "stability": "unstable"}
     for number, (kind, limit, color, is_right) in enumerate(beyond):
         side, at = ("right", 0.99) if is_right else ("left", 0.01)
@@ -290,7 +290,7 @@ def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> 
 
 
 def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
-    """Draw what theory's loop does at each gain, where it knows."""
+    """Draw theory's metric at each gain, if it is known."""
     left, right = axes.get_xlim()
     gains = np.geomspace(max(left, 1e-3 * right), right, _GAINS)
     if found.name == "settling_time":
@@ -311,7 +311,7 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
 
 
 def _overshoot(limit: GainLimits, kp: float) -> float:
-    """Return the overshoot of the linear sampled loop [%]; NaN where it has none or is unstable."""
+    """Return the overshoot of the linear sampled loop [%]; NaN if none or unstable."""
     if limit.stability is None or kp >= limit.stability:
         return math.nan
     motion = limit.design.measure(replace(limit.gains, kp=kp), to_rest=False)
@@ -361,7 +361,7 @@ def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
 
 
 def _find_step(name: str, runs: Sequence[Run]) -> tuple[float, float] | None:
-    """Return the step that all runs answer, and the limit of its command."""
+    """Return the common step of all runs, and the limit of its command."""
     found = []
     for run in runs:
         loop = run.declaration.find_loop(name)

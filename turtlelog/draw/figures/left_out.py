@@ -1,4 +1,4 @@
-"""What figures and tables do not show of some runs, and why."""
+"""Data of runs that figures and tables do not show, and why."""
 
 import sys
 from collections.abc import Iterable, Sequence
@@ -34,11 +34,11 @@ _DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PA
 
 
 def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
-    """Return what figures do not show of some runs, and why, one line for each reason.
+    """Return what figures leave out of some runs, and why, one line for each reason.
 
     Args:
-        runs: What is drawn; in these lines they have the names of legends.
-        names: Of the figures that were asked for; all, and the tables, where None.
+        runs: Runs to draw, with the names of legends in these lines.
+        names: Names of the requested figures; None: all, and the tables.
     """
     runs = order_by_gain(runs)
     left_out: dict[tuple[str, tuple[int, ...]], list[str]] = {}
@@ -58,11 +58,11 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
 
 
 def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
-    """Return one line on the figures whose curves have no characteristics, where there are any.
+    """Return one line on the figures whose curves have no characteristics, if there are any.
 
     Args:
-        runs: What is drawn.
-        names: Of the figures.
+        runs: Runs to draw.
+        names: Names of the figures.
     """
     found = [list_characteristics(run, measure_run(run)) for run in runs]
     lacking = [name for name in names if not _is_marked(name, runs, found)]
@@ -93,7 +93,7 @@ def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
 
 
 def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
-    """Say what does not stand beside the plane; of runs without samples and goal nothing should."""
+    """Return why there is no close-up; nothing for runs without samples and goal."""
     if "plane" not in shown or not has_one_plane(runs):
         return []
     if lack_samples(runs) and not any(run.goal_xy_m for run in runs):
@@ -109,7 +109,7 @@ _Left = dict[tuple[str, tuple[int, ...]], list[str]]
 
 
 def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
-    """Name what is of a controller in one line: without its samples there is nothing to miss."""
+    """Return the missing controller data in one line: without its samples none are expected."""
     of_motion: _Left = {}
     of_controller: list[str] = []
     for (words, lacking), parts in left_out.items():
@@ -125,12 +125,12 @@ def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
 
 
 def has_table1(runs: Sequence[Run]) -> bool:
-    """Whether Table 1 of these runs holds anything but their names."""
+    """Return whether Table 1 of these runs contains anything but their names."""
     return any(value is not None for row in tabulate_table1(runs).rows for value in row[1:])
 
 
 def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
-    """Return a figure, or its panels where they need different things, and what each run lacks."""
+    """Return a figure, or its panels if their needs differ, and the data that each run lacks."""
     kind = FIGURES[name]
     if kind.draw is not None:
         return [(name, find_lacks(runs, kind.needs))]

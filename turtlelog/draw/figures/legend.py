@@ -1,4 +1,4 @@
-"""What names the runs of a figure: a legend above the panels, or of many a bar of their gains."""
+"""Names of the runs in a figure: a legend above the panels, or for many runs a bar of gains."""
 
 from collections.abc import Collection, Mapping, Sequence
 from math import ceil
@@ -43,10 +43,10 @@ _SOME: Final = 7
 
 
 def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
-    """Name what the panels show above them; the figure grows by the lines that this takes.
+    """Add a legend above the panels; the figure grows by its lines.
 
-    What is named elsewhere is left out, and what would stand alone where nothing is. Curves come
-    first, and what looks alike in several panels shares an entry.
+    Labels shown elsewhere are left out, and so is a single entry if nothing is. Curves come first,
+    and curves with the same style in several panels share an entry.
     """
     named: dict[tuple[str, bool], Any] = {}
     for axes in figure.axes:
@@ -75,7 +75,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
 
 
 def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:
-    """Return labels of lines for a legend; of many those of a few, and the legend says so."""
+    """Return labels of lines for a legend; of many only a few, and the legend says so."""
     if len(labels) <= _MOST_NAMED:
         return list(labels)
     shown = {*np.linspace(0, len(labels) - 1, _SOME).round().astype(int).tolist()}
@@ -84,7 +84,7 @@ def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:
 
 
 def _join_alike(named: Mapping[tuple[str, bool], Any]) -> list[tuple[str, Any]]:
-    """Return the entries of a legend: curves first, then what lies below them."""
+    """Return the entries of a legend: curves first, then the layers below them."""
     groups: dict[Any, list[tuple[str, bool]]] = {}
     for key in sorted(named, key=lambda key: named[key].get_zorder() < _CURVES):
         groups.setdefault(_describe_looks(key[0], named[key]), []).append(key)
@@ -102,7 +102,7 @@ def _describe_looks(label: str, handle: Any) -> Any:
 
 
 def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
-    """Return how many columns of the widest entry there is room for."""
+    """Return how many columns of the widest entry fit."""
     size = rcParams["legend.fontsize"]
     font = FontProperties(family=rcParams["font.family"], size=size)
     widest = max(
@@ -120,10 +120,10 @@ _MOST_TICKS: Final = 7
 
 
 def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
-    """Add a bar of colours where a figure names more runs than have a hue of their own.
+    """Add a colour bar if a figure has more runs than distinct hues.
 
     Returns:
-        What the bar names, which the legend need not.
+        Labels in the bar, which the legend need not repeat.
     """
     names = label_runs(runs)
     drawn = [axes for axes in figure.axes if _names_all(axes.get_legend_handles_labels()[1], names)]

@@ -1,4 +1,4 @@
-"""The luck of one run: where its starts end, and the value from each, with and without effects."""
+"""Effect of chance on a run: the ends of its starts and their values, with and without effects."""
 
 import re
 from collections.abc import Sequence
@@ -62,15 +62,15 @@ def measure_luck_for_figure(
     metric: str | None = None,
     work: Work | None = None,
 ) -> Luck:
-    """Measure the luck of one run.
+    """Measure the effect of chance on one run.
 
     Args:
-        runs: One.
-        metric: Its id; the same as `explain` chooses unless given.
-        work: How to simulate.
+        runs: Sequence of one run.
+        metric: Id of the metric. Default: the choice of `explain`.
+        work: Settings of the simulation.
 
     Raises:
-        ShowError: Where there is not one run, or it has no luck to show; the line says why.
+        ShowError: If there is not exactly one run, or nothing can be shown; the message says why.
     """
     if len(runs) != 1:
         raise ShowError(f"figure luck: expected one recording, found {len(runs)}")
@@ -84,12 +84,12 @@ def measure_luck_for_figure(
 
 
 def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) -> None:
-    """Draw where the starts of a run end, and its value over them.
+    """Draw the ends of a run's starts, and its value over them.
 
     Args:
-        figure: To draw on.
-        runs: One.
-        luck: What `measure_luck_for_figure` returned; it is called where this is not given.
+        figure: Figure to draw on.
+        runs: Sequence of one run.
+        luck: Result of `measure_luck_for_figure`; it is called if this is None.
     """
     shown = build_luck_picture(luck or measure_luck_for_figure(runs))
     width = float(figure.get_figwidth())
@@ -114,7 +114,7 @@ def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) 
 
 
 def _wrap(sentences: Sequence[str], width_mm: float) -> str:
-    """Return sentences in one line, otherwise each in lines of its own."""
+    """Return sentences on one line if they fit, otherwise each on lines of its own."""
     whole = _break_lines(" ".join(sentences), width_mm)
     parts = [line for text in sentences for line in _break_lines(text, width_mm)]
     return "\n".join(whole if len(whole) == 1 else parts)
@@ -163,7 +163,7 @@ def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
 
 
 def _mark_recorded(axes: Axes, shown: LuckPicture, recorded: tuple[float, float]) -> None:
-    """Mark the run itself, with words on the side of the curve that has more room."""
+    """Mark the run itself, with text on the side of the curve that has more room."""
     color = _choose_color(shown.lines[0])
     axes.plot(*recorded, "o", ms=6.0, color=color, mec="white", mew=0.6, zorder=3.5)
     low, high = shown.limits
@@ -194,7 +194,7 @@ def _darken(line: LuckLine) -> tuple[float, ...]:
 
 
 def _draw_plane(axes: Axes, plane: LuckPlane, side_inch: float) -> None:
-    """Draw the ends around the goal, and rings to read them by."""
+    """Draw the ends around the goal, and rings for scale."""
     half = plane.half_m
     place = WordSpace(
         center=np.zeros(2), half=np.full(2, half), half_mm=np.full(2, 12.7 * side_inch)

@@ -1,4 +1,4 @@
-"""Maps of a sweep: metrics over two keys, their colours, and limits of the gain over them."""
+"""Maps of a sweep: metrics over two keys as colours, with limits of the gain."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -83,14 +83,14 @@ def draw_map_panel(
     """Draw a metric over the two axes of a view.
 
     Args:
-        axes: To draw on.
-        view: Of two axes.
-        metric: One of its results.
-        limits: Of theory, as `find_loop_limits` returns them.
-        reasons: For each reason for no value its words and its hatch, as `group_reasons` has them.
+        axes: Axes to draw on.
+        view: View with two axes.
+        metric: Metric among its results.
+        limits: Limits from theory, as from `find_loop_limits`.
+        reasons: Text and hatch for each reason for a missing value, as from `group_reasons`.
 
     Returns:
-        What a legend names, with how it looks.
+        Legend entries with their styles.
     """
     if view.results.is_sampled:
         named = _draw_points(axes, view, metric)
@@ -106,7 +106,7 @@ def draw_map_panel(
 
 
 def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
-    """Give a side its scale, name and ends; return the ends."""
+    """Set scale, label and limits of a side; return the limits."""
     edges = find_edges(axis)
     low, high = float(edges[0]), float(edges[-1])
     if is_logarithmic(axis):
@@ -117,9 +117,9 @@ def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis's places along a side: words, of many every second, third ...
+    """Write the values of an axis along a side; of many texts only every second, third ...
 
-    Of numbers a few stand where they are; more are a scale.
+    Few numbers are written at their positions; more numbers get a scale.
     """
     if axis.is_number and len(axis) > _FEW_NUMBERS:
         return
@@ -205,9 +205,9 @@ class ColorScale:
     """Colours of the values of one metric.
 
     Attributes:
-        norm: From values to 0 to 1.
-        colors: Of those.
-        extend: Which ends of the bar are pointed: `neither`, `min`, `max` or `both`.
+        norm: Mapping from values to 0 to 1.
+        colors: Colours of 0 to 1.
+        extend: Pointed ends of the bar: `neither`, `min`, `max` or `both`.
     """
 
     norm: Normalize
@@ -236,7 +236,7 @@ def _hatch_cells(
     hatched: Mapping[int, tuple[str, str]],
     looks: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Draw cells without a value, each reason in its own hatch."""
+    """Draw cells without a value, with a hatch for each reason."""
     groups: dict[tuple[str, str], list[int]] = {}
     for cell, one in hatched.items():
         groups.setdefault(one, []).append(cell)
@@ -250,7 +250,7 @@ def _hatch_cells(
 
 
 def _join_cells(edges: tuple[Values, Values], cells: NDArray[np.int64]) -> list[Values]:
-    """Return the corners of rectangles that cover cells: those above each other are one."""
+    """Return the corners of rectangles that cover cells; vertical neighbours are joined."""
     x, y = edges
     column, row = np.divmod(np.sort(cells % (len(x) - 1) * len(y) + cells // (len(x) - 1)), len(y))
     is_first = np.r_[True, (np.diff(row) != 1) | (np.diff(column) != 0)]
@@ -291,7 +291,7 @@ def _draw_limits(
 
 
 def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
-    """Return what a legend says of a limit; the metric of a loop tells the loop."""
+    """Return the legend text of a limit; the metric of a loop already names the loop."""
     return name if metric.loop == found.loop else f"{found.loop}: {name}"
 
 
@@ -304,7 +304,7 @@ _VALUELESS: Final[Mapping[str, Any]] = MappingProxyType({"facecolor": "0.93", "e
 
 
 def build_scale(values: Values) -> ColorScale:
-    """Return the scale of values, of which those that are NaN are left out."""
+    """Return the colour scale of values, without NaN."""
     ramp = [*map(to_rgb, choose_shades(_SHADES))]
     found = find_value_range(values)
     return ColorScale(
@@ -315,9 +315,9 @@ def build_scale(values: Values) -> ColorScale:
 
 
 def group_reasons(metrics: Sequence[SweptMetric]) -> dict[str, tuple[str, str]]:
-    """Return for each reason for no value the words of a legend and a hatch, the most usual first.
+    """Return legend text and hatch for each reason for a missing value, the most frequent first.
 
-    Where there are more than hatches, the rare ones share the last.
+    If there are more reasons than hatches, rare ones share the last hatch.
     """
     counts = Counter(reason for one in metrics for reason in one.reasons if reason is not None)
     order = [reason for reason, _ in counts.most_common()]

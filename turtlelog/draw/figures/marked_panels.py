@@ -1,4 +1,4 @@
-"""Characteristics in panels over time: guide lines, dots, spans, and words that cover nothing."""
+"""Characteristics in panels over time: guide lines, dots, spans, and text without overlap."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -72,13 +72,13 @@ class _Marked:
     """A panel with the marks of one run.
 
     Attributes:
-        axes: The panel.
-        curve: What it shows of the run.
-        is_error: Whether the panel shows what is missing to the reference.
-        is_magnitude: Whether without its sign.
+        axes: Axes of the panel.
+        curve: Curve of the run in it.
+        is_error: Whether the panel shows the difference from the reference.
+        is_magnitude: Whether it shows the magnitude.
         is_alone: Whether no other run is in the panel.
         has_guides: Whether lines lead from dots to the axes.
-        color: Of the run.
+        color: Colour of the run.
     """
 
     axes: Axes
@@ -90,18 +90,18 @@ class _Marked:
     color: Any
 
     def read(self, at_s: float) -> float:
-        """Return the height of the curve at a time, as the panel shows it."""
+        """Return the value of the curve at a time, as the panel shows it."""
         value = float(np.interp(at_s, self.curve.time_s, self.curve.values))
         return abs(value) if self.is_magnitude else value
 
 
 def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
-    """Mark characteristics in the panels that show what loops control.
+    """Mark characteristics in the panels of controlled signals.
 
     Args:
-        figure: Drawn, with its legend; panels that are to be marked have the name of their signal.
-        runs: What it shows, in its order.
-        is_cut: Whether its time axes are cut already.
+        figure: Figure with its legend; panels to be marked have the name of their signal.
+        runs: Runs of the figure, in its order.
+        is_cut: Whether its time axes are already cut.
     """
     panels = [axes for axes in list_time_axes(figure) if axes.get_label()]
     if not panels:
@@ -121,7 +121,7 @@ def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
 def _mark_panel(
     axes: Axes, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]
 ) -> tuple[list[Word], list[Table]]:
-    """Draw the guides of a panel; return its words, and of several runs tables in their place."""
+    """Draw the guides of a panel; return its text, or tables for several runs."""
     label = str(axes.get_label())
     signal = label.strip("|")
     height = axes.get_ylim()
@@ -213,7 +213,7 @@ def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> li
 
 
 def _tell_extremes(word: str, unit: str, values: Sequence[float], count: int) -> str:
-    """Return the least and the greatest value of several runs in words."""
+    """Return the minimum and the maximum of several runs in words."""
     least, most = f"{min(values):.3g}", f"{max(values):.3g}"
     span = least if least == most else f"{least} to {most}"
     some = "" if len(values) == count else f" ({len(values)} of {count} runs)"
@@ -221,7 +221,7 @@ def _tell_extremes(word: str, unit: str, values: Sequence[float], count: int) ->
 
 
 def has_marks(signal: str, marks: Sequence[Characteristic]) -> bool:
-    """Whether the curve of a signal has a mark of a run."""
+    """Return whether the curve of a signal has a mark of a run."""
     return any(mark.kind in _DRAWN for mark in choose_marks(signal, marks))
 
 
@@ -280,9 +280,9 @@ _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Character
 def _guide(
     panel: _Marked, mark: Characteristic, from_s: float | None, at_s: float | None = None
 ) -> None:
-    """Draw a mark on the curve, dotted lines down to the axis and, from a time on, along.
+    """Draw a mark on the curve, with dotted lines down to the axis and along the curve's level.
 
-    Of several runs only settling times have a line: it is their place in time that differs.
+    For several runs only settling times have a line, because their times differ.
     """
     at_s = mark.marked_s if at_s is None else at_s
     axes, level = panel.axes, panel.read(at_s)
@@ -314,7 +314,7 @@ def _draw_band(panel: _Marked, mark: Characteristic) -> None:
 
 
 def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[Word]:
-    """Shade the pauses that are seen by half at least, and wider than a line."""
+    """Shade the pauses that are at least half visible, and wider than a line."""
     left, right = axes.get_xlim()
     for mark in marks:
         if mark.kind != "pause" or mark.span_s is None:
@@ -330,7 +330,7 @@ def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[Word]
 
 
 def _cut_to_phase(axes: Axes, found: Sequence[Sequence[Characteristic]]) -> None:
-    """Cut an axis of its own to the stretches of the loops that it shows."""
+    """Cut a separate axis to the segments of the loops that it shows."""
     if len(axes.get_shared_x_axes().get_siblings(axes)) > 1:
         return
     signal = str(axes.get_label()).strip("|")

@@ -1,4 +1,4 @@
-"""Metrics of several runs as figures draw them: which, in which unit, on which scale."""
+"""Metrics of several runs in figures: their choice, unit and scale."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -37,11 +37,12 @@ class MetricValues:
     """A metric of several runs.
 
     Attributes:
-        id: Its id.
-        label: For an axis, with its unit.
-        values: In that unit, one for each run; NaN where there is none.
-        reasons: Why, one for each run; empty where there is one or the run was not asked.
-        factor: From the metric's own unit to that of the label.
+        id: Id of the metric.
+        label: Label of an axis, with the unit.
+        values: Value of each run in that unit; NaN if there is none.
+        reasons: Reason for each missing value; empty if there is a value or the run was not
+            measured.
+        factor: Factor from the metric's own unit to that of the label.
     """
 
     id: str
@@ -52,13 +53,13 @@ class MetricValues:
 
     @property
     def loop(self) -> str:
-        """Of which loop it is; empty of the whole run."""
+        """Name of its loop; empty for the whole run."""
         loop = self.id.rpartition(".")[0]
         return "" if loop in {"final", "run"} else loop
 
     @property
     def name(self) -> str:
-        """Without its loop."""
+        """Name without its loop."""
         return self.id.rpartition(".")[2] if self.loop else self.id
 
     @property
@@ -75,17 +76,17 @@ class MetricValues:
 def measure_for_figure(
     figure: str, runs: Sequence[Run], names: Sequence[str] | None
 ) -> list[MetricValues]:
-    """Return metrics that at least one run has a value of.
+    """Return metrics for which at least one run has a value.
 
     Args:
-        figure: Its name, for errors.
-        runs: To be measured.
+        figure: Name of the figure, for errors.
+        runs: Runs to measure.
         names: Ids, patterns, or names of metrics of any loop (`overshoot`); the usual ones where
             None.
 
     Raises:
-        ShowError: Where no run has a value of any; the line has the reason of the first.
-        MeasureError: Where a name stands for no metric.
+        ShowError: If no run has a value of any metric; the message has the first reason.
+        MeasureError: If a name is not a metric.
     """
     patterns = [complete_name(name) for name in names] if names else [*USUAL]
     measured = [measure_run(run, only=choose_metrics(patterns, run.declaration)) for run in runs]
@@ -105,7 +106,7 @@ def measure_for_figure(
 
 
 def complete_name(name: str) -> str:
-    """Return an id or a pattern as it is, and `overshoot` as that of any loop."""
+    """Return an id or a pattern unchanged, and `overshoot` as that of any loop."""
     is_bare = "." not in name and find_metric_kind(name) is None
     return f"*.{name}" if is_bare else name
 
@@ -139,7 +140,7 @@ def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues:
 
 
 def set_value_scale(axes: Axes, found: MetricValues) -> None:
-    """Give an axis the scale of a metric, with room for its values."""
+    """Set the scale of an axis for a metric, with room for its values."""
     known = found.values[np.isfinite(found.values)]
     low, high = float(known.min()), float(known.max())
     if found.is_logarithmic:
@@ -158,7 +159,7 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
-    """Put the ticks of the lower axis at values; at as many of them as there is room for."""
+    """Place the ticks of the lower axis at values, at as many as fit."""
     axes.xaxis.set_major_locator(FixedLocator(_choose_places(axes, sorted({*values}))))
     axes.xaxis.set_minor_locator(NullLocator())
     formatter: Any = "{x:.4g}"
@@ -166,7 +167,7 @@ def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _choose_places(axes: Axes, values: Sequence[float]) -> list[float]:
-    """Return the least, the greatest, and those between whose names do not touch others."""
+    """Return the smallest and largest values, and those between whose labels do not touch."""
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
     points = points * _POINTS_PER_INCH / axes.figure.dpi
     size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()

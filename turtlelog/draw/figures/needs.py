@@ -1,4 +1,4 @@
-"""What figures need of runs, and what runs lack of it, in words."""
+"""Data that figures need from runs, and missing data in words."""
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
@@ -23,7 +23,7 @@ _STATES: Final = "states of its law that are not always 0"
 
 
 def _lack_command(run: Run, command: Command) -> str:
-    """Say whether there is something to draw: a command, or what the robot did of one."""
+    """Return why there is nothing to draw: no command, and no motion of the robot for it."""
     found = has_own(run, TIME_PLOTS[command])
     return "" if found else f"{command.replace('_', ' ')} commands"
 
@@ -38,12 +38,12 @@ def _lack(words: str, *, is_held: bool) -> str:
 
 
 def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
-    """Say what is missing of what rests on samples, without which there is nothing."""
+    """Return what is missing for figures that need samples."""
     return _lack(words, is_held=is_held) if len(run.samples) else SAMPLES
 
 
 def has_states(run: Run) -> bool:
-    """Whether it holds states of its law that are not always 0."""
+    """Return whether a run has states of its law that are not always 0."""
     return run.samples.states is not None and bool(run.samples.states.any())
 
 
@@ -53,7 +53,7 @@ def _has_gain(run: Run) -> bool:
 
 
 def find_lack_of_gain(runs: Sequence[Run]) -> str:
-    """Say what theory lacks: python-control, which computes it, or a gain."""
+    """Return what theory lacks: python-control, or a gain."""
     if find_spec("control") is None:
         return PYTHON_CONTROL
     if find_gains(runs):
@@ -64,9 +64,9 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
 
 
 def _find_lack_of_locus(run: Run) -> str:
-    """Say what a root locus lacks: of the ideal loop or of a sampled one, each is enough.
+    """Return what a root locus lacks: either an ideal or a sampled loop is sufficient.
 
-    Of a loop that is not proportional it is why theory does not know it.
+    For a loop that is not proportional, it is why theory does not know it.
     """
     lack = find_lack_of_gain([run])
     if lack == PYTHON_CONTROL:
@@ -125,5 +125,5 @@ _LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
 
 
 def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
-    """Return what each run lacks of what a figure needs, empty where nothing."""
+    """Return the data that each run lacks for a figure; empty if none."""
     return tuple(_LACKS[need](run) for run in runs)

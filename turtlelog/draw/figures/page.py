@@ -1,4 +1,4 @@
-"""The printed page: how wide a figure is, fonts and lines, how runs are told apart."""
+"""The printed page: width of figures, fonts and lines, and styles of runs."""
 
 import math
 import os
@@ -82,13 +82,13 @@ if hasattr(os, "register_at_fork"):
 
 @contextmanager
 def use_looks(looks: Mapping[str, Any] = LOOKS) -> Iterator[None]:
-    """Draw under settings of matplotlib; other threads wait until it has its own again."""
+    """Draw with settings of matplotlib; other threads wait until these are restored."""
     with _DRAWING, rc_context(dict(looks)):
         yield
 
 
 def to_rgb(color: Color) -> tuple[float, ...]:
-    """Return a colour as matplotlib takes it."""
+    """Return a colour in matplotlib's form."""
     return tuple(part / 255.0 for part in color)
 
 
@@ -176,20 +176,20 @@ PageKind = Literal["column", "page", "slide"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """Where figures will stand, and what of the runs they show there.
+    """Page format of figures, and the part of the runs that they show.
 
     Attributes:
         kind: `column`, one of two columns of a paper; `page`, its whole width; `slide`, 16:9 with
-            lettering and lines for a projector.
-        text_width_mm: Width of the text block [mm], 120 to 1000; of no slide.
-        dpi: Resolution of a PNG, 50 to 600; of a slide on 13.33 by 7.5 inch, as projected. None
-            for 300, of a slide 144: 1920 by 1080 pixels.
-        from_s: Where time axes begin, from the first sample [s]; None where the runs do.
-        to_s: Where time axes end [s]; None where the runs do.
-        has_marks: Whether characteristics stand on the curves that loops control.
+            text and lines for a projector.
+        text_width_mm: Width of the text block [mm], 120 to 1000; not used for slides.
+        dpi: Resolution of a PNG, 50 to 600; for a slide at 13.33 by 7.5 inch, as projected. None:
+            300, for a slide 144 (1920 by 1080 pixels).
+        from_s: Start of time axes, from the first sample [s]; None: the start of the runs.
+        to_s: End of time axes [s]; None: the end of the runs.
+        has_marks: Whether characteristics are marked on the curves of controlled signals.
 
     Raises:
-        ShowError: Where a value is out of range.
+        ShowError: If a value is out of range.
     """
 
     kind: PageKind = "column"
@@ -228,7 +228,7 @@ class Page:
 
     @property
     def height_inch(self) -> float:
-        """Height of a figure [inch]: of a slide; on paper it is what the figure needs."""
+        """Height of a figure [inch] for a slide; on paper each figure has its own."""
         return _SLIDE_INCH[1] if self.kind == "slide" else math.inf
 
     @property
@@ -239,11 +239,11 @@ class Page:
         return self.dpi or _DPI
 
     def widen(self) -> "Page":
-        """Return the page for figures with panels side by side."""
+        """Return the page format for figures with panels side by side."""
         return replace(self, kind="page") if self.kind == "column" else self
 
     def fit(self, figure: Figure) -> None:
-        """Give a figure that is drawn the size that this page insists on."""
+        """Set the size of a drawn figure if this page format fixes it."""
         if self.kind == "slide":
             figure.set_size_inches(*_SLIDE_INCH)
             for axes in figure.axes:
@@ -253,12 +253,12 @@ class Page:
 
 
 def choose_colors(count: int) -> list[tuple[float, ...]]:
-    """Return the colour of each of several runs, as on screen."""
+    """Return the colour of each run, as on screen."""
     return [*map(to_rgb, choose_run_colors(count))]
 
 
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
-    """Return colour and marker for each of several runs.
+    """Return colour and marker of each run.
 
     Of more runs than have a hue of their own, the first lie on top: the fast swings of a large gain
     would cover all others.
@@ -276,7 +276,7 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
 
 
 def label_runs(runs: Sequence[Run]) -> list[str]:
-    """Return a name for each run that can be printed and is short, no two alike."""
+    """Return a short printable name for each run, all different."""
     labels = [_shorten(_clean(name)) for name in name_runs(runs)]
     if len(set(labels)) < len(labels):
         labels = [f"{number}: {label}" for number, label in enumerate(labels, start=1)]
@@ -284,13 +284,13 @@ def label_runs(runs: Sequence[Run]) -> list[str]:
 
 
 def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
-    """Return runs with how the line of each looks, its name in a legend included."""
+    """Return runs with the style of their lines, including the label in a legend."""
     styled = zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True)
     return [(run, {**looks, "label": name}) for run, name, looks in styled]
 
 
 def _clean(name: str) -> str:
-    """Return a name as matplotlib shows it letter by letter; `?` where its font has none."""
+    """Return a name that matplotlib shows literally; `?` for letters missing in its font."""
     font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
     shown = "".join(
         letter if font.get_char_index(ord(letter)) else "?" for letter in " ".join(name.split())

@@ -1,4 +1,4 @@
-"""The plane: paths from start to goal or along a reference, and how each run ends or leaves it."""
+"""The plane: paths from start to goal or along a reference, and the ends or deviations of runs."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -75,7 +75,7 @@ _FAINT: Final = 0.25
 
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the paths from start to goal, and beside them, where runs arrive, how each ends."""
+    """Draw the paths from start to goal, and next to them the ends of runs that arrive."""
     close_up = find_close_up(runs)
     worst = find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
@@ -93,12 +93,12 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
-    """Whether nothing stands beside the plane: no run arrives, or leaves its path."""
+    """Return whether the plane has no panel next to it: no run arrives, or leaves its path."""
     return find_close_up(runs) is None and find_worst_place(runs) is None
 
 
 def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draw the way of every run, where it begins and ends, its goal and what it tracks."""
+    """Draw the path of every run, its start and end, its goal and its tracked path."""
     _draw_tracked_paths(axes, runs)
     _draw_ways_to_reference(axes, runs)
     for run, looks in _style_paths(runs):
@@ -135,7 +135,7 @@ def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
 
 
 def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draw where runs end, above all paths; of many of a gain also the median and an outline."""
+    """Draw the ends of runs above all paths; for many per gain also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
     colors = choose_colors(len(runs))
     is_many = has_grey_paths(runs)
@@ -163,12 +163,12 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
 def stress_window(
     figure: Figure, runs: Sequence[Run], window_s: tuple[float, float] | None
 ) -> None:
-    """Leave the paths of planes strong where they were driven within some time, and fade the rest.
+    """Emphasise the parts of paths within a time window, and fade the rest.
 
     Args:
-        figure: Drawn, without its legend.
-        runs: What it shows, in its order.
-        window_s: From when to when, from each run's first sample [s]; None for all.
+        figure: Figure without its legend.
+        runs: Runs of the figure, in its order.
+        window_s: Start and end, from each run's first sample [s]; None for all.
     """
     if window_s is None:
         return
@@ -196,7 +196,7 @@ def _fade_outside(
 
 
 def show_all(axes: Axes, runs: Sequence[Run]) -> None:
-    """Show the square that holds everything that is drawn of some runs."""
+    """Set the axis limits to a square that contains everything drawn for the given runs."""
     points = np.concatenate(
         [
             *(run.poses.xy_m for run in runs),
@@ -211,7 +211,7 @@ def show_all(axes: Axes, runs: Sequence[Run]) -> None:
 
 
 def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Lettering) -> None:
-    """Show what lies around the goal: rings, and how far from it each run ends."""
+    """Show the region around the goal: rings, and the distance of each run's end."""
     goal = np.array(close_up.goal_xy_m)
     _show_square(axes, goal - close_up.half_m, goal + close_up.half_m)
     for run in runs:
@@ -235,7 +235,7 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
 
 
 def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
-    """Show where runs are furthest from their path, and how far that is."""
+    """Show the largest deviation from the path, with its size."""
     center, color = np.array(worst.center_xy_m), choose_colors(len(runs))[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
     _draw_worst_place(axes, worst, color)
@@ -259,7 +259,7 @@ def _measure_letters(figure: Figure) -> Lettering:
 
 
 def _list_aims(runs: Sequence[Run]) -> list[Values]:
-    """Return the places where laws wanted their robots to be, of each run that records them."""
+    """Return the reference positions of each run that records them."""
     found = [run.samples.reference_xy_m for run in runs]
     known = [xy_m[np.isfinite(xy_m[:, 0])] for xy_m in found if xy_m is not None]
     return [xy_m for xy_m in known if len(xy_m)]

@@ -1,4 +1,4 @@
-"""How a robot follows its commands: command, motion and model, close up the step, what is left."""
+"""How a robot follows its commands: command, motion and model, enlarged steps, residuals."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -72,15 +72,15 @@ _LAG: Final[Mapping[str, Any]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnAxis:
-    """What is drawn of one axis.
+    """Data drawn for one axis.
 
     Attributes:
-        model: What identification found, or why it found nothing.
-        brackets: What the values in brackets are.
-        command: What was commanded, as it holds.
-        measured: How fast the robot was; None where nothing tells.
-        traces: The same with the model, where it is known.
-        outliers_s: When steps ended that do not count in the fit, shape (m,).
+        model: Result of the identification, or why there is none.
+        brackets: Meaning of the values in brackets.
+        command: Held command.
+        measured: Measured rate of the robot; None if it is unknown.
+        traces: The same with the model, if it is known.
+        outliers_s: End times of steps that the fit left out, shape (m,).
     """
 
     model: AxisModel
@@ -92,15 +92,15 @@ class DrawnAxis:
 
 
 def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None = None) -> None:
-    """Draw commands against measured rates, with the identified model where there is one.
+    """Draw commands and measured rates, with the identified model if there is one.
 
     Args:
-        figure: To draw on.
-        runs: One.
-        model: What `identify_robot` returned; the run is identified where this is not given.
+        figure: Figure to draw on.
+        runs: Sequence of one run.
+        model: Result of `identify_robot`; the run is identified if this is None.
 
     Raises:
-        ShowError: Where there is not one run, or it holds no commands.
+        ShowError: If there is not exactly one run, or it has no commands.
     """
     if len(runs) != 1:
         raise ShowError(f"figure rates: expected one recording, found {len(runs)}")
@@ -146,7 +146,7 @@ def _tell_time(run: Run) -> str:
 
 
 def lacks_commands(run: Run) -> bool:
-    """Whether nothing was commanded, so that there is nothing to follow."""
+    """Return whether there is no command, so that nothing is followed."""
     return not any(_is_driven(run, name) for name in COMMAND_WORDS)
 
 
@@ -199,7 +199,7 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
 
 
 def _hold_to_end(command: Curve, run: Run) -> Curve:
-    """Return a command that holds until the last pose."""
+    """Return a command that is held until the last pose."""
     end_ns = int(run.poses.time_ns[-1]) if len(run.poses) else int(command.time_ns[-1])
     if end_ns <= command.time_ns[-1]:
         return command
@@ -212,7 +212,7 @@ def _hold_to_end(command: Curve, run: Run) -> Curve:
 
 
 def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
-    """Draw what the model leaves of the motion."""
+    """Draw the residual of the model."""
     if one.traces is None:
         return
     axes.axhline(0.0, **REFERENCE)
@@ -317,7 +317,7 @@ def _read(found: Estimate | None) -> float:
 
 
 def tell_model(one: DrawnAxis, changes: int) -> str:
-    """Return what identification found of an axis, for a title."""
+    """Return the identified values of an axis, for a title."""
     model = one.model
     told = f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:

@@ -95,11 +95,11 @@ class _LoopCurve:
     """One loop to draw.
 
     Attributes:
-        run: Name of its run; empty where there is one run.
+        run: Name of its run; empty if there is one run.
         is_many: Whether there are so many runs that a bar of colours names them.
-        layer: Number of the loop in its law: 0 lies on top.
-        model: What theory knows of it.
-        found: What it does.
+        layer: Number of the loop in its law: 0 is on top.
+        model: Model of the loop in theory.
+        found: Properties of the loop.
         run_looks: Colour and marker of its run.
     """
 
@@ -112,7 +112,7 @@ class _LoopCurve:
 
     @property
     def color(self) -> Any:
-        """Of its run."""
+        """Colour of its run."""
         return self.run_looks["color"]
 
     @property
@@ -146,7 +146,7 @@ class _LoopCurve:
 
 
 def find_lack_of_theory(runs: Sequence[Run]) -> str:
-    """Say what a loop of theory lacks, empty where there is one."""
+    """Return why there is no loop of theory; empty if there is one."""
     if not runs:
         return "a recording"
     models = [model for run in runs for model in model_run_loops(run)]
@@ -181,7 +181,7 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _tell_equal_phases(axes: Axes, curves: Sequence[_LoopCurve]) -> None:
-    """Say which runs have one curve: Kp alone moves no phase."""
+    """Return which runs have the same curve: Kp alone does not change the phase."""
     told = [
         f"{len(group)} runs have one phase of {group[0].model.loop.name}"
         f" ({1e3 * group[0].found.dead_time_s:.4g} ms)"
@@ -221,7 +221,7 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the poles of the closed loops as Kp rises, those of the runs marked.
+    """Draw the poles of the closed loops against Kp, with those of the runs marked.
 
     First that of the ideal loop in the s plane, where the plant is 1/s and the law proportional;
     then those of the sampled loops in the z plane.
@@ -251,7 +251,7 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _set_height(figure: Figure, rows: float, columns: int) -> None:
-    """Give a figure room for planes that are as high as they are wide."""
+    """Set the height of a figure for square planes."""
     width = float(figure.get_figwidth())
     plane_inch = min(width / columns, 0.5 * width)
     figure.set_size_inches(width, plane_inch * rows + _ROOM_INCH * (rows + 0.5))
@@ -289,7 +289,7 @@ def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, 
 
 
 def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the sampled loops' answers to a step of the reference, without limits."""
+    """Draw the sampled loops' responses to a reference step, without limits."""
     axes, curves = figure.subplots(), _style_loops(runs)
     last_s = max(_choose_duration(curve.found) for curve in curves)
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
@@ -345,7 +345,7 @@ def _name_loops(
 
 
 def _tell_margins(found: PidLoop) -> str:
-    """Return the margins in a few words for a legend."""
+    """Return the margins in short words for a legend."""
     margins = found.margins
     if margins is None:
         return "unstable"
@@ -358,7 +358,7 @@ def _tell_margins(found: PidLoop) -> str:
 
 
 def _tell_step(found: PidLoop) -> str:
-    """Return overshoot and settling time in a few words for a legend."""
+    """Return overshoot and settling time in short words for a legend."""
     if not found.stable:
         return "unstable"
     if found.overshoot_percent is None or found.settling_time_s is None:
@@ -443,7 +443,7 @@ def _draw_unit_circle(axes: Axes) -> None:
 
 
 def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
-    """Return loops that differ in Kp alone together."""
+    """Return groups of loops that differ only in Kp."""
     groups: dict[Any, list[_LoopCurve]] = {}
     for curve in curves:
         found = curve.found
@@ -479,7 +479,7 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
 
 
 def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a response without what follows when it leaves the axes, as unstable ones do."""
+    """Return a response, cut when it leaves the axes, as unstable ones do."""
     beyond = np.abs(values - 1.0) > _FAR
     if not beyond.any():
         return values

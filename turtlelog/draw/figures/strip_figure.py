@@ -73,7 +73,7 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     """Return runs by their gain, or by what else of their scenarios differs; seeds do not count.
 
     Raises:
-        ShowError: Where they would be more groups than stand side by side.
+        ShowError: If they would be more groups than stand side by side.
     """
     keys = [key for key in list_differing(runs) if not key.endswith("seed")]
     gains = [key for run in runs for key in run.declaration.list_gains()]
@@ -135,13 +135,13 @@ def draw_strips(
     """Draw a panel for each metric, with the runs of each group as points and, of many, a box.
 
     Args:
-        figure: To draw on.
+        figure: Figure to draw on.
         runs: In groups by gain, or by what else differs.
         metrics: Ids, patterns, or names of metrics of any loop; overshoot, settling time and final
             position error unless given.
 
     Raises:
-        ShowError: Where there are too many groups, or no run has a value.
+        ShowError: If there are too many groups, or no run has a value.
     """
     groups = group_runs(runs)
     found = measure_for_figure("strips", runs, metrics)
@@ -187,7 +187,7 @@ def _name_groups(groups: RunGroups) -> list[str]:
 
 
 def _tell_sizes(groups: RunGroups) -> str:
-    """Return how many runs all groups have; empty where they differ, as their names tell it."""
+    """Return how many runs all groups have; empty if they differ, as their names tell it."""
     sizes = {len(rows) for rows in groups.rows}
     if len(sizes) > 1 or len(groups.rows) == 1:
         return ""

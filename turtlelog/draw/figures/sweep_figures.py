@@ -69,13 +69,13 @@ def write_map_figure(
     Args:
         view: As `choose_view` returns it.
         limits: Of theory, as `find_loop_limits` returns them.
-        path: Ends in .pdf, .png or .svg.
+        path: File name that ends in .pdf, .png or .svg.
         kind: Maps over two axes (over one, curves), curves over one of them, or how far each key
             moves a metric.
-        page: Where it will stand.
+        page: Page format.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     path = make_path(path)
     form = path.suffix.lower().removeprefix(".")
@@ -107,11 +107,11 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
         at: Values of keys that are held.
         kind: Maps over two keys (over one, curves), curves over one of them, or how far each key
             moves a metric (`tornado`).
-        page: Where it will stand.
+        page: Page format.
 
     Raises:
-        SweepError: Where a key does not vary, a metric is not there, or no row has a value.
-        LogError: Where the file is no table of a sweep.
+        SweepError: If a key does not vary, a metric is not there, or no row has a value.
+        LogError: If the file is no table of a sweep.
     """
     if isinstance(table, SweepTable):
         results = read_table_results(table, metrics)
@@ -183,7 +183,7 @@ def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
     """Return rows and columns of panels.
 
     Raises:
-        ShowError: Where a slide has no room for them.
+        ShowError: If a slide has no room for them.
     """
     columns = min(count, max(int(page.width_inch / _NARROWEST_INCH), 1))
     rows = -(-count // columns)

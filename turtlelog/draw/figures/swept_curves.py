@@ -71,7 +71,7 @@ def draw_curves(
     """Draw a metric against a key.
 
     Args:
-        axes: To draw on.
+        axes: Axes to draw on.
         view: Of one axis or two.
         metric: One of its results.
         limits: Of theory, as `find_loop_limits` returns them.

@@ -48,7 +48,7 @@ def require_window(runs: Sequence[Run], page: Page) -> None:
 
 
 def find_shown_times(runs: Sequence[Run], page: Page) -> tuple[float, float] | None:
-    """Return from when to when a page shows runs [s]; None where it shows all of them."""
+    """Return from when to when a page shows runs [s]; None if it shows all of them."""
     if page.from_s is None and page.to_s is None:
         return None
     first_s, last_s = _find_span(runs)

@@ -61,12 +61,12 @@ def draw_violation(
     """Draw the signal of a check with its band; where it holds, how near it comes.
 
     Args:
-        figure: To draw on.
+        figure: Figure to draw on.
         runs: The one that was checked.
         violated: What the check found; nothing can be drawn without it.
 
     Raises:
-        ShowError: Where there is not one run, or nothing was checked.
+        ShowError: If there is not exactly one run, or nothing was checked.
     """
     if len(runs) != 1:
         raise ShowError(f"figure violation: expected one recording, found {len(runs)}")

@@ -77,18 +77,18 @@ def draw_figure(
     page: Page | None = None,
     kinds: Mapping[str, FigureKind] | None = None,
 ) -> Figure:
-    """Return one figure, drawn, which a notebook shows; several panels take the whole text width.
+    """Return one drawn figure, which a notebook shows; several panels use the whole text width.
 
-    Runs stand in the order of their gains.
+    Runs are drawn in the order of their gains.
 
     Args:
-        name: One of `FIGURES`.
-        runs: What to draw: a run or several.
-        page: Where it will stand.
-        kinds: Figures that take the place of those of `FIGURES`, by their names.
+        name: Name from `FIGURES`.
+        runs: Run or runs to draw.
+        page: Page format.
+        kinds: Figures that replace those of `FIGURES`, by name.
 
     Raises:
-        ShowError: Where there is no such figure, or the runs do not hold what it needs.
+        ShowError: If there is no such figure, or the runs lack the data.
     """
     runs = [runs] if isinstance(runs, Run) else [*runs]
     kind, page = _find_kind(name, runs, kinds), page or Page()
@@ -122,19 +122,19 @@ def write_figures(
     """Write figures as `<folder>/<name>.<format>` and return the files.
 
     Args:
-        runs: What to draw; one in detail, several over each other. Theory needs none.
-        folder: Made where it is not there.
+        runs: Runs to draw; one in detail, several in the same axes. Theory needs none.
+        folder: Folder of the files; it is made if it does not exist.
         only: Names of `FIGURES`, or figures by such names that take their place; otherwise all
             usual ones that the runs hold the data for.
-        formats: Some of `FIGURE_FORMATS`.
-        page: Where they will stand.
-        jobs: Processes to draw in, at least 1; None: as many as cores where that is quicker. They
-            are forked, so that there is one wherever the system is not Linux. The files are the
-            same, byte for byte.
+        formats: Formats from `FIGURE_FORMATS`.
+        page: Page format.
+        jobs: Number of processes, at least 1; None: one per core if that is faster. They are
+            forked, so there is a single one on systems other than Linux. The files are the same,
+            byte for byte.
 
     Raises:
-        ShowError: Where a name or format is unknown, `jobs` is no number of processes, the runs
-            lack what a named figure needs, or the folder cannot be written; nothing is written
+        ShowError: If a name or format is unknown, `jobs` is not a number of processes, the runs
+            lack the data of a named figure, or the folder cannot be written; nothing is written
             then.
     """
     with replace_together(folder) as write:
@@ -241,7 +241,7 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
 
 
 def require_figure_path(path: str | Path) -> Path:
-    """Return where a figure is written; refuse a name that ends in no format."""
+    """Return the path for a figure; raise an error if the suffix is not a format."""
     path = make_path(path)
     if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
         raise ShowError(f"{path}: the name must end in .pdf, .png or .svg")
@@ -249,7 +249,7 @@ def require_figure_path(path: str | Path) -> Path:
 
 
 def write_figure(figure: Figure, path: Path, page: Page) -> Path:
-    """Write a figure in the format that the name ends in, and return its path."""
+    """Write a figure in the format of the suffix, and return its path."""
     data = io.BytesIO()
     save_figure(figure, data, path.suffix.lower().removeprefix("."), page)
     with replace_file(path) as part:
@@ -307,10 +307,10 @@ def _find_kind(
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
     """Write the whole runs, Table 1 and the first metrics as LaTeX with booktabs; return the files.
 
-    Table 1 is left out where no run has a value for it.
+    Table 1 is left out if no run has a value for it.
 
     Raises:
-        ShowError: Where the folder cannot be written; nothing is written then.
+        ShowError: If the folder cannot be written; nothing is written then.
     """
     with replace_together(folder) as write:
         return add_tables(write, runs)
@@ -347,7 +347,7 @@ _BROWSER_DPI: Final = 96
 class ShownFigure(Figure):
     """A `matplotlib.figure.Figure` that a notebook shows as the value of a cell.
 
-    It takes no magic command, and does not stay in the memory of pyplot.
+    No magic command is needed, and the figure does not stay in the memory of pyplot.
     """
 
     def _repr_png_(self) -> tuple[bytes, dict[str, Any]]:

@@ -32,14 +32,14 @@ _SLOWEST: Final = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Film:
-    """The moments of a movie.
+    """The times of a movie's pictures.
 
     Attributes:
-        timeline: What their times are counted on.
-        zeros_ns: Where that is zero in each run, in its own time [ns].
-        time_s: The moment of each picture on the timeline [s], shape (n,), rising, then still.
-        driving: How many of them show the runs driving.
-        pace: Seconds of the runs in one of the movie.
+        timeline: Timeline of the times.
+        zeros_ns: Zero of the timeline in each run's own time [ns].
+        time_s: Time of each picture on the timeline [s], shape (n,), rising, then constant.
+        driving: Number of pictures that show the runs driving.
+        pace: Seconds of the runs per second of the movie.
     """
 
     timeline: str
@@ -58,11 +58,11 @@ def plan_film(
         runs: At least one.
         timeline: `sim_time` from each run's first sample, or that of a later phase, as
             `translate_time`, where its zero is the start of that phase.
-        length_s: Of the movie [s]. None: as fast as it was, up to 10 s.
-        pictures_per_s: How many there are.
+        length_s: Length of the movie [s]. None: real time, up to 10 s.
+        pictures_per_s: Picture rate [1/s].
 
     Raises:
-        ShowError: Where a run has no such timeline.
+        ShowError: If a run has no such timeline.
     """
     zeros_ns = tuple(_find_zero_ns(run, timeline) for run in runs)
     pairs = list(zip(runs, zeros_ns, strict=True))

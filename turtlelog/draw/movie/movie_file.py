@@ -33,20 +33,21 @@ def write_movie(
     length_s: float | None = None,
     on_picture: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write a movie: turtles drive with growing trails, and at the end the goal comes close.
+    """Write a movie: turtles with growing trails, and a close-up of the goal at the end.
 
     Args:
-        runs: At least one; several over each other, in the order of their gains.
+        runs: Runs, at least one; several in one picture, in the order of their gains.
         path: A .mp4 (VP9) or .gif file; replaced when the new one is complete.
         timeline: `sim_time`: from each run's first sample; or from the start of a later phase of
             each, as `translate_time`.
-        length_s: Of the movie [s], 1 to 600, of a .gif to 60. None: real time, and at most 10 s.
-        on_picture: Called with the number of pictures done and of all.
+        length_s: Length of the movie [s], 1 to 600, for a .gif up to 60. None: real time, at most
+            10 s.
+        on_picture: Function called with the numbers of pictures done and in total.
 
     Raises:
-        ShowError: Where there is no run, a run lacks the timeline, the length is out of range, or
-            the file cannot be written.
-        LibraryError: Where what writes such a file is not installed.
+        ShowError: If there is no run, a run lacks the timeline, the length is out of range, or the
+            file cannot be written.
+        LibraryError: If the encoder of such a file is not installed.
     """
     path = make_path(path)
     suffix = path.suffix.lower()
@@ -77,11 +78,11 @@ _COLORS: Final = 128
 
 
 def require_encoder(suffix: str) -> None:
-    """Load what writes files of a suffix.
+    """Load the encoder for files with a suffix.
 
     Raises:
-        ShowError: Where movies do not end so.
-        LibraryError: Where it is not installed.
+        ShowError: If there is no movie format with this suffix.
+        LibraryError: If it is not installed.
     """
     if suffix not in _MOVIE_FORMATS:
         raise ShowError(f"movie: expected a name that ends in .mp4 or .gif, found {suffix!r}")
@@ -92,7 +93,7 @@ def _encode_movie(pictures: Iterable[Picture], path: Path) -> None:
     """Write pictures, all of one size; the file is replaced when the new one is complete.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     suffix = path.suffix.lower()
     require_encoder(suffix)

@@ -23,16 +23,16 @@ from turtlelog.version import __version__
 def write_map_report(
     view: SweptView, limits: Sequence[LoopLimits], path: str | Path, *, command: str = ""
 ) -> None:
-    """Write the metrics of a sweep over the axes of a view as one file of HTML.
+    """Write the metrics of a sweep over the axes of a view as one HTML file.
 
     Args:
-        view: As `choose_view` returns it.
-        limits: Of theory, as `find_loop_limits` returns them.
+        view: View from `choose_view`.
+        limits: Limits from theory, as from `find_loop_limits`.
         path: The .html file; replaced when the new one is complete.
-        command: What writes it again.
+        command: Command that writes it again.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     results = view.results
     body = "".join(

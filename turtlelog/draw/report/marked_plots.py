@@ -109,7 +109,7 @@ def _add_box(figure: Any, color: str, alpha: float, **edges: float) -> Any:
 def _draw_dot(
     figure: Any, mark: Characteristic, others: Sequence[Characteristic], whose: tuple[str, str]
 ) -> Any:
-    """Draw a dot where a metric is taken, None where it is not marked."""
+    """Draw a dot where a metric is taken, None if it is not marked."""
     text = ", ".join(list_mark_texts(mark, others))
     if mark.shape is None or not text:
         return None

@@ -79,9 +79,9 @@ class Violation:
 
     Attributes:
         names: The signals that it names.
-        first_s: When it is first violated [s], None where at no moment.
-        run: Number of its run; None where it is of no run that is shown.
-        signal: What is drawn of it; None where there is none.
+        first_s: When it is first violated [s], None if at no moment.
+        run: Number of its run; None if it is of no run that is shown.
+        signal: What is drawn of it; None if there is none.
     """
 
     names: tuple[str, ...]

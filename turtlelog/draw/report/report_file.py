@@ -1,4 +1,4 @@
-"""Runs -> one file of HTML that opens from a disk: its sentences, plots and tables."""
+"""Runs -> one HTML file that opens from a disk: sentences, plots and tables."""
 
 import json
 import platform
@@ -71,13 +71,13 @@ _LARGE: Final = 2**20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explanation:
-    """What caused a metric of one of the runs.
+    """The causes of a metric of one of the runs.
 
     Attributes:
-        run: The run that is explained: one of those of the report.
-        attribution: Of its metric; None where there is none.
-        what_ifs: What it would have been, as `simulate_what_ifs` returns them.
-        note: Why there is no attribution; empty where there is.
+        run: Explained run, one of those in the report.
+        attribution: Attribution of its metric; None if there is none.
+        what_ifs: Runs without causes, as from `simulate_what_ifs`.
+        note: Why there is no attribution; empty if there is one.
     """
 
     run: Run
@@ -95,19 +95,19 @@ def write_report(
     checks: Sequence[CheckLine] = (),
     command: str = "",
 ) -> None:
-    """Write a report on runs as one file of HTML, in the order of their gains.
+    """Write a report on runs as one HTML file, in the order of their gains.
 
     Args:
-        runs: At least one.
+        runs: Runs, at least one.
         path: The .html file; replaced when the new one is complete.
-        sources: The file of each run, whose sha256 is told; none where they are not known.
-        explanation: What caused a metric of one of them; its what-ifs drive beside it.
-        checks: What a specification found.
-        command: What writes it again.
+        sources: File of each run, whose sha256 is shown; empty if unknown.
+        explanation: Causes of a metric of one of them; its what-ifs are drawn as ghosts.
+        checks: Results of a specification.
+        command: Command that writes it again.
 
     Raises:
-        ShowError: Where there is no run, or the file cannot be written.
-        LibraryError: Where Bokeh is not installed.
+        ShowError: If there is no run, or the file cannot be written.
+        LibraryError: If Bokeh is not installed.
     """
     if not runs:
         raise ShowError(f"{path}: a report needs at least one run")
@@ -254,7 +254,7 @@ def _write_tables(
 
 
 def hash_file(file: str) -> str:
-    """Return the sha256 of a file, of a bag's folder those of its files; empty where unknown."""
+    """Return the sha256 of a file, of a bag's folder those of its files; empty if unknown."""
     path = make_path(file)
     if file and path.is_dir():
         inner = sorted(one for one in path.iterdir() if one.is_file())

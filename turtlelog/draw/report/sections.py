@@ -31,14 +31,14 @@ class CheckLine:
         run: Name of the run, or of a file that could not be read.
         check: Name of the check.
         verdict: `PASS`, `FAIL` or `SKIPPED`.
-        value: With its unit; empty where there is none.
+        value: With its unit; empty if there is none.
         limit: Likewise.
         margin: Likewise.
         expected: What was to hold, as written.
-        first_violation_s: When it is first violated [s], None where at no moment.
+        first_violation_s: When it is first violated [s], None if at no moment.
         reason: Why it fails or is skipped, where values do not say it.
         names: Of the signals that it is about.
-        signal: What violated it, with the band that it left; None where no signal did.
+        signal: What violated it, with the band that it left; None if no signal did.
     """
 
     run: str
@@ -158,9 +158,9 @@ def write_provenance(
     Args:
         runs: That are shown.
         names: Theirs.
-        sources: File and sha256 of each run, empty where they are not known.
+        sources: File and sha256 of each run, empty if they are not known.
         versions: Of what wrote the report.
-        command: That writes it again, empty where it is not known.
+        command: That writes it again, empty if it is not known.
     """
     parts = [f"<p>{show(', '.join(versions))}.</p>"]
     if command:

@@ -1,4 +1,4 @@
-"""Several runs over each other as one Rerun recording."""
+"""Several runs in one Rerun recording, in the same views."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -83,14 +83,14 @@ def write_comparison_rrd(
     documents: Mapping[str, str] | None = None,
     size: tuple[int, int] | None = None,
 ) -> None:
-    """Write one recording of several runs over each other; time zero is each one's first sample.
+    """Write one recording of several runs; time zero is the first sample of each.
 
-    On the timeline of a later phase, as `translate_time`, it is the start of that phase in each.
+    On the timeline of a later phase, such as `translate_time`, it is the start of that phase.
 
     Args:
-        runs: One run or more; each keeps its colour in every view, in the order of `order_by_gain`.
+        runs: One run or more; each has one colour in every view, in the order of `order_by_gain`.
         path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs; `document_runs` where None.
+        documents: Markdown texts by title, shown as tabs; None: those of `document_runs`.
         size: See `write_run_rrd`.
 
     Raises:

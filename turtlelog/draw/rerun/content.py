@@ -59,7 +59,7 @@ class Content:
         ranges: Fixed ranges of values, by plot.
         close_ups: Plots whose range does not hold all of their curves.
         controlled: Plots of signals that a loop of a run controls.
-        worst: Where runs are furthest from their path, None where that is not shown.
+        worst: Where runs are furthest from their path, None if that is not shown.
         states: The states of the laws, in groups.
         overlaid: Groups whose states share a plot.
         idle: Plots of states that are 0 throughout in every run; they need no view.
@@ -68,12 +68,12 @@ class Content:
         timelines: Names of all timelines: on each a trail grows to the cursor.
         ghosts: Entity prefixes of what stands beside the runs in the plane.
         arrows: What the arrows in the plane are, in words; empty without them.
-        origin: From where far coordinates are counted, in words; empty where nothing is far.
+        origin: From where far coordinates are counted, in words; empty if nothing is far.
         equal: Which runs are one curve, as all their rows are equal, in words; empty without them.
         is_small: Whether the window is too small for legends, phases and documents.
         scale_title: Title of the bar that tells the colours of many runs; None without it.
         scale_span: What the bar goes from and to, for where it has no room; empty without it.
-        end_s: Where the plots end [s]; None where they show all there is.
+        end_s: Where the plots end [s]; None if they show all there is.
         length_s: How long the longest run is [s], where the plots end before.
         restless: Runs that never come to rest, in words: their commands are left out.
         corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
@@ -269,7 +269,7 @@ def find_ranges(
 def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
     """Return the range of heading errors that remain after turning: the turn itself hides them.
 
-    None where a loop of the heading acts in every phase, or never.
+    None if a loop of the heading acts in every phase, or never.
     """
     largest_deg = 0.0
     for run in runs:

@@ -1,4 +1,4 @@
-"""A run beside its ghosts: what it would have been without its effects, and their contributions."""
+"""A run with its ghosts: the run without each effect, and the contributions of the effects."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -91,10 +91,10 @@ def write_explanation_rrd(
     luck: Luck | None = None,
     documents: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a recording of a run beside its what-ifs as ghosts, with the attribution as steps.
+    """Write a recording of a run with its what-ifs as ghosts, and the attribution as steps.
 
-    The last what-if is the main ghost: the run without all that acts. If there is none it is the
-    ideal loop, if theory knows it. If contributions are withheld, the reason is shown instead.
+    The last what-if is the main ghost: the run without all acting effects. If there is none, it is
+    the ideal loop, if theory knows it. If contributions are withheld, the reason is shown instead.
 
     Args:
         recorded: Recorded run.

@@ -76,7 +76,7 @@ class Ghost:
 
 
 def build_ideal_ghost(run: Run) -> Ghost | None:
-    """Return the ideal loop beside a run, None where theory does not know where it would be."""
+    """Return the ideal loop beside a run, None if theory does not know where it would be."""
     poses = find_ideal_poses(run)
     if poses is None:
         return None
@@ -92,7 +92,7 @@ def find_ideal_poses(run: Run) -> PoseColumns | None:
     Theory tells a pose where a loop turns the robot, and another then drives it along its track.
 
     Returns:
-        None where theory does not know both, or where they act together.
+        None if theory does not know both, or where they act together.
     """
     turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
     line = run.goal_line

@@ -1,4 +1,4 @@
-"""Runs in a viewer while they grow: a running loop, and a recording that somebody else writes."""
+"""Runs in a viewer while they grow: a running loop, or a recording that another process writes."""
 
 import threading
 import time
@@ -64,7 +64,7 @@ _ADVICE: Final = (
 
 
 class GrowingStream(rr.RecordingStream):
-    """Sends of every entity only what is new since it was drawn before.
+    """Stream that sends only new data of every entity.
 
     What draws a finished run draws a growing one with this: rows that were sent are left out, and
     so is what is static, but for the path, the places of events and the level lines, which
@@ -83,11 +83,11 @@ class GrowingStream(rr.RecordingStream):
         self.is_due, self._is_last = True, False
 
     def begin_round(self, rows: int, *, is_last: bool = False) -> None:
-        """Begin to draw anew.
+        """Start a new round of drawing.
 
         Args:
-            rows: How long the run is now.
-            is_last: Whether this is what stays: then everything that may change is sent.
+            rows: Present number of rows of the run.
+            is_last: Whether this is the final round: everything that may change is then sent.
         """
         self._seen.clear()
         self._is_last = is_last
@@ -96,7 +96,7 @@ class GrowingStream(rr.RecordingStream):
             self._rows = rows
 
     def log(self, entity_path: str | list[object], entity: Any, *more: Any, **options: Any) -> None:
-        """Store what is static, where it is new or due."""
+        """Store static data if it is new or due."""
         name = str(entity_path)
         if name not in self._logged or self._is_last or self._is_whole_due(name):
             self._logged.add(name)
@@ -137,7 +137,7 @@ class GrowingStream(rr.RecordingStream):
 class LiveScene:
     """A run in a viewer, with the entities, rows and layout of its file.
 
-    What is known only at the end (metrics and their marks, theory, close-ups) comes with it.
+    Data known only at the end (metrics and their marks, theory, close-ups) are sent then.
     """
 
     def __init__(self, stream: GrowingStream) -> None:
@@ -146,20 +146,20 @@ class LiveScene:
         self._half_size_m = 0.0
 
     def update(self, run: Run) -> None:
-        """Send what is new of a run that grows; nothing while it is too short to be seen.
+        """Send the new data of a growing run; nothing while it is too short to be visible.
 
         Raises:
-            ConnectionError: Where the viewer takes no more.
+            ConnectionError: If the viewer accepts no more data.
         """
         if len(run.poses) > 1:
             with strict_mode():
                 self._draw(run)
 
     def finish(self, run: Run) -> None:
-        """Send the rest of a run that has come to its end, and what is known only now.
+        """Send the rest of a finished run, and the data known only at the end.
 
         Raises:
-            ConnectionError: Where the viewer takes no more.
+            ConnectionError: If the viewer accepts no more data.
         """
         scene = build_run_scene(run)
         with strict_mode():
@@ -199,7 +199,7 @@ class LiveScene:
         _flush(stream)
 
     def _arrange(self, run: Run, content: Content) -> None:
-        """Send the name, and a layout whose cursor goes with the run."""
+        """Send the name, and a layout whose cursor follows the run."""
         layout = build_run_layout(content)
         layout.time_panel = rrb.TimePanel(
             state="collapsed", timeline=TIMELINE, play_state="following"
@@ -211,22 +211,22 @@ class LiveScene:
 class LiveViewer:
     """Shows the ticks of a running loop, in batches, in the viewer at an address.
 
-    A sink of `run_live`. It only takes the ticks; a thread draws them. A viewer that is slow, hangs
-    or goes away costs the loop nothing; `lost` says so afterwards.
+    A sink of `run_live`. It only collects the ticks; a thread draws them. A viewer that is slow,
+    hangs or disappears does not delay the loop; `lost` says so afterwards.
 
     Attributes:
         lost: Why the viewer does not show all of the run, one clause; empty if it does.
     """
 
     def __init__(self, scenario: Scenario, url: str) -> None:
-        """Begin to connect.
+        """Start to connect.
 
         Args:
-            scenario: What runs.
+            scenario: Scenario that is run.
             url: Address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`.
 
         Raises:
-            ShowError: If nothing answers there.
+            ShowError: If no viewer answers there.
         """
         require_viewer(url)
         self.lost = ""
@@ -236,12 +236,12 @@ class LiveViewer:
         self._thread.start()
 
     def receive(self, tick: Tick) -> None:
-        """Take a tick."""
+        """Collect a tick."""
         if not self.lost:
             self._ticks.put(tick)
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
-        """Wait until all is shown, but not for a viewer that hangs."""
+        """Wait until everything is shown, except for a viewer that hangs."""
         self._ticks.put(None)
         self._thread.join(_LAST_S)
         if self._thread.is_alive():
@@ -269,7 +269,7 @@ class LiveViewer:
             wait_s = max(_BATCH_S, _SHARE * (time.thread_time() - start_s))
 
     def _take(self, until_s: float) -> bool:
-        """Collect ticks until a time, and return whether they have come to an end."""
+        """Collect ticks until a time, and return whether they have ended."""
         ticks: list[Tick] = []
         while (left_s := until_s - time.monotonic()) > 0.0:
             try:
@@ -292,7 +292,7 @@ def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
         advice: Advice if no window can be opened, in one clause.
 
     Raises:
-        ShowError: If none can.
+        ShowError: If no window can be opened.
     """
     port = find_free_port()
     options = ["--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
@@ -309,16 +309,16 @@ def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
 def follow_recording(path: str | Path, url: str | None = None) -> Run:
     """Show a recording that grows until it is finished, and return its run.
 
-    Each chunk is read once, as soon as it stands in the file. A file that ends without its end,
-    since its recorder was killed, is shown up to there.
+    Each chunk is read once, as soon as it is complete in the file. A file without an end, because
+    its recorder was killed, is shown as far as it goes.
 
     Args:
-        path: A recording by turtlelog; one that is finished is shown as it is.
-        url: A viewer that runs, as `rerun+http://127.0.0.1:9876/proxy`; otherwise one is opened,
-            and when the recording has ended, the call waits until its window is closed.
+        path: A recording by turtlelog; a finished one is shown directly.
+        url: Address of a running viewer, as `rerun+http://127.0.0.1:9876/proxy`; otherwise a viewer
+            is opened, and after the end of the recording the call waits until its window is closed.
 
     Raises:
-        LogError: If the file is no recording by turtlelog, or holds no pose when it ends.
+        LogError: If the file is not a recording by turtlelog, or contains no pose at its end.
         ShowError: If there is no such file, no window can be opened, or the viewer at the address
             goes away.
     """
@@ -343,7 +343,7 @@ def follow_recording(path: str | Path, url: str | None = None) -> Run:
 
 
 def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
-    """Draw what comes until there is nothing more to come."""
+    """Draw new data until there are no more."""
     grown_s = time.monotonic()
     while not tail.is_finished:
         run = tail.read_run()
@@ -381,7 +381,7 @@ def _connect_scene(url: str) -> Iterator[LiveScene]:
     """Yield a scene in the viewer at an address, as `rerun+http://127.0.0.1:9876/proxy`.
 
     Raises:
-        ShowError: Where the address is none, or Rerun is switched off.
+        ShowError: If the address is invalid, or Rerun is disabled.
     """
     stream = GrowingStream(APPLICATION_ID)
     require_enabled(stream, "viewer")
@@ -398,7 +398,7 @@ def _connect_scene(url: str) -> Iterator[LiveScene]:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """Some rows of a column, as Rerun asks for them."""
+    """Rows of a column in the form that Rerun requires."""
 
     column: Any
     array: Any
@@ -414,7 +414,7 @@ class _Part:
 
 
 def _open_up(content: Content, references: Sequence[LevelLines]) -> Content:
-    """Return the content of a run that goes on: events may come, and nothing is a close-up yet."""
+    """Return the content of a growing run: events may come, and there is no close-up yet."""
     limits = {
         reference.plot: HEADROOM * max(level.value for level in reference.levels)
         for reference in references

@@ -1,4 +1,4 @@
-"""What is marked in plots or beside them: metrics, upright lines, theory, phases, events."""
+"""Marks in plots or next to them: metrics, vertical lines, theory, phases, events."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,15 +35,15 @@ _MOST_DEAD_SAMPLES: Final = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """One metric on its curve.
+    """A metric on its curve.
 
     Attributes:
-        plot: Where the curve stands.
-        label: Legend: what it is, with its value; in a plot the name of its curve, which has that.
-        sign: Its shape as a letter: a legend has but a dot for each.
+        plot: Plot of the curve.
+        label: Legend text with the value; the name of the curve in a plot contains it.
+        sign: Its shape as a letter, because a legend shows only a dot.
         shape: Rerun's name of a marker.
-        time_ns: In the run's own time [ns].
-        level: In the unit of the curve.
+        time_ns: Time in the run's own time [ns].
+        level: Value in the unit of the curve.
     """
 
     plot: str
@@ -85,7 +85,7 @@ def list_marks(
 
 
 def _locate_curve(signal: str) -> str:
-    """Return the entity of the curve on which metrics of a signal stand; empty where none does."""
+    """Return the entity of the curve on which metrics of a signal stand; empty if none does."""
     found = find_marked(signal)
     if found is None:
         return ""
@@ -94,7 +94,7 @@ def _locate_curve(signal: str) -> str:
 
 
 def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
-    """Draw each metric as a point whose name, in the legend, holds the value."""
+    """Draw each metric as a point whose name in the legend contains the value."""
     for entity in dict.fromkeys(mark.entity for mark in marks):
         found = [mark for mark in marks if mark.entity == entity]
         style = rr.SeriesPoints(
@@ -120,7 +120,7 @@ def draw_lines(
     *,
     largest: float,
 ) -> None:
-    """Draw upright lines at times of the run [ns], up to the `largest` value of any plot.
+    """Draw vertical lines at times of the run [ns], up to the `largest` value of any plot.
 
     Every plot that shows them needs a fixed range.
     """
@@ -139,7 +139,7 @@ def draw_lines(
 
 
 def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...]:
-    """Return the response of each loop with the dead time that was found, as if nothing clipped.
+    """Return the response of each loop with the dead time that was found, without limits.
 
     A loop whose reference moves, that is not theory's, or whose gain or dead time is not known has
     none.
@@ -155,7 +155,7 @@ def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...
 
 
 def draw_phases(run_stream: RunStream, run: Run) -> None:
-    """Draw the phases as a bar that ends in `done`, or in nothing where the run was cut."""
+    """Draw the phases as a bar that ends in `done`, or without it if the run was cut."""
     spans = run.find_phase_spans()
     if not spans:
         return

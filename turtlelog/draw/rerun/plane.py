@@ -62,7 +62,7 @@ def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) ->
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
-    """Return the whole path in colours of its speed, None where nothing moves."""
+    """Return the whole path in colours of its speed, None if nothing moves."""
     kept = choose_trace_rows(run)
     xy_m, speed_m_s = run.poses.xy_m[kept], read_pace(run, np.arange(len(run.poses))[kept])
     highest = float(speed_m_s.max(initial=0.0))

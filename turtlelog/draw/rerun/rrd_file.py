@@ -43,7 +43,7 @@ def open_recording(
     """Yield a stream into a file that takes its name when it is complete.
 
     Raises:
-        ShowError: Where the file cannot be written.
+        ShowError: If the file cannot be written.
     """
     path = make_path(path)
     with replace_file(path) as part_path, strict_mode():

@@ -79,9 +79,9 @@ def write_run_rrd(
     Args:
         run: Run to show.
         path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs; `document_run` where None.
-        size: Size of the window that it is for [pixels], where known: in a small one legends,
-            phases and documents give way to curves.
+        documents: Markdown texts by title, shown as tabs; None: those of `document_run`.
+        size: Size of the window [pixels], if known: in a small window, legends, phases and
+            documents are left out in favour of curves.
         surroundings: Scans and map, drawn below the robot's path.
 
     Raises:
@@ -93,14 +93,14 @@ def write_run_rrd(
 
 
 class RunScene(NamedTuple):
-    """A run with what a recording of it holds, and its documents by title."""
+    """A run with the content of its recording, and its documents by title."""
 
     single: "Single"
     content: Content
     documents: Mapping[str, str]
 
     def draw(self, stream: rr.RecordingStream) -> None:
-        """Draw all of it."""
+        """Draw everything."""
         draw_single(stream, self.single, self.content)
         draw_documents(stream, self.documents)
 
@@ -125,7 +125,7 @@ def build_run_scene(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Single:
-    """One run, measured, and all that is drawn of it.
+    """A measured run and everything that is drawn of it.
 
     Attributes:
         run: The run; far coordinates are counted from its start.
@@ -133,13 +133,13 @@ class Single:
         metrics: Its metrics by id.
         series: Its curves, and those of theory.
         references: Level lines.
-        marks: Metrics that have a place on a curve.
+        marks: Metrics that can be marked on a curve.
         names: Names of the main curve of each plot.
         legends: Plots that have a legend.
-        by_speed: Its path in colours of its speed, None if nothing moves.
-        ideal: The ideal loop, None if theory does not know where it would be.
-        shift_m: What was added to its positions, shape (2,).
-        surroundings: What the robot saw; None if that is not known.
+        by_speed: Path in colours of its speed; None if nothing moves.
+        ideal: The ideal loop; None if theory does not know its poses.
+        shift_m: Offset added to its positions [m], shape (2,).
+        surroundings: Scans and map of the robot; None if unknown.
     """
 
     run: Run
@@ -160,7 +160,7 @@ class Single:
         return [*self.names] if plane.list_placed(self.run) else []
 
     def describe(self, documents: Mapping[str, str]) -> Content:
-        """Return what a recording of it holds."""
+        """Return the content of its recording."""
         content = describe_content([self.run], [""], [self.series], self.references, documents)
         return replace(
             content,
@@ -248,13 +248,13 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
 
 
 def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
-    """Return a widget of this width and height [pixels] that holds all of a run.
+    """Return a notebook widget of this width and height [pixels] with the recording of a run.
 
     The page gets the recording in one message. Rerun's own way is a message for each part: of
     hundreds at once a browser without a graphics card often shows nothing.
 
     Raises:
-        ShowError: Where the environment switches Rerun off.
+        ShowError: If the environment disables Rerun.
     """
     with TemporaryDirectory(prefix="turtlelog-") as folder:
         file = Path(folder, "run.rrd")

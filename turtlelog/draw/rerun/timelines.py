@@ -105,7 +105,7 @@ class RunStream:
 
     Attributes:
         stream: The recording.
-        prefix: Entity prefix of the run, empty where it stands alone.
+        prefix: Entity prefix of the run, empty if it stands alone.
         timelines: What its times are called.
     """
 

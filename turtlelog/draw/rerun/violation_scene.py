@@ -1,4 +1,4 @@
-"""A run as a Rerun recording that opens where a check was violated, its signal over all else."""
+"""A run as a Rerun recording that opens at the violation of a check, with its signal on top."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -85,19 +85,19 @@ def write_violation_rrd(
     message: str,
     violated: ViolatedSignal | None = None,
 ) -> None:
-    """Write a recording of one run that opens at a moment and marks it.
+    """Write a recording of one run that opens at a time and marks it.
 
-    The violated signal stands over all else with its band, in red where it is outside; its first
-    and its worst moment are named with value and time. The cursor stands at the first in every
-    plot; the plane has a mark where the turtle was, and the list of events a line.
+    The violated signal is at the top with its band, in red where it is outside; its first and its
+    worst violation have labels with value and time. The cursor is at the first in every plot; the
+    plane has a mark at the turtle's position, and the list of events a line.
 
     Args:
         run: Run to show.
         path: The .rrd file; replaced when the new one is complete.
-        at_s: The moment, from the first sample [s].
-        title: A few words; where there is no signal they stand beside the mark.
-        message: All there is to say, as it would be printed.
-        violated: The signal; None if the violation belongs to none.
+        at_s: Time of the violation, from the first sample [s].
+        title: A few words, shown beside the mark if there is no signal.
+        message: Full message, as it would be printed.
+        violated: The violated signal; None if the violation belongs to none.
 
     Raises:
         ShowError: If the file cannot be written.

@@ -1,4 +1,4 @@
-"""The metrics of the registry: importing this room enters them, in the order they are shown in."""
+"""The metrics of the registry: importing this package enters them, in display order."""
 
 from turtlelog.measure.metrics import loop_metrics  # isort: skip
 from turtlelog.measure.metrics import tracking  # isort: skip

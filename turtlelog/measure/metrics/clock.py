@@ -1,9 +1,9 @@
-"""Metrics of sampling times and of the sequence numbers that go with them.
+"""Metrics of sampling times and of their sequence numbers.
 
 A period is the time from one row to the next, `np.diff(time_s)`, shape (n - 1,). Rows of a burst
 share one time: their periods are 0 and count as such, and the silence before a burst is one long
-period. So the mean is the length over the count whatever happens in between, the median is what
-the loop mostly does, and the percentiles show pause and burst at either end.
+period. The mean is therefore the length divided by the count, the median is the usual period of the
+loop, and the percentiles show bursts and pauses.
 """
 
 import math
@@ -42,7 +42,7 @@ _NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="no samples of a contr
 def _on_periods(
     rows: Rows, compute: Callable[[Values], float | None], fewest: int = 1
 ) -> Callable[[RunContext], Result]:
-    """Compute on the periods of samples or poses, where there are at least so many."""
+    """Compute on the periods of samples or poses, if there are at least the given number."""
 
     def compute_on_periods(context: RunContext) -> Result:
         periods_s = _get_periods(context, rows)
@@ -65,7 +65,7 @@ def _get_periods(context: RunContext, rows: Rows) -> Values | Missing:
 
 
 def _pick(percent: int) -> Callable[[RunContext], Result]:
-    """Return the metric of one percentile; all of them are found in one sorting."""
+    """Return the metric of one percentile; the periods are sorted once for all percentiles."""
 
     def compute(context: RunContext) -> Result:
         periods_s = _get_periods(context, "sample")
@@ -85,7 +85,7 @@ def _count_missing(context: RunContext) -> Result:
 
 
 def _read_note(name: str) -> Callable[[RunContext], Result]:
-    """Return the metric that an importer has counted; where none had to, there is nothing."""
+    """Return the metric that an importer has counted; nothing if no importer had to."""
 
     def read(context: RunContext) -> Result:
         note = context.run.notes.get(name, "0")
@@ -98,7 +98,7 @@ def _read_note(name: str) -> Callable[[RunContext], Result]:
 
 
 def compute_rate(periods_s: Values) -> float | None:
-    """Return rows per second over the whole length [Hz]; None where no time passes."""
+    """Return rows per second over the whole length [Hz]; None if no time passes."""
     length_s = float(periods_s.sum())
     return len(periods_s) / length_s if length_s > 0.0 else None
 
@@ -112,19 +112,19 @@ def compute_spread(periods_s: Values) -> float:
 def compute_jitter(periods_s: Values) -> float | None:
     """Return the root mean square of the change from one period to the next [s].
 
-    The cycle-to-cycle jitter (JEDEC JESD65B), as RMS: unlike the standard deviation it does not see
-    a slow drift of the rate. None for less than two periods.
+    The cycle-to-cycle jitter (JEDEC JESD65B), as RMS: unlike the standard deviation it ignores a
+    slow drift of the rate. None for fewer than two periods.
     """
     changes = np.diff(periods_s)
     return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
 
 
 def find_percentile(ordered_s: Values, percent: int) -> float:
-    """Return the shortest period than which so many percent are no longer [s]; 50: the median.
+    """Return the shortest period that at least `percent` of all do not exceed [s]; 50: the median.
 
     Args:
-        ordered_s: In rising order, at least one.
-        percent: From 1 to 100.
+        ordered_s: Periods in rising order, at least one.
+        percent: Percentage, from 1 to 100.
     """
     if percent == 50:
         return compute_median(ordered_s)
@@ -132,12 +132,12 @@ def find_percentile(ordered_s: Values, percent: int) -> float:
 
 
 def count_burst_rows(periods_s: Values) -> int:
-    """Return how many rows share their time with the row before."""
+    """Return the number of rows with the same time as the row before."""
     return int(np.count_nonzero(periods_s == 0.0))
 
 
 def count_missing(sequence: NDArray[np.int64]) -> int:
-    """Return how many numbers are missing between the first and the last; they increase by 1."""
+    """Return the count of missing numbers between the first and the last; they increase by 1."""
     return int(sequence[-1] - sequence[0]) + 1 - len(sequence) if len(sequence) else 0
 
 
@@ -199,7 +199,7 @@ def _tell_row(course: Any, row: int) -> float:
 
 @compiled_as(_tell_row)
 def tell_sample(course: RunContext, row: int) -> float:
-    """Return the time of a sample, from the first [s]."""
+    """Return the time of a sample, from the first sample [s]."""
     return float(course.sample_time_s[row])
 
 
@@ -207,7 +207,7 @@ def tell_sample(course: RunContext, row: int) -> float:
     "run.largest_gap", "s", "Longest time without a sample.", grows=True, needs_poses=False
 )
 def measure_largest_gap(course: RunContext) -> Outcome:
-    """Return the longest time; taken at its beginning."""
+    """Return the longest period; its time is its beginning."""
     if course.sample_count == 0:
         return math.nan, math.nan, _ROWS_UNKNOWN
     periods_s = get_sample_periods(course)

@@ -1,9 +1,9 @@
-"""Steps of the commands that a robot was sent, and how its measured rate answers them.
+"""Steps of the commands sent to a robot, and the response of its measured rate.
 
-A step leads from a command that has held long enough for the robot to come to rest at it to another
-that holds long enough for it to get there. What a stick or a ramp makes changes with every message,
-and is none. A response is judged by its initial and its final value: a robot that drives 0.9
-times as fast as it is asked has no steady-state error here.
+Before a step, a command was held long enough for the robot to settle; after it, another command is
+held long enough for the response. Commands from a joystick or a ramp change with every message and
+contain no steps. A response is judged by its own initial and final values: a robot that drives at
+0.9 times the commanded speed has no steady-state error here.
 """
 
 import math
@@ -66,12 +66,14 @@ _SCATTER: Final = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepFigures:
-    """How a measured rate answers one step of its command; None for what does not happen.
+    """Figures of a rate's response to one step of its command; None if an event is missing.
 
     Attributes:
-        rise_time_s: From 10 % to 90 % of the response [s].
-        settling_time_s: From the command until the rate stays in the band around its end [s].
-        overshoot: Beyond its end, as a share of the response [1]; 0 within the band.
+        rise_time_s: Time from 10 % to 90 % of the response [s].
+        settling_time_s: Time from the command until the rate stays in the band around its final
+            value [s].
+        overshoot: Overshoot beyond the final value, as a fraction of the response [1]; 0 within the
+            band.
     """
 
     rise_time_s: float | None
@@ -84,10 +86,10 @@ class CommandStep:
     """A step of a command.
 
     Attributes:
-        time_s: When it was published, from time zero of the run [s].
-        end_s: Until when it holds [s].
+        time_s: Publication time, from time zero of the run [s].
+        end_s: End of its hold [s].
         before: Command before [m/s or rad/s].
-        after: Command from then on.
+        after: Command after the step [m/s or rad/s].
     """
 
     time_s: float
@@ -97,9 +99,9 @@ class CommandStep:
 
 
 def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> list[CommandStep]:
-    """Return the steps of an axis between the first pose and the last, or command, in order.
+    """Return the steps of an axis between the first pose and the last pose or command, in order.
 
-    The last command holds until the last message: how long after that nobody knows.
+    The last command is held until the last message, because its true duration is unknown.
     """
     end_s = min(end_s, commands.end_s)
     starts_s = np.concatenate([[min(begin_s, commands.time_s[0])], commands.time_s])
@@ -128,7 +130,7 @@ _GRAIN_S: Final = 1e-6
 def measure_command_steps(
     rates: Rates, steps: list[CommandStep], band: float
 ) -> Iterator[StepFigures]:
-    """Yield how the robot answers each step that it answers."""
+    """Yield the response of the robot to each step that it answers."""
     for step in steps:
         found = _measure_step(rates, step, band)
         if found is not None:
@@ -170,10 +172,10 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
 
 
 def _find_quantum(values: Values, initial: float, final: float) -> float:
-    """Return the step between the levels that repeat on the way of a response; 0 where none does.
+    """Return the quantisation step of the levels that repeat during a response; 0 if none repeat.
 
-    What is quantised stays at a level for several values, and then steps to the next; what is only
-    sampled has no value twice.
+    A quantised value stays at a level for several samples and then steps to the next; a value that
+    is only sampled never repeats.
     """
     low, high = sorted((initial, final))
     same = _ROUNDING * (high - low)
@@ -216,7 +218,7 @@ def _count_steps(axis: Axis) -> Callable[[RunContext], Result]:
 
 
 def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunContext], Result]:
-    """Return the metric that is the median of one figure over the steps that are answered."""
+    """Return a metric that is the median of one figure over all answered steps."""
 
     def compute(context: RunContext) -> Result:
         steps, rates = _find_steps(context, axis), context.get_rates(axis)

@@ -1,9 +1,9 @@
-"""Metrics of a command that holds from one row to the next, and their algorithms.
+"""Metrics of a command that is held from one row to the next, and their algorithms.
 
-`time_s` and `values` have shape (n,), n >= 1, times not decreasing; the last value holds until
-`end_s`. Commands of a burst share one time: all but the last of them hold for no time. They count
-where commands are counted (variation, jumps, reversals) and not where time is (effort, saturation,
-slew rate).
+`time_s` and `values` have shape (n,), n >= 1, times not decreasing; the last value is held until
+`end_s`. Commands of a burst share one time: all but the last have no duration. They count in
+numbers of commands (variation, jumps, reversals) but not in durations (effort, saturation, slew
+rate).
 """
 
 import math
@@ -108,7 +108,7 @@ def measure_reversals(commands: CommandStretch) -> Result:
 
 @_command_metric("largest_wanted", "{command}/s", "Largest {command} before clipping.", grows=True)
 def measure_largest_wanted(commands: CommandStretch) -> Result:
-    """The largest magnitude before clipping."""
+    """Return the largest magnitude before clipping."""
     wanted = commands.wanted
     if wanted is None:
         return _NO_WANTED
@@ -123,7 +123,7 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
     needs_whole=False,
 )
 def measure_saturated_share(curve: Response) -> Outcome:
-    """By samples; taken at the first that is saturated."""
+    """Return the fraction of samples at the limit; its time is the first saturated sample."""
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
     count, first = count_beyond(curve.commands.values, curve.limit)
@@ -138,7 +138,7 @@ def measure_saturated_share(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def measure_saturated_time_share(commands: CommandStretch) -> Result:
-    """By time, under hold; taken at the first that is saturated."""
+    """Return the fraction of time at the limit; its time is the first saturated sample."""
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT
@@ -157,7 +157,7 @@ def measure_saturated_time_share(commands: CommandStretch) -> Result:
     grows=True,
 )
 def measure_longest_saturation(commands: CommandStretch) -> Result:
-    """See `find_longest_held`; taken at its start."""
+    """See `find_longest_held`; its time is the start."""
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT
@@ -177,23 +177,23 @@ def _tell_first(commands: CommandStretch) -> float | None:
 def compute_effort(held_s: Values, values: Values) -> float:
     """Return the integral of the squared command [unit^2 s]: the energy of the input signal.
 
-    The input's term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore, Optimal
-    Control). `held_s`: how long each value holds [s].
+    The input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore, Optimal
+    Control). `held_s`: hold time of each value [s].
     """
     return sum_products(held_s, values, values)
 
 
 def compute_total_variation(values: Values) -> float:
-    """Return the sum of all changes' magnitudes [unit]: how much the command moves.
+    """Return the sum of the magnitudes of all changes (total variation) [unit].
 
-    TV of S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
-    J. Process Control 13 (2003).
+    TV of S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning", J.
+    Process Control 13 (2003).
     """
     return float(np.abs(np.diff(values)).sum())
 
 
 def find_largest_jump(values: Values) -> tuple[float, int]:
-    """Return the largest magnitude of a change [unit], and the row that it leads to."""
+    """Return the largest magnitude of a change [unit], and the row after it."""
     if len(values) < 2:
         return 0.0, 0
     changes = np.abs(np.diff(values))
@@ -202,9 +202,9 @@ def find_largest_jump(values: Values) -> tuple[float, int]:
 
 
 def find_largest_slew_rate(time_s: Values, values: Values) -> tuple[float, int] | None:
-    """Return the largest change per time between held values [unit/s], and the row it leads to.
+    """Return the largest change per time between held values [unit/s], and the row after it.
 
-    A change counts over the time from the row before. None where no two rows differ in time.
+    A change is divided by the time from the previous row. None if no two rows differ in time.
     """
     step_s, rows = np.diff(time_s), np.arange(len(time_s))
     if not step_s.all():
@@ -218,7 +218,7 @@ def find_largest_slew_rate(time_s: Values, values: Values) -> tuple[float, int] 
 
 
 def find_longest_held(held_s: Values, mask: Mask) -> tuple[float, int] | None:
-    """Return the longest time for which `mask` holds without a break [s], and its first row."""
+    """Return the longest time for which `mask` is true without a break [s], and its first row."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     starts, ends = edges[::2], edges[1::2]
     if not len(starts):
@@ -230,6 +230,6 @@ def find_longest_held(held_s: Values, mask: Mask) -> tuple[float, int] | None:
 
 
 def count_reversals(values: Values) -> int:
-    """Return how often the command changes its sign; zeros in between do not count."""
+    """Return the number of sign changes of the command; zeros in between do not count."""
     turning = values[values != 0.0] > 0.0
     return int(np.count_nonzero(turning[1:] != turning[:-1]))

@@ -41,7 +41,7 @@ def _get_heading_error(course: Any) -> float:
 
 @compiled_as(_get_heading_error)
 def get_heading_error(course: RunContext) -> float:
-    """Return what the heading should be minus the heading at the end [rad], NaN if not known."""
+    """Return the reference heading minus the heading at the end [rad]; NaN if unknown."""
     error_rad = _find_heading_error(course, None)
     return math.nan if error_rad is None else error_rad
 
@@ -52,7 +52,7 @@ def get_heading_error(course: RunContext) -> float:
     "Magnitude of reference heading minus heading at the end.",
 )
 def measure_heading_error(course: RunContext) -> Outcome:
-    """Return the error's magnitude."""
+    """Return the magnitude of the heading error."""
     error_rad = get_heading_error(course)
     if math.isnan(error_rad):
         return math.nan, math.nan, _NO_HEADING if course.is_robot else _NO_BEARING
@@ -61,7 +61,7 @@ def measure_heading_error(course: RunContext) -> Outcome:
 
 @course_metric("final.position_error", "m", "Distance to the goal at the end.")
 def measure_position_error(course: RunContext) -> Outcome:
-    """Return the distance of the last pose."""
+    """Return the distance of the last pose to the goal."""
     x_m, y_m, _ = course.goal
     if math.isnan(x_m):
         return math.nan, math.nan, GOAL_UNKNOWN
@@ -88,7 +88,7 @@ def measure_last_cross_track(course: RunContext) -> Outcome:
     "Magnitude of the goal's heading minus heading at the end.",
 )
 def measure_goal_heading_error(course: RunContext) -> Outcome:
-    """Return the error's magnitude."""
+    """Return the magnitude of the heading error relative to the goal's heading."""
     wanted_rad = course.goal[2]
     if math.isnan(wanted_rad):
         return math.nan, math.nan, _NO_WANTED_HEADING
@@ -123,7 +123,7 @@ def _compute_position_error_at_15s(context: RunContext) -> Result:
 
 
 def _find_heading_error(context: RunContext, at_s: float | None) -> float | None:
-    """Return what the heading should be minus the heading [rad], in [-pi, pi)."""
+    """Return the reference heading minus the heading [rad], in [-pi, pi)."""
     run, time_s = context.run, context.pose_time_s
     reference = context.heading_reference_rad
     if reference is None:
@@ -139,7 +139,7 @@ def _find_heading_error(context: RunContext, at_s: float | None) -> float | None
 
 
 def _read_reference_at(time_s: Values, reference: float | Values, at_s: float | None) -> float:
-    """Return a reference by line between rows, the short way round."""
+    """Return a reference, linearly interpolated between rows along the shorter turn."""
     if not isinstance(reference, np.ndarray):
         return reference
     row = _find_row(time_s, at_s)
@@ -151,14 +151,14 @@ def _read_reference_at(time_s: Values, reference: float | Values, at_s: float | 
 
 
 def _find_row(time_s: Values, at_s: float | None) -> int:
-    """Return the last row at a time or before, the last of all where it is None."""
+    """Return the last row at or before a time; the last row of all if the time is None."""
     if at_s is None:
         return len(time_s) - 1
     return max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
 
 
 def _read_at(time_s: Values, values: Values, at_s: float | None) -> float:
-    """Return a value by line between rows, the last row's after the end or where at_s is None."""
+    """Return a linearly interpolated value; the last row's after the end or if at_s is None."""
     return float(values[-1]) if at_s is None else float(np.interp(at_s, time_s, values))
 
 
@@ -167,7 +167,7 @@ def _tell_time(context: RunContext) -> float:
 
 
 def _find_cut(context: RunContext) -> Missing | None:
-    """A run that has come to its own end holds its last value; one that was cut does not."""
+    """A run that ended by itself keeps its last value; a run that was cut does not."""
     run = context.run
     length_s = (run.end_ns - run.start_ns) / 1e9
     if run.is_complete or length_s >= PAPER_WINDOW_S:

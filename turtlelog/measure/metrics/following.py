@@ -1,7 +1,7 @@
-"""Metrics of how a robot follows its commands, axis by axis, whoever sends them.
+"""Metrics of how a robot follows its commands, axis by axis, from any sender.
 
-What is compared is what the robot does between two poses: the mean of its measured rate, and the
-mean of the commands that hold meanwhile. So a shift in time is found to a fraction of a sample.
+Between two poses, the mean of the measured rate is compared with the mean of the held commands. A
+time shift is therefore found to a fraction of a sample.
 """
 
 from collections.abc import Callable
@@ -65,7 +65,7 @@ def _on_axis(
 
 
 def _select(rates: Rates, commands: HeldCommands) -> slice | None:
-    """Return the intervals between the first command and the last; None where there are none."""
+    """Return the intervals between the first and the last command; None if there are none."""
     first = int(np.searchsorted(rates.edges_s, commands.time_s[0]))
     last = int(np.searchsorted(rates.edges_s, commands.end_s, side="right")) - 1
     return slice(first, last) if last > first else None
@@ -106,7 +106,7 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
 
 
 def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
-    """Whether the command changes with some time before and after."""
+    """Return whether the command changes with enough time before and after."""
     inside_s = np.array([begin_s + _INSIDE_S, end_s - _INSIDE_S])
     first, last = np.searchsorted(commands.time_s, inside_s, side="right")
     held = np.concatenate([[commands.before], commands.values])[first : last + 1]
@@ -116,9 +116,9 @@ def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
 def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
     """Return the shift of the commands that fits the measured rates best [s], or why there is none.
 
-    The best fit has the least squares once the commands are scaled and offset: the largest
-    correlation. Of a first-order lag it is the dead time and ln 2 of the time constant: the
-    time after which half of a step is done.
+    The best fit has the largest correlation, that is, the least squares once the commands are
+    scaled and offset. For a first-order lag it is the dead time plus ln 2 times the time constant:
+    the time after which half of a step is done.
     """
     step_s = np.diff(edges_s)
 
@@ -151,7 +151,7 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
 
 
 def _correlate(asked: Values, done: Values, step_s: Values) -> Values:
-    """Return the correlation over time of rows with a column, 0 where one does not change."""
+    """Return the correlation over time of rows with a column; 0 if either is constant."""
     weights = step_s / step_s.sum()
     asked, done = asked - (asked @ weights)[:, None], done - np.dot(weights, done)
     size = np.sqrt((asked * asked) @ weights * np.dot(weights, done * done))
@@ -159,7 +159,7 @@ def _correlate(asked: Values, done: Values, step_s: Values) -> Values:
 
 
 def _has_second(found: Values, best: int) -> bool:
-    """Whether a shift apart from the best one, behind a valley, fits as well."""
+    """Return whether a separate second shift, beyond a valley, fits as well."""
     for side in (found[best:], found[best::-1]):
         low = np.flatnonzero(side < _VALLEY * found[best])
         if len(low) and side[low[0] :].max() >= _ALIKE * found[best]:

@@ -1,4 +1,4 @@
-"""Step and error metrics of a loop: each a function of its curve, plain and compiled."""
+"""Step and error metrics of a loop, each a function of its curve, plain and compiled."""
 
 import math
 from typing import Final
@@ -62,7 +62,7 @@ _UNKNOWN: Final = add_reason(
 
 @curve_metric("duration", "s", "Length of the segment in which the loop acts.", is_awaited=True)
 def find_duration(curve: Response) -> Outcome:
-    """Return when the last pose is."""
+    """Return the time of the last pose."""
     return curve.time_s[-1], math.nan, FOUND
 
 
@@ -76,7 +76,7 @@ def find_duration(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def find_delay_time(curve: Response) -> Outcome:
-    """Return when half of the step is reached."""
+    """Return the time at which half of the step is reached."""
     half_s = find_level_time(curve.time_s, curve.values, 0.5, curve.initial, curve.reference)
     if math.isnan(half_s):
         return math.nan, math.nan, _NEVER_HALF
@@ -93,7 +93,7 @@ def find_delay_time(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def find_rise_time(curve: Response) -> Outcome:
-    """Return the time between the two; taken at its end."""
+    """Return the time from 10 % to 90 % of the step; its time is the end."""
     if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
         return math.nan, math.nan, _BEGINS_BEYOND
     begin_s, end_s = find_rise(curve.time_s, curve.values, curve.initial, curve.reference)
@@ -111,7 +111,7 @@ def find_rise_time(curve: Response) -> Outcome:
     better=None,
 )
 def find_peak(curve: Response) -> Outcome:
-    """Return the furthest value."""
+    """Return the furthest value in the direction of the step."""
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return curve.values[row], curve.start_s + curve.time_s[row], FOUND
 
@@ -126,7 +126,7 @@ def find_peak(curve: Response) -> Outcome:
     is_awaited=True,
 )
 def find_peak_time(curve: Response) -> Outcome:
-    """Return when the furthest value is."""
+    """Return the time of the furthest value."""
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return curve.time_s[row], curve.start_s + curve.time_s[row], FOUND
 
@@ -141,7 +141,7 @@ def find_peak_time(curve: Response) -> Outcome:
     applies=has_sides,
 )
 def measure_overshoot(curve: Response) -> Outcome:
-    """See `find_overshoot`; taken at the peak."""
+    """See `find_overshoot`; its time is the peak."""
     share = find_overshoot(curve.values, curve.initial, curve.reference)
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
@@ -172,7 +172,7 @@ def measure_undershoot(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def measure_settling_time(curve: Response) -> Outcome:
-    """See `find_settling_time`; a response that somebody else ended has to have stayed there."""
+    """See `find_settling_time`; a response ended from outside must have stayed in the band."""
     time_s, values, reference = curve.time_s, curve.values, curve.reference
     settled_s = find_settling_time(time_s, values, curve.initial, reference, curve.band)
     if math.isnan(settled_s):
@@ -186,9 +186,9 @@ def measure_settling_time(curve: Response) -> Outcome:
 
 
 def find_needed_hold(time_s: Values, values: Values, reference: float, half_width: float) -> float:
-    """Return how long a response that somebody else ended stays in the band if it has settled [s].
+    """Return how long a response ended from outside must stay in the band to have settled [s].
 
-    At least `step_response.SHORTEST_HOLD_S`, and a period of the oscillation that remains.
+    At least `step_response.SHORTEST_HOLD_S` and one period of the remaining oscillation.
     """
     return max(SHORTEST_HOLD_S, find_swing_period(time_s, values, reference, half_width))
 
@@ -197,7 +197,7 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
     "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
 )
 def count_crossings(curve: Response) -> Outcome:
-    """Return how often; taken at the first."""
+    """Return the number of crossings; the time is that of the first."""
     rows = find_crossing_rows(curve.error, 0.0, curve.memory)
     at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
     return float(len(rows)), at_s, FOUND
@@ -229,7 +229,7 @@ def measure_decay_ratio(curve: Response) -> Outcome:
     applies=has_sides,
 )
 def judge_stability(curve: Response) -> Outcome:
-    """See `judge_swings`, of the poses up to the last that was answered."""
+    """See `judge_swings`, for the poses up to the last answered one."""
     error = curve.error[: curve.answered]
     if len(error) < 2:
         return math.nan, math.nan, _ONE_ANSWER
@@ -246,7 +246,7 @@ def judge_stability(curve: Response) -> Outcome:
 
 @curve_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
 def find_final_error(curve: Response) -> Outcome:
-    """Return the last error's magnitude."""
+    """Return the magnitude of the last error."""
     return abs(curve.error[-1]), curve.start_s + curve.time_s[-1], FOUND
 
 
@@ -265,7 +265,7 @@ def find_steady_state_error(curve: Response) -> Outcome:
 
 @curve_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
 def find_largest_error(curve: Response) -> Outcome:
-    """Return the largest error's magnitude."""
+    """Return the largest magnitude of the error."""
     largest, row = find_largest(curve.error)
     return largest, curve.start_s + curve.time_s[row], FOUND
 
@@ -282,7 +282,7 @@ def _fold_error(curve: Response) -> tuple[Values, Values, Values]:
 
 @compiled_as(_fold_error)
 def fold_error(curve: Response) -> tuple[Values, Values, Values]:
-    """Return times, steps of time and magnitudes of the error, as the run keeps them."""
+    """Return times, time steps and magnitudes of the error, as stored with the run."""
     return curve.folded_error
 
 

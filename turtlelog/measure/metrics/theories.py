@@ -1,14 +1,14 @@
-"""Metrics of how far a response is from theory: ideal, sampled, sampled with dead time.
+"""Metrics of the deviation of a response from theory: ideal, sampled, sampled with dead time.
 
-All three are the loop of an integrator under proportional feedback with the gain of the run, from
-the response's own initial value to its reference, with no limit on the command:
+All three are an integrator under proportional feedback with the gain of the run, from the
+response's own initial value to its reference, without a limit on the command:
 
 - ideal: dy/dt = Kp (r - y), so y = r + (y0 - r) exp(-Kp t);
 - sampled: the command holds for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
 - delayed: it is answered d samples late: y[k+1] = y[k] + Kp T (r - y[k-d]), at rest before.
 
-Between samples a sampled loop moves along a line, for the command holds. The deviation is measured
-minus theory, and the line through its values at the response's own times.
+Between samples a sampled loop moves along a line, because the command is held. The deviation is the
+measured value minus theory, linearly interpolated at the response's own times.
 """
 
 from collections.abc import Callable, Mapping
@@ -51,7 +51,7 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share on
 
 
 def has_theory(loop: ControlLoop) -> bool:
-    """Whether theory's loop, an integrator under u = Kp e, is one of this kind."""
+    """Whether a loop is of the kind that theory covers: an integrator under u = Kp e."""
     return not loop.moves and loop.has_theory
 
 
@@ -62,7 +62,7 @@ def has_theory(loop: ControlLoop) -> bool:
     needs_whole=False,
 )
 def compute_dead_time(context: RunContext, response: Response) -> Result:
-    """See `dead_time.find_dead_time`; ticks times the time from pose to pose."""
+    """See `dead_time.find_dead_time`; ticks times the time between poses."""
     ticks = context.find_dead_time_ticks(response.loop)
     if isinstance(ticks, Missing):
         return ticks
@@ -119,7 +119,7 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
 def _find_dead_time_samples(
     theory: str, context: RunContext, response: Response, period_s: float
 ) -> int | Missing:
-    """Return the dead time of a theory in samples: 0, the setting, or the recording's."""
+    """Return the dead time of a theory in samples: 0, the setting, or that of the recording."""
     if theory == "sampled":
         return 0
     asked = context.settings.dead_time_ticks

@@ -1,4 +1,4 @@
-"""Metrics of loops whose reference moves: how late they are, how far they run past corners."""
+"""Metrics of loops with a moving reference: their delay, and the overshoot at corners."""
 
 from collections.abc import Callable
 from typing import Final
@@ -34,7 +34,7 @@ lap goes a sample beyond the first corner of the next, 16 mm at 1 m/s."""
 
 
 def _has_lag(loop: ControlLoop) -> bool:
-    """Whether its reference is a signal of time: a distance and a cross-track error have none."""
+    """Whether the reference is a signal of time; for a distance or cross-track error it is not."""
     is_error = loop.signal == "distance" or (loop.signal, loop.reference) == ("cross_track", "path")
     return loop.moves and not is_error
 
@@ -63,11 +63,11 @@ def _compute_lag(context: RunContext, response: Response) -> Result:
 
 
 def find_shift(time_s: Values, reference: Values, signal: Values) -> float:
-    """Return by how much the reference is shifted to fit the signal best in the mean square [s].
+    """Return the time shift of the reference that fits the signal best in the mean square [s].
 
-    At most half of the duration either way. Before its beginning the reference stands where it
-    begins, behind its end where it ends, so that every shift is judged on all rows: a reference
-    that repeats itself fits worse, not better, when it is a period off.
+    At most half of the duration in either direction. The reference is constant before its beginning
+    and after its end, so that every shift is judged on all rows: a periodic reference then fits
+    worse if it is a period off.
     """
     every = slice(None, None, -(-len(time_s) // _COARSE_ROWS))
     coarse = time_s[every], reference[every], signal[every]
@@ -134,6 +134,6 @@ def _compute_corner_overshoot(context: RunContext, response: Response) -> Result
 
 
 def _list_corners(path: Path, arcs_m: Values) -> list[Corner]:
-    """Return the corners that a run came to; by time, the path ends with its first lap."""
+    """Return the corners that a run reached; with a time law, the path ends after its first lap."""
     to_m = float(arcs_m.max(initial=0.0)) - _BEYOND_M if path.speed_m_s is None else 0.0
     return [one for one in path.list_corners(to_m) if one.arc_m >= arcs_m.min(initial=np.inf)]

@@ -1,4 +1,4 @@
-"""Metrics of how a robot moved, of poses alone: how far, how fast, how smoothly, and at rest."""
+"""Metrics of a robot's motion from poses alone: distance, speed, smoothness, and time at rest."""
 
 from collections.abc import Callable, Sequence
 from math import degrees
@@ -29,7 +29,7 @@ _IN_PLANE: Final = Missing(
 def _on_space(
     column: str, compute: Callable[[Values, Values], Result]
 ) -> Callable[[RunContext], Result]:
-    """Compute on heights or tilts that are numbers, with the positions of their poses."""
+    """Compute on finite heights or tilts, with the positions of their poses."""
 
     def compute_on_space(context: RunContext) -> Result:
         values = getattr(context.run.poses, column)
@@ -123,10 +123,11 @@ _STEPS_AT_ONCE: Final = 65_536
 
 
 def _find_rest(context: RunContext) -> tuple[float, float] | None:
-    """Return how long the robot is at rest, and how long it was looked at [s]; None for one pose.
+    """Return how long the robot is at rest, and the time observed [s]; None for a single pose.
 
-    The time between two poses is at rest where the robot moves by less, either in the half second
-    that ends with it or in the half second that begins with it: rest reaches up to its edges.
+    The time between two poses is at rest if the robot moves by less than the threshold in the half
+    second that ends with it or in the half second that begins with it, so that rest includes its
+    edges.
     """
     poses = context.run.poses
     if len(poses) < 2:
@@ -149,14 +150,14 @@ def _find_rest(context: RunContext) -> tuple[float, float] | None:
 def _find_slow(
     starts_s: Values, ends_s: Values, time_s: Values, near: slice, columns: Sequence[Values]
 ) -> NDArray[np.bool_]:
-    """Return in which of some steps the robot moves by less than at rest.
+    """Return in which steps the robot moves by less than the threshold of rest.
 
     Args:
-        starts_s: When each begins [s].
-        ends_s: When each ends [s].
-        time_s: Of all poses [s].
-        near: Which poses are half a second around them, and one more on either side.
-        columns: x, y [m] and heading [rad] of these.
+        starts_s: Start time of each step [s].
+        ends_s: End time of each step [s].
+        time_s: Times of all poses [s].
+        near: Rows of the poses within half a second of the steps, and one more on either side.
+        columns: x, y [m] and heading [rad] of these rows.
     """
     found = np.zeros(len(starts_s), dtype=bool)
     for first_s, last_s in (
@@ -237,7 +238,7 @@ _NOISY: Final = Missing(
 
 
 def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
-    """Return the spectral arc length of a speed profile [1], negative; None where noise decides it.
+    """Return the spectral arc length of a speed profile [1], negative; None if noise decides it.
 
     The length of the normalised amplitude spectrum up to 10 Hz, or half the rate, where it last
     reaches 5 % of its largest value: S. Balasubramanian, A. Melendez-Calderon, A. Roby-Brami, E.
@@ -245,8 +246,8 @@ def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
     (2015). Noise spreads over all frequencies and stays below the threshold.
 
     Args:
-        speed: At equal distances in time, shape (n,), not all 0.
-        rate_hz: Values per second.
+        speed: Speeds at equal distances in time, shape (n,), not all 0.
+        rate_hz: Values per second [Hz].
     """
     count = 2 ** (int(np.ceil(np.log2(len(speed)))) + _PADDING)
     frequency_hz = np.arange(count // 2 + 1) * rate_hz / count

@@ -1,4 +1,4 @@
-"""The metrics of a whole run: its length, its way, its distance to the goal, its commands."""
+"""The metrics of a whole run: its duration, path length, distance to the goal and commands."""
 
 import math
 from collections.abc import Callable
@@ -56,14 +56,14 @@ NO_LINE: Final = REASONS[_LINE_UNKNOWN]
     needs_poses=False,
 )
 def measure_duration(course: RunContext) -> Outcome:
-    """Return how long the run is."""
+    """Return the duration of the run."""
     return course.duration_s, math.nan, FOUND
 
 
 def _on_distance(
     compute: Callable[[RunContext, Values, Values], Result],
 ) -> Callable[[RunContext], Result]:
-    """Compute on the distance to the goal from the first sample on."""
+    """Compute on the distance to the goal, from the first sample on."""
 
     def compute_on_distance(context: RunContext) -> Result:
         signal = context.get_signal("distance")
@@ -121,7 +121,7 @@ def _compute_straightness(context: RunContext) -> Result:
 
 
 def find_largest_cross_track(context: RunContext, rows: slice) -> Result:
-    """Return the largest magnitude among rows of the poses."""
+    """Return the largest magnitude among the given rows of the poses."""
     if not len(context.cross_track_m):
         return NO_LINE
     largest_m, row = find_largest(context.cross_track_m[rows])
@@ -129,7 +129,7 @@ def find_largest_cross_track(context: RunContext, rows: slice) -> Result:
 
 
 def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
-    """Return the root of the mean square over time among rows of the poses."""
+    """Return the root mean square over time among the given rows of the poses."""
     if not len(context.cross_track_m):
         return NO_LINE
     step_s = np.diff(context.pose_time_s[rows])
@@ -146,7 +146,7 @@ def _project(course: Any) -> Values:
 
 @compiled_as(_project)
 def get_cross_track(course: RunContext) -> Values:
-    """Return the distance of every pose to the left of the line, or from a path [m]."""
+    """Return the distance of every pose to the left of the line or path [m]."""
     return course.cross_track_m
 
 
@@ -167,7 +167,7 @@ def tell_pose(course: RunContext, row: int) -> float:
     grows=True,
 )
 def measure_largest_cross_track(course: RunContext) -> Outcome:
-    """Return the largest magnitude from the first sample on: time zero of the run."""
+    """Return the largest magnitude from the first sample (time zero of the run) on."""
     offset_m, first = get_cross_track(course), course.first_row
     if len(offset_m) == 0:
         return math.nan, math.nan, _LINE_UNKNOWN
@@ -201,7 +201,7 @@ def _compute_itae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
 def _on_commands(
     column: str, compute: Callable[[CommandStretch], Result]
 ) -> Callable[[RunContext], Result]:
-    """Compute on one column of the commands as published, until the end of the run."""
+    """Compute on one column of the published commands, until the end of the run."""
 
     def compute_on_commands(context: RunContext) -> Result:
         if not len(context.run.commands):
@@ -265,7 +265,7 @@ _enter_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s")
 
 
 def _moves_along(loop: ControlLoop) -> bool:
-    """A loop that turns the turtle leaves it where it is; one that drives it may leave the line."""
+    """Whether a loop moves the robot along the line: one that turns it does not."""
     return loop.command == "speed"
 
 
