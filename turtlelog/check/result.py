@@ -183,7 +183,7 @@ def decide_verdict(found: Container[Verdict]) -> Verdict:
 
 
 def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
-    """Return the result with the smallest margin in each unit, failures first."""
+    """Return for each unit the result with the smallest margin; failures have priority."""
     worst: dict[str, CheckResult] = {}
     for result in results:
         before = worst.get(result.unit, result)

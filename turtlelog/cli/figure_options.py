@@ -110,9 +110,9 @@ class AskedOptions:
     """What the figures attribution, gains, luck, strips and violation show.
 
     Attributes:
-        metric: Metric of the figures attribution and luck, by its id (turtlelog list metrics). For
-            gains, strips and tables: ids, patterns or names without loop (overshoot), separated by
-            commas. Default: up to four.
+        metric: Id of the metric that the figures `attribution` and `luck` show (turtlelog list
+            metrics). For the figures `gains` and `strips` and for tables: metrics by id, pattern or
+            name without loop (overshoot), separated by commas. Default: up to four.
         expect: Formula whose signal the figure violation shows. Example: "always(abs(cross_track)
             <= 0.05)".
     """

@@ -106,7 +106,7 @@ class TopicOptions:
         pose_topic: Topic of the poses, or FILE:TOPIC to set it for one file. Default: chosen by
             type and name, and named on stderr.
         robot: Name of one of several robots in a bag (/robot1/odom, /robot2/odom: robot1, robot2).
-        command_topic: Topic of the commands: Twist, TwistStamped, or with --wheelbase Ackermann.
+        command_topic: Topic of the commands: Twist, TwistStamped, or Ackermann (needs --wheelbase).
         path_topic: Topic of the path to follow: nav_msgs/Path.
         pose_frame: Frame of the robot, if poses come from transforms (/tf).
         world_frame: The frame in which poses from transforms are given.

@@ -127,11 +127,11 @@ class ReportAnswer:
     """The report.
 
     Attributes:
-        ending: Ends of the runs, in words.
+        ending: Sentence on how the runs ended.
         output: The file.
         bytes: Its size.
         runs: The runs.
-        explained: Name of the run that is explained; None without one.
+        explained: Name of the explained run; None if no run is explained.
         verdict: Verdict of all checks; None without a specification.
     """
 

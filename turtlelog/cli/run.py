@@ -54,7 +54,7 @@ _ADVICE: Final = (
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions:
-    """What happens while the loop runs, and after it.
+    """Options for actions while the loop runs, and after it.
 
     Attributes:
         watch: Run again when the file of the law or the scenario file is saved, and show what
@@ -114,8 +114,8 @@ def run(
     viewer does not end it. If a law fails, the samples before the failure are written (exit code
     2).
 
-    Notes on stderr report a gain above the theory's stability limit at the dead time of these
-    settings, and a goal, goal heading or path that the law ignores.
+    Notes on stderr report a gain above the stability limit, which theory gives for the dead time of
+    these settings. They also report a goal, goal heading or path that the law ignores.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose

@@ -115,7 +115,7 @@ class RobustnessOptions:
         return self.monte_carlo
 
     def list_variations(self, scenario: "Scenario", varied: list[str]) -> "list[Variation]":
-        """Return what variants draw beside seeds and delays."""
+        """Return the quantities chosen at random for each variant, besides seeds and delays."""
         found: list[Variation] = []
         if self.robot is not None:
             found += tl.sweep.tune.read_intervals(self.robot, scenario)

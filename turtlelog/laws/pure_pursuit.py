@@ -43,7 +43,7 @@ def step(
     time_ns: int,
     pose: tuple[float, float, float],
 ) -> tuple[float, float]:
-    """Answer one pose: omega = v 2 y / L^2."""
+    """Return the command for one pose: omega = 2 v y / L^2."""
     law = settings.law
     _, speed_m_s, behind_m, nearest_m = find_target(settings, state, pieces, row, time_ns, pose)
     if row.stop != 0:

@@ -123,7 +123,7 @@ class DrawnRows:
 
 
 def draw_events(seed: int, stream: Stream, events: int) -> NDArray[np.float64]:
-    """Return the numbers of the first events of a stream at once, shape (events, width)."""
+    """Return the random numbers of a stream's first events as one array, shape (events, width)."""
     width = len(stream.fields)
     return _begin_stream(seed, stream)((events, width)) if events else np.empty((0, width))
 

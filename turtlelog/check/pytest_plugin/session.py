@@ -59,7 +59,7 @@ class Session:
         return self._recordings[key]
 
     def open_reference(self, path: Path, scratch: Path) -> "ReferenceFile":
-        """Return the reference of a file, one object per file.
+        """Return the reference of a file; repeated calls return the same object.
 
         Args:
             path: File of the reference.

@@ -106,7 +106,8 @@ _LEAST_HEIGHT: Final = 700
 class LinkedBlueprint(rrb.Blueprint):
     """A layout whose time axes are linked and show all there is, on every timeline.
 
-    Of a range of its own the viewer would show one minute, which goes with the cursor.
+    If a plot had its own time range, the viewer would show only one minute of it, around the
+    cursor.
     """
 
     end_s: float | None = None

@@ -150,7 +150,7 @@ def draw_arrows(run_stream: RunStream, run: Run) -> None:
 
 
 def name_arrows(run: Run) -> str:
-    """Return what the thin arrows at the turtle are, in words, as `draw_arrows` draws them."""
+    """Return in words what the thin arrows show that `draw_arrows` draws at the turtle."""
     aim = "goal" if run.goal_xy_m is not None else "reference"
     words = [f"pink: to the {aim}"] if _read_errors(run) is not None else []
     words += ["yellow: command"] if len(run.samples) or len(run.commands) else []

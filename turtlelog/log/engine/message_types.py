@@ -247,7 +247,7 @@ def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
 
 
 def shorten_type(name: str, package: str = "") -> str:
-    """Return `package/Type`, whatever stands between the two or, as eProsima writes it, before."""
+    """Return `package/Type` without what stands between or, as eProsima writes it, before them."""
     *before, last = name.split("/")
     if before and before[-1] in {"msg", "srv", "action"}:
         before.pop()

@@ -82,11 +82,11 @@ class Loss:
 def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     """Yield the data section in the order of the file, and the segments that cannot be read.
 
-    Reading continues after damage: if a header is invalid, at the next record that can be confirmed
-    (a chunk, a message index, an attachment with its checksum; single messages only if earlier
-    messages were outside chunks). A chunk that fails its checksum counts as damaged as a whole. An
-    unfinished file ends in damage. The summary is not read. Memory is needed for one chunk at a
-    time, packed and unpacked.
+    Reading continues after damage: if a header is invalid, it continues at the next record that can
+    be confirmed. This is a chunk, a message index, or an attachment with its checksum; single
+    messages count only if earlier messages were outside chunks. A chunk that fails its checksum
+    counts as damaged as a whole. An unfinished file ends in damage. The summary is not read. Memory
+    is needed for one chunk at a time, packed and unpacked.
     """
     window, damaged = FileWindow(stream), False
     for found in _walk_records(window):

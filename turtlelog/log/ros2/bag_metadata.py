@@ -157,8 +157,8 @@ def format_bag_metadata(
     """Return the metadata.yaml of a bag of MCAP files.
 
     Version 8 is the newest whose quality of service is text, which Humble and Jazzy both read;
-    empty, as in the file's channels, it lets the player choose. Later keys are skipped by earlier
-    readers.
+    empty, as in the file's channels, it lets the player choose. Readers of earlier format versions
+    skip the keys that later versions added.
 
     Args:
         files: Files in order of time.
