@@ -27,7 +27,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("metric")
     # With what numba compiled: the loop is the same.
     shutil.copytree(Path(turtlelog.__file__).parent, folder / "turtlelog")
-    file = folder / "turtlelog" / "measure" / "table" / "loop_metrics.py"
+    file = folder / "turtlelog" / "measure" / "metrics" / "loop_metrics.py"
     file.write_text(file.read_text("utf-8") + SECOND, "utf-8")
     ask(folder, "run", "paper-kp4", "-o", "run.mcap")
     return folder
