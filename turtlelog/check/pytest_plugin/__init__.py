@@ -166,7 +166,7 @@ def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str]
     """Write the message for a failed comparison of a metric."""
     if "turtlelog.measure.metric" not in _list_homes(left, right):
         return None
-    from turtlelog.check.pytest_plugin.explaining import explain_comparison
+    from turtlelog.check.pytest_plugin.failure_messages import explain_comparison
 
     return explain_comparison(op, left, right)
 

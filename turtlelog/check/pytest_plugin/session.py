@@ -135,7 +135,7 @@ class Session:
         failed: "dict[Recording, list[CheckResult]]",
     ) -> None:
         from turtlelog.check import ArtifactWriter
-        from turtlelog.check.pytest_plugin.explaining import explain_failures, keep_artifacts
+        from turtlelog.check.pytest_plugin.failure_messages import explain_failures, keep_artifacts
 
         lines: list[str] = []
         explains = not self._config.getoption("--turtlelog-no-why")
