@@ -13,7 +13,6 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.alike_messages import AlikeLayout, PackedItems, lay_out_alike
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
@@ -25,6 +24,7 @@ from turtlelog.log.engine.message_types import (
     read_type,
 )
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.writing.alike_messages import AlikeLayout, PackedItems, lay_out_alike
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""

@@ -44,7 +44,7 @@ from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
-from turtlelog.log.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
+from turtlelog.log.writing.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
 from turtlelog.version import __version__
 
 LIBRARY: Final = f"turtlelog/{__version__}"

@@ -14,11 +14,11 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.container import LIBRARY, McapFile
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, Allowance
 from turtlelog.log.engine.parsing import RecordStretch, parse_body
-from turtlelog.log.records import ChunkRows, merge_chunks
+from turtlelog.log.writing.container import LIBRARY, McapFile
+from turtlelog.log.writing.records import ChunkRows, merge_chunks
 
 _CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
 _MOST_FAULTS: Final = 100  # that are told of one stretch
