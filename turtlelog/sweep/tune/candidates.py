@@ -231,9 +231,7 @@ class Candidates:
 
     def _spread(self, point: Point) -> Point:
         """Return a value for each key of the scenario: that of `kp` is one for all gains."""
-        return tuple(
-            value for keys, value in zip(self._set_keys, point, strict=True) for _ in keys
-        )
+        return tuple(value for keys, value in zip(self._set_keys, point, strict=True) for _ in keys)
 
     def _judge(self, point: Point, results: RowResults, place: int) -> Candidate:
         found = {name: cells.values[place] for name, cells in results.metrics.items()}
