@@ -73,10 +73,10 @@ _CODE: Final = (
 )
 
 
-def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
+def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
     """Return sentences: the difference, its reasons, what they depend on, and what else differs."""
     sentences = [
-        write_headline(found),
+        write_difference_headline(found),
         _write_resimulated(found),
         *_write_departure(found),
         *_write_obstacle(found),
@@ -93,7 +93,7 @@ def write_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
     return tuple(filter(None, sentences))
 
 
-def write_headline(found: "ExplainedDifference") -> str:
+def write_difference_headline(found: "ExplainedDifference") -> str:
     """Return both values, and how much each change adds to or subtracts from the first."""
     first, second = found.first, found.second
     if first.as_logged is None or second.as_logged is None:

@@ -174,9 +174,9 @@ class ExplainedDifference:
 
     def __post_init__(self) -> None:
         """Write the sentences."""
-        from turtlelog.explain.two_runs.difference_report import write_sentences
+        from turtlelog.explain.two_runs.difference_report import write_difference_sentences
 
-        object.__setattr__(self, "sentences", write_sentences(self))
+        object.__setattr__(self, "sentences", write_difference_sentences(self))
 
     def __repr__(self) -> str:
         names = f"{self.first.name} and {self.second.name}"
