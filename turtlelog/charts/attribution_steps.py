@@ -9,8 +9,8 @@ from turtlelog.charts import palette
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Change, Contribution, ExplainedDifference
-from turtlelog.explain.attribution import THIS_SEED
-from turtlelog.explain.explained_difference import SEED, Side
+from turtlelog.explain.one_run.attribution import THIS_SEED
+from turtlelog.explain.two_runs.explained_difference import SEED, Side
 
 _SAME: Final = 1e-6
 """Of the largest value: a smaller step is none. Two platforms differ by no more in one scenario."""

@@ -34,7 +34,7 @@ _SAME: Final = (1e-9, 1e-6)
 """Of a metric, absolute and relative: two platforms differ by no more in one scenario."""
 
 
-def add_reason(
+def explain_failures(
     run: Run,
     reference: Run | MetricsFile,
     results: Sequence[CheckResult],

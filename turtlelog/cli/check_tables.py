@@ -202,7 +202,7 @@ def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, floa
     return show_angle(0.0, result.unit)[1], value, limit, margin
 
 
-def list_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
+def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
     """Yield why checks fail or are skipped, where their rows do not say it."""
     meant = {} if spec is None else _read_reasons(spec)
     found: dict[tuple[str, str, str], list[str]] = {}

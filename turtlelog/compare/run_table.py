@@ -35,7 +35,7 @@ _MOST_DIFFERING: Final = 2
 """Columns of parameters in which runs differ."""
 
 _MOST_NAMED: Final = 3
-"""Keys that the first line names as differing beside what was varied."""
+"""Keys that the first line names as differing beside what was varied; metrics of one reason."""
 
 _MOST_HIDDEN: Final = 8
 """More of them that are named below a table."""
@@ -235,7 +235,7 @@ def mark_metric(
     return marks | {row: "worst" for row, value in known.items() if value == worst}
 
 
-def list_units(metrics: Sequence[Metric]) -> list[str]:
+def list_metric_units(metrics: Sequence[Metric]) -> list[str]:
     """Return the units of a metric's values; several if loops of one name differ."""
     valued = [metric.unit for metric in metrics if metric.value is not None]
     return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))
@@ -382,7 +382,7 @@ def order_parameters(
 def _list_units(summaries: Sequence[RunSummary], name: str) -> list[str]:
     """Return the units of a metric in some runs; empty for a parameter."""
     found = [summary.find_metric(name) for summary in summaries]
-    return list_units([metric for metric in found if metric is not None])
+    return list_metric_units([metric for metric in found if metric is not None])
 
 
 def _head_column(name: str, units: Sequence[str]) -> Column:
@@ -454,16 +454,33 @@ def tabulate_measured(
 
 
 def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
-    units = list_units([metric for metric in found if metric is not None])
+    units = list_metric_units([metric for metric in found if metric is not None])
     has_one = len(units) == 1
     return (name, " or ".join(units), *(get_cell(metric, has_one_unit=has_one) for metric in found))
 
 
 def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return the reasons for missing values, each once."""
-    missing = [metric for metrics in measured for metric in metrics.values() if metric.reason]
-    reasons = dict.fromkeys(f"{metric.status.value}: {metric.reason}." for metric in missing)
-    return tuple(reasons)
+    """Return the reasons for missing values, each once.
+
+    A status with several reasons does not show which of them a cell has: these name the metrics.
+    """
+    named: dict[Status, dict[str, dict[str, None]]] = {}
+    for metrics in measured:
+        for name, metric in metrics.items():
+            if metric.reason:
+                reasons = named.setdefault(metric.status, {})
+                reasons.setdefault(metric.reason, {})[name] = None
+    return tuple(
+        f"{status.value}{_name_some([*names]) if len(reasons) > 1 else ''}: {reason}."
+        for status, reasons in named.items()
+        for reason, names in reasons.items()
+    )
+
+
+def _name_some(names: Sequence[str]) -> str:
+    rest = len(names) - _MOST_NAMED
+    shown = names if rest < 2 else [*names[:_MOST_NAMED], f"{rest} more"]
+    return f" ({join_words(shown)})"
 
 
 def get_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:
