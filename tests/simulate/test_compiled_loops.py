@@ -1,3 +1,4 @@
+import math
 import os
 import subprocess
 import sys
@@ -144,6 +145,15 @@ def test_there_are_no_loops_without_numba_or_where_it_compiles_nothing(
     assert loops.load() is None
     monkeypatch.setitem(sys.modules, "numba", None)
     assert loops.load() is None
+
+
+def test_without_numba_no_work_is_worth_loops_and_no_cache_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    looked: list[None] = []
+    loops = CompiledLoops(object, lambda: bool(looked.append(None)), cost_s=1.0)
+    assert (loops.expect(10**9, 1.0), loops.cost_s, looked) == (None, math.inf, [])
 
 
 def test_loops_that_cannot_be_compiled_say_why() -> None:
