@@ -270,10 +270,10 @@ def _build_run(
 
 
 def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
-    """Return the poses that are numbers, and how many are not; speeds that are none go as a whole.
+    """Return the finite poses and the number of dropped ones; speeds with nan are dropped.
 
     Raises:
-        LogError: If none is.
+        LogError: If no pose is finite.
     """
     speeds = [name for name in rows.columns if name.removeprefix("measured_") in _RATES]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]

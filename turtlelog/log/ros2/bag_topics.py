@@ -260,7 +260,7 @@ def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick |
 
 
 def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
-    """Return topics whose fields may be a pose's: of a type called so, or of none of ROS's."""
+    """Return topics whose fields may be a pose's: types with such names, or unknown types."""
     return [
         topic
         for topic in topics
