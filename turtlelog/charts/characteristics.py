@@ -19,7 +19,7 @@ ALONG_ERROR: Final = "along_track_error"
 TO_REFERENCE: Final = "distance_to_reference"
 
 _ROUNDING_NS: Final = 1_000
-"""Times of metrics are rounded seconds: a command that begins within this counts as begun [ns]."""
+"""Rounding of metric times: a command that begins within this time counts as begun [ns]."""
 
 
 MarkShape = Literal["disc", "square", "cross"]
@@ -38,13 +38,16 @@ _SHAPES: Final[Mapping[str, MarkShape]] = MappingProxyType(
         "dead_time": "cross",
     }
 )
-"""How metrics are marked, by their kind: discs where a curve comes to rest, squares where it is
-furthest off, crosses where a time ends or begins. A peak stands with its overshoot."""
+"""Mark shapes by kind of metric.
+
+Discs mark where a curve comes to rest, squares its extremes, crosses the end or start of a time. A
+peak is marked with its overshoot."""
 
 _SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
     {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
 )
-"""Letters that Rerun's viewer can draw: at others, as the heavy multiplication sign, it ends."""
+"""Letters that Rerun's viewer can draw: other letters, such as the heavy multiplication sign, crash
+it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +99,7 @@ class Characteristic:
 
     @property
     def sign(self) -> str:
-        """Its shape as a letter."""
+        """The shape as a letter."""
         return "" if self.shape is None else _SIGNS[self.shape]
 
     @property

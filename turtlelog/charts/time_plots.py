@@ -148,7 +148,7 @@ def _sensed(signal: str, word: str) -> tuple[CurveEntry, ...]:
 
 def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
     """Return the plot of a command: commanded, applied and measured values."""
-    # The plant tells its speed without a sign.
+    # The plant publishes its speed without a sign.
     applied = "|applied|" if command == "speed" else "applied"
     return TimePlot(
         title=title,
@@ -380,7 +380,7 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         "world_velocity_y": _plot_world_velocity("y"),
     }
 )
-"""Every plot over time by name, in the order in which they stand."""
+"""Every plot over time by name, in the order of display."""
 
 
 def list_controlled(run: Run) -> Iterator[str]:

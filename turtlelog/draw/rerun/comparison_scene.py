@@ -240,7 +240,7 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
 
 
 def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tuple[Series, ...]:
-    """Return curves of a run among many; commands of one that swings on would cover all others."""
+    """Return the curves of a run among many, without oscillating commands, which hide others."""
     found = list_compared_series(run, name, color)
     if is_restless:
         found = tuple(series for series in found if series.plot not in entities.RESTLESS)

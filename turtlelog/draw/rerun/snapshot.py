@@ -235,7 +235,7 @@ def _take_picture(client: ViewerClient) -> bytes:
 
 
 def _shoot(client: ViewerClient) -> bytes:
-    """Return a picture, with a longer timeout than Rerun's 15 s for many runs on a busy machine."""
+    """Return a picture; retry after Rerun's timeout of 15 s, too short for many runs."""
     deadline = time.monotonic() + _LOAD_S
     while True:
         try:
