@@ -187,7 +187,7 @@ class Artifacts:
 
     Attributes:
         files: .rrd if Rerun is installed, .png if a picture could be made, and .mcap.
-        notes: Files that could not be written, and why.
+        notes: Files that could not be written, with reasons.
     """
 
     files: tuple[Path, ...]
@@ -195,12 +195,12 @@ class Artifacts:
 
 
 class ArtifactWriter:
-    """Writes files for the analysis of failures; one viewer takes all pictures.
+    """Writer of files for the analysis of failures; one viewer takes all pictures.
 
     The viewer is started for the first picture and ended by `close`, or at the end of a `with`.
 
     Args:
-        folder: Folder of the files; it is made if it does not exist.
+        folder: Folder of the files, which is created if necessary.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -233,7 +233,7 @@ class ArtifactWriter:
             prefix: Id of the failed test; its end is the start of the files' names.
 
         Raises:
-            CheckError: If the folder cannot be made.
+            CheckError: If the folder cannot be created.
             LogError: If the recording cannot be written.
             ShowError: If the view cannot be written.
         """
@@ -259,7 +259,7 @@ class ArtifactWriter:
         try:
             self._open_camera().take(rrd, png, at_s=shown_s)
         except ShowError as err:
-            self._lack = "" if self._has_seen else str(err)  # as now, so for the next failure
+            self._lack = "" if self._has_seen else str(err)  # the same for the next failure
             self.close()
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {err}",))
         self._has_seen = True
@@ -278,7 +278,7 @@ def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> Non
     from turtlelog.draw import write_violation_rrd
 
     found = find_violated_signal(run, result)
-    # What is known of the scenario has a tab of its own.
+    # The scenario has a tab of its own.
     lines = [*describe_results(run, result), escape_controls(f"  recording       {result.file}")]
     if found.signal is None:
         lines += textwrap.wrap(f"no band is drawn: {found.reason}", _WIDTH)

@@ -1,4 +1,4 @@
-"""Formula and signals -> finding: whether it holds, its margin, and the time that decides."""
+"""Check of a formula over signals: verdict, margin, and the time that decides."""
 
 import math
 from collections import ChainMap
@@ -200,7 +200,7 @@ def check_run(
     expression = _parse(expression)
     others = {name: None for name in expression.names if find_kind(run, name) is not None}
     kinds: Any = others, list_metrics(run.declaration), list_signals(run.declaration)
-    known = ChainMap[str, Any](*kinds)  # no copy of 200 names for each of many checks
+    known = ChainMap[str, Any](*kinds)  # avoids copying 200 names for each of many checks
     own: Any = run.parameters
     check_names(expression, known.new_child(own))
     signals = read_signals(run, expression.names)
@@ -217,7 +217,7 @@ def check_run(
 
 
 _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
-"""Whether a formula holds, its margin, and where that comes from."""
+"""Whether a formula holds, its margin, and the origin of the margin."""
 
 
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:

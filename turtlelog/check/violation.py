@@ -1,4 +1,4 @@
-"""A failed check -> the signal that violated it, with the band that it left."""
+"""The signal that violated a check, with its allowed band."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 _SAME: Final = 1e-9
-"""A metric that is a signal's value at a moment differs from it by no more, as a share of it."""
+"""Relative difference between a metric and a signal's value at its time, if they are equal."""
 
 _NO_BAND: Final = "what is compared is no band around a signal"
 

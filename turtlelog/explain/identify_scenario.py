@@ -55,19 +55,20 @@ from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
 
 _MOST_PHASES: Final = 6
-"""Phases that are listed: three runs in one file."""
+"""Largest number of phases that are listed: three runs in one file."""
 
 _BEGINNING_S: Final = 600.0
-"""As much of a run that is too long to be simulated is looked at: forty times one of the paper's,
-and some ten seconds of work."""
+"""Length of the used beginning of a run that is too long to simulate [s]: forty times one of the
+paper's, and some ten seconds of work."""
 
 _SLOWEST_S: Final = 4.0
-"""Between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any loop that was seen. The
-fewer samples there are, the longer each of some hundred settings is simulated to tell it from the
+"""Longest time between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any known
+loop. With fewer samples, each of some hundred settings needs a longer simulation to differ from the
 others."""
 
 _MOST_ALIKE: Final = 8
-"""Settings that fit alike and are simulated again for their dead times: a second's work."""
+"""Largest number of equally good settings that are simulated again for their dead times: a second
+of work."""
 
 _UNEXPLAINED: Final = (
     "an effect that does not show in a log, such as loss, jitter or a disturbance, or commands"
@@ -103,7 +104,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:
         return _identify_beginning(run, length_s, trust_law=trust_law)
-    # Commands of any size are read; those whose squares overflow fit nothing.
+    # Commands may have any size; those whose squares overflow fit no law.
     with np.errstate(over="ignore", invalid="ignore"):
         reason = _find_other_law(run)
         if reason:
@@ -203,7 +204,7 @@ def _identify_samples(run: Run) -> Identification:
         return give_up(run.name, findings, obstacle, breaks)
     obstacle = _find_obstacle(trace)
     if obstacle:
-        # Commands that follow their errors bit for bit tell their gain by themselves.
+        # Commands that follow their errors bit for bit determine their gain alone.
         pairs = ((rotation, turning), (translation, driving))
         sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
         return give_up(run.name, {**findings, **dict(ChainMap(*sure))}, obstacle, breaks)

@@ -39,7 +39,7 @@ CLOSE_COMMAND: Final = 1e-9
 """Commands of one scenario differ by less between platforms [m/s, rad/s]."""
 
 Row = tuple[Any, ...]
-"""What is compared of a sample."""
+"""The compared values of a sample."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ class Depths:
 
 
 class QueueGauge:
-    """Queue depths needed to lose nothing; deeper queues make the same run.
+    """Gauge of the queue depths that lose nothing; deeper queues give the same run.
 
     They follow from the times when poses are answered and commands published; a constant delay
     changes nothing.
@@ -359,7 +359,7 @@ def find_departure(first: Run, second: Run) -> Departure | None:
 
 def _pair(first: Run, second: Run) -> Iterator[Pairing]:
     """Yield the signals row by row; at equal times, causes before their consequences."""
-    if count_missing_samples(second.samples):  # rows are matched by the number of their sample
+    if count_missing_samples(second.samples):  # rows are matched by sample number
         return
     by_tick = has_ticks(first) and has_ticks(second)
     pairings = (pair_by_tick if by_tick else pair_by_sample)(first, second)

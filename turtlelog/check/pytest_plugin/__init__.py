@@ -1,7 +1,7 @@
 """The pytest plugin: recordings as fixtures, and located failures. See docs/checking.md.
 
-pytest loads this in every session: before a test uses a recording, it imports neither numpy nor
-rerun, nor any part of turtlelog that imports them.
+pytest loads this module in every session. Before a test uses a recording, the module imports
+neither numpy nor rerun, nor any part of turtlelog that imports them.
 """
 
 import sys

@@ -85,7 +85,7 @@ def _count_missing(context: RunContext) -> Result:
 
 
 def _read_note(name: str) -> Callable[[RunContext], Result]:
-    """Return the metric that an importer has counted; nothing if no importer had to."""
+    """Return the metric that an importer has counted; empty if no importer counted it."""
 
     def read(context: RunContext) -> Result:
         note = context.run.notes.get(name, "0")
@@ -105,7 +105,7 @@ def compute_rate(periods_s: Values) -> float | None:
 
 def compute_spread(periods_s: Values) -> float:
     """Return the standard deviation of the periods around their mean [s]."""
-    # From the first period on, so that equal ones leave exactly 0.
+    # From the first period on, so that equal periods give exactly 0.
     return float((periods_s - periods_s[0]).std())
 
 

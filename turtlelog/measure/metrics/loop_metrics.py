@@ -186,7 +186,7 @@ def measure_settling_time(curve: Response) -> Outcome:
 
 
 def find_needed_hold(time_s: Values, values: Values, reference: float, half_width: float) -> float:
-    """Return how long a response ended from outside must stay in the band to have settled [s].
+    """Return the time that a response ended from outside must stay in the band to have settled [s].
 
     At least `step_response.SHORTEST_HOLD_S` and one period of the remaining oscillation.
     """

@@ -38,7 +38,7 @@ THEORIES: Final[Mapping[str, str]] = MappingProxyType(
         "delayed": "the ideal loop with sampling and dead time",
     }
 )
-"""What measured responses are held against, and how it is called."""
+"""Theories with their names in texts."""
 
 _MOST_SAMPLES: Final = 20_000_000
 
@@ -51,7 +51,7 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share on
 
 
 def has_theory(loop: ControlLoop) -> bool:
-    """Whether a loop is of the kind that theory covers: an integrator under u = Kp e."""
+    """Return whether theory covers a loop: an integrator under u = Kp e."""
     return not loop.moves and loop.has_theory
 
 

@@ -265,7 +265,7 @@ _enter_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s")
 
 
 def _moves_along(loop: ControlLoop) -> bool:
-    """Whether a loop moves the robot along the line: one that turns it does not."""
+    """Return whether a loop moves the robot along the line; one that turns the robot does not."""
     return loop.command == "speed"
 
 
