@@ -19,8 +19,8 @@ from turtlelog.laws import LAWS
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate.many import find_loop
-from turtlelog.sweep.batch import find_batch
-from turtlelog.sweep.batch_rows import is_batched
+from turtlelog.sweep.batch.batch_rows import is_batched
+from turtlelog.sweep.batch.measured_rows import find_batch
 
 EVERYDAY: Final = {
     *("sequential-p turtlesim", "sequential-pid turtlesim", "sequential-pid lagged"),
@@ -53,7 +53,7 @@ def compile_pair(scenario: Scenario) -> None:
 
 def main(*words: str) -> None:
     """Compile it, on all cores."""
-    measurement = partial(import_module, "turtlelog.sweep.batch_entry")
+    measurement = partial(import_module, "turtlelog.sweep.batch.batch_entry")
     pairs = [partial(compile_pair, scenario) for scenario in list_pairs(has_all="all" in words)]
     with ProcessPoolExecutor(count_cores()) as pool:
         jobs: list[Callable[[], object]] = [measurement, *pairs]

@@ -10,8 +10,8 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.display import NamedValues, format_html, parse_utc
-from turtlelog.explain.attribution import ValueSet
-from turtlelog.explain.identification import Certainty
+from turtlelog.explain.one_run.attribution import ValueSet
+from turtlelog.explain.scenario_from_log.identification import Certainty
 from turtlelog.laws.loading import LAWS
 
 FILE: Final = "recordings/paper/kp10.mcap"

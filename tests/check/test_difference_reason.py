@@ -10,7 +10,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.check import CheckResult, Tolerances, match_run
-from turtlelog.check.difference_reason import add_reason
+from turtlelog.check.difference_reason import explain_failures
 from turtlelog.check.reference import MetricsFile, format_metrics, read_metrics_file
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
@@ -39,7 +39,9 @@ def read_why(results: list[CheckResult]) -> tuple[str, ...]:
 
 def test_the_check_of_the_metric_that_matters_most_has_the_reason() -> None:
     results = judge("run.duration", "final.position_error", "run.path_length")
-    found = add_reason(simulate("paper-kp10"), simulate("paper-kp2"), results, place="good.mcap")
+    found = explain_failures(
+        simulate("paper-kp10"), simulate("paper-kp2"), results, place="good.mcap"
+    )
     assert [bool(one.why) for one in found] == [False, True, False]
     assert read_why(found) == (
         "final.position_error rose from 0.0010 m to 0.1067 m: the gains add 0.1071 m, the shorter"
@@ -52,27 +54,27 @@ def test_the_check_of_the_metric_that_matters_most_has_the_reason() -> None:
 def test_a_formula_is_explained_by_the_metric_that_it_names() -> None:
     spec = tl.parse_spec('format = 1\n[checks.time]\nexpect = "run.duration > 20"\n')
     (result,) = tl.check_runs(spec, [("new.mcap", simulate("paper-kp10"))])
-    found = add_reason(simulate("paper-kp10"), simulate("paper-kp2"), [result])
+    found = explain_failures(simulate("paper-kp10"), simulate("paper-kp2"), [result])
     assert read_why(found)[0].startswith("run.duration fell from 12.672 s to 12.608 s")
 
 
 def test_without_a_metric_the_final_error_is_explained() -> None:
     results = match_run(simulate("paper-kp10"), simulate("paper-kp2"), file="new.mcap")
-    found = add_reason(simulate("paper-kp10"), simulate("paper-kp2"), results)
+    found = explain_failures(simulate("paper-kp10"), simulate("paper-kp2"), results)
     assert read_why(found)[0].startswith("final.position_error rose from 0.0010 m")
 
 
 def test_what_passes_has_no_reason() -> None:
     run = simulate("paper-kp10")
     results = match_run(run, run)
-    assert not any(one.why for one in add_reason(run, run, results))
+    assert not any(one.why for one in explain_failures(run, run, results))
 
 
 def test_a_reason_that_takes_too_long_is_given_up() -> None:
     results = judge("final.position_error")
     began_s = time.perf_counter()
     runs = simulate("paper-kp10"), simulate("paper-kp2")
-    why = read_why(add_reason(*runs, results, limit_s=0.0))
+    why = read_why(explain_failures(*runs, results, limit_s=0.0))
     assert "simulations took 0 s" in why[0]
     assert why[1].startswith("More: turtlelog compare")
     assert time.perf_counter() - began_s < 5.0
@@ -84,14 +86,14 @@ def test_long_runs_are_not_simulated_again() -> None:
     commands = replace(run.commands, time_ns=run.commands.time_ns * 100)
     samples = replace(run.samples, time_ns=run.samples.time_ns * 100)
     long = replace(run, poses=poses, commands=commands, samples=samples)
-    why = read_why(add_reason(long, simulate("paper-kp2"), judge("final.position_error")))
+    why = read_why(explain_failures(long, simulate("paper-kp2"), judge("final.position_error")))
     assert why[0] == "Not explained here: a run of 1267 s takes longer."
 
 
 def test_laws_that_nobody_trusts_are_not_run_for_a_reason() -> None:
     run = simulate("paper-kp10")
     other = replace(run, parameters={**run.parameters, "law.kind": "mine.py:Law"})
-    why = read_why(add_reason(other, run, judge("final.position_error")))
+    why = read_why(explain_failures(other, run, judge("final.position_error")))
     assert "mine.py:Law runs only if its code is trusted" in why[1]
 
 
@@ -109,7 +111,7 @@ def write_metrics(folder: Path, run: Run, **changes: Any) -> MetricsFile:
 def explain_metrics(reference: MetricsFile, run: Run, **options: Any) -> tuple[str, ...]:
     results = match_run(run, reference, Tolerances(metrics={ERROR: NEAR}), file="new.mcap")
     assert all(one.reference is reference for one in results)
-    return read_why(add_reason(run, reference, results, **options))
+    return read_why(explain_failures(run, reference, results, **options))
 
 
 def test_a_file_of_metrics_with_its_scenario_is_simulated_again(tmp_path: Path) -> None:

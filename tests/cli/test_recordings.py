@@ -116,6 +116,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["metrics", "wrong.json"], "wrong.json: "),
         (["metrics"], "turtlelog metrics needs FILE. Usage: turtlelog metrics"),
         (["compare", "good.mcap"], "compare needs at least two runs, but 1 was given; add another"),
+        (["compare", "missing.mcap"], "missing.mcap: no such file"),
         (["compare", "good.mcap", "zeros.mcap"], "zeros.mcap: byte 0"),
         (["convert", "good.mcap", "-o", "b.mcap", "--sort"], "good.mcap: expected a log in JSON"),
         (

@@ -289,3 +289,29 @@ def test_ctrl_c_says_the_best_so_far(call: Call, monkeypatch: pytest.MonkeyPatch
     done = call("tune", "textbook", *VARY, *SETTLING, "--evaluations", "16")
     assert done.code == 130
     assert "candidates so far: law.kp_linear = " in done.err
+
+
+def test_kp_tunes_all_gains_together(call: Call) -> None:
+    """Search, and simulate the best again: some 70 runs (2.4 s)."""
+    words = ("--minimise", "run.duration", "--evaluations", "20", "--json", "-o", "best.toml")
+    done = call("tune", "textbook", "--grid", "kp=1:4", *words)
+    assert (done.code, done.err) == (0, "")
+    best = done.json["best"]["kp"]
+    law = tl.load_scenario("best.toml").law.parameters
+    assert law.kp_angular == law.kp_linear == best
+    value = tl.measure_run(tl.simulate_run("best.toml"))["run.duration"].value
+    assert value == done.json["objective"]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--grid", "law.kp_linear=1:4"], "--grid: kp sets law.kp_linear too; leave one of them"),
+        (["--kp", "3"], "--kp: the gains are tuned by --grid kp; leave one of them out"),
+        (["--set", "law.kind=open-loop"], "kp: the law declares no gain"),
+    ],
+)
+def test_kp_beside_a_gain_is_refused(call: Call, words: list[str], line: str) -> None:
+    done = call("tune", "textbook", "--grid", "kp=1:4", *words, "--minimise", "run.duration")
+    assert done.code == 2
+    assert line in done.err

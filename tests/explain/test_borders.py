@@ -8,21 +8,27 @@ import pytest
 
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
-from turtlelog.explain.driven_plant import drive_plant
-from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain, measure_pose_noise
-from turtlelog.explain.identification import ABSENT_KEYS, LAW_KEYS, LOOP_KEYS
-from turtlelog.explain.law_identification import (
+from turtlelog.explain.scenario_from_log.driven_plant import drive_plant
+from turtlelog.explain.scenario_from_log.gain_fit import (
+    PoseNoise,
+    Values,
+    fit_command,
+    fit_gain,
+    measure_pose_noise,
+)
+from turtlelog.explain.scenario_from_log.identification import ABSENT_KEYS, LAW_KEYS, LOOP_KEYS
+from turtlelog.explain.scenario_from_log.law_identification import (
     PHASES,
     bound_position_tolerance,
     identify_rotation,
     identify_translation,
 )
-from turtlelog.explain.loop_findings import describe_loop
-from turtlelog.explain.loop_guesses import read_hints
-from turtlelog.explain.resimulation import list_lost_commands
-from turtlelog.explain.setting_search import Fits
-from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
-from turtlelog.explain.trace import find_pose_resolution, mark_breaks, trace_run
+from turtlelog.explain.scenario_from_log.loop_findings import describe_loop
+from turtlelog.explain.scenario_from_log.loop_guesses import read_hints
+from turtlelog.explain.scenario_from_log.resimulation import list_lost_commands
+from turtlelog.explain.scenario_from_log.setting_search import Fits
+from turtlelog.explain.scenario_from_log.stop_reason import RULE_KEYS, find_stop_rule
+from turtlelog.explain.scenario_from_log.trace import find_pose_resolution, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
@@ -74,7 +80,7 @@ def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
     ticks: float,
     near: bool,  # noqa: FBT001
 ) -> None:
-    from turtlelog.explain.loop_guesses import agrees_with_clock
+    from turtlelog.explain.scenario_from_log.loop_guesses import agrees_with_clock
 
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)

@@ -3,9 +3,9 @@ from typing import Any, Final
 import pytest
 
 from tests.effects_cases import build_case
-from turtlelog.explain.game import Outcome, ScenarioGame
+from turtlelog.explain.one_run.game import Outcome, ScenarioGame
 from turtlelog.scenario import resolve_scenario
-from turtlelog.simulate.compiled_loops import CompiledLoops
+from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
 from turtlelog.simulate.many import find_loop
 
 SCENARIO: Final = build_case("noise", "loss", preset="paper", max_duration_s=4.0)

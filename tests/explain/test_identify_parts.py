@@ -8,7 +8,8 @@ import pytest
 
 from tests.explain.logs import as_log, forget, read_values, simulate
 from turtlelog.errors import SimulationError
-from turtlelog.explain import identify_run, identify_scenario
+from turtlelog.explain import identify_run
+from turtlelog.explain.scenario_from_log import identify_scenario
 from turtlelog.run import Run, SampleColumns
 
 

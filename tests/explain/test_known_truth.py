@@ -11,8 +11,12 @@ from tests.explain.families import make_family
 from tests.explain.scoring import judge, list_truth, score
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, Identification, identify_run
-from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
-from turtlelog.explain.trace import mark_breaks, trace_run
+from turtlelog.explain.scenario_from_log.law_identification import (
+    PHASES,
+    identify_rotation,
+    identify_translation,
+)
+from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
 from turtlelog.run import Run
 
 FAR = (2.0, 10.0)

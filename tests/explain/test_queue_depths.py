@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from turtlelog.explain import resimulation
-from turtlelog.explain.resimulation import Depths, QueueGauge, list_lost_commands
+from turtlelog.explain.scenario_from_log import resimulation
+from turtlelog.explain.scenario_from_log.resimulation import Depths, QueueGauge, list_lost_commands
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import Tick, iterate_ticks, simulate_run
 from turtlelog.simulate.step_budget import StepBudgetError

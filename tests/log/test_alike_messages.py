@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from turtlelog.log.alike_messages import PackedItems, lay_out_alike
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.recording.topics import SCHEMAS
-from turtlelog.log.records import HEAD, encode_message
+from turtlelog.log.writing.alike_messages import PackedItems, lay_out_alike
+from turtlelog.log.writing.records import HEAD, encode_message
 
 
 @pytest.mark.parametrize(

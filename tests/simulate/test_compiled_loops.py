@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from turtlelog.simulate.compiled_loops import CompiledLoops, is_kept, remove_others
+from turtlelog.simulate.compiled.compiled_loops import CompiledLoops, is_kept, remove_others
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
 COMPILED = """
@@ -191,7 +191,12 @@ def test_loops_are_found_where_numba_keeps_them(
 PARTS = """
 from importlib import import_module
 
-from turtlelog.simulate.compiled_loops import COMPILING, CompiledLoops, import_beside, is_kept
+from turtlelog.simulate.compiled.compiled_loops import (
+    COMPILING,
+    CompiledLoops,
+    import_beside,
+    is_kept,
+)
 
 PARTS = "first_part", "second_part"
 

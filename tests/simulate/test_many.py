@@ -29,11 +29,11 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many, simulate_run
-from turtlelog.simulate.compiled_loops import CompiledLoops
-from turtlelog.simulate.compiled_run import CompiledRunner
+from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
+from turtlelog.simulate.compiled.compiled_run import CompiledRunner
+from turtlelog.simulate.compiled.twins import Twins, build_dtype
 from turtlelog.simulate.many import COST_S, find_loop, find_saving
 from turtlelog.simulate.settings import build_settings
-from turtlelog.simulate.twins import Twins, build_dtype
 
 PRESETS: Final = ("paper", "textbook")
 

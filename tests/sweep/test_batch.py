@@ -15,12 +15,12 @@ from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.simulate.compiled_loops import CompiledLoops
+from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
 from turtlelog.simulate.many import COST_S
-from turtlelog.sweep import batch
-from turtlelog.sweep.batch import MeasuredRows, measure_rows
-from turtlelog.sweep.batch_columns import COURSES, CURVES, STATUSES
-from turtlelog.sweep.batch_rows import FREE_KEYS, prepare_rows
+from turtlelog.sweep.batch import measured_rows
+from turtlelog.sweep.batch.batch_columns import COURSES, CURVES, STATUSES
+from turtlelog.sweep.batch.batch_rows import FREE_KEYS, prepare_rows
+from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
 from turtlelog.sweep.plan import build_row_scenario
 
 LOOPS: Final = ("rotate", "translate", "reorient")
@@ -124,15 +124,16 @@ def test_metric_is_the_same_asked_for_alone_and_with_all_others(preset: str) -> 
 @pytest.mark.thorough
 def test_batch_that_another_process_compiled_runs_from_the_cache() -> None:
     code = (
-        "from turtlelog.scenario import get_preset; from turtlelog.sweep import batch\n"
-        "loops = batch.find_batch(get_preset('paper'))\n"
+        "from turtlelog.scenario import get_preset\n"
+        "from turtlelog.sweep.batch.measured_rows import find_batch, measure_rows\n"
+        "loops = find_batch(get_preset('paper'))\n"
         "loops._loops = loops.load()\n"
         "keys = {'law.kp_linear': [2.0, 4.0]}\n"
-        "rows = batch.measure_rows(get_preset('paper'), keys, ['run.path_length'], threads=1)\n"
+        "rows = measure_rows(get_preset('paper'), keys, ['run.path_length'], threads=1)\n"
         "found = loops.cost_s, loops.find().loop.is_new, rows.compiled\n"
         "print(*found, *(value.hex() for value in rows.values['run.path_length']))"
     )
-    loops = batch.find_batch(PAPER)
+    loops = measured_rows.find_batch(PAPER)
     assert loops is not None
     load(loops)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -300,7 +301,7 @@ def test_no_batch_is_found_for_laws_that_it_does_not_take(tmp_path: Path) -> Non
     path = tmp_path / "own.py"
     path.write_text(OWN, "utf-8")
     own = override_scenario(PAPER, {"law.kind": f"{path}:P"})
-    found = [batch.find_batch(one) for one in (PAPER, own, TRACKING)]
+    found = [measured_rows.find_batch(one) for one in (PAPER, own, TRACKING)]
     assert [one is not None for one in found] == [True, True, False]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.sweep.gain_borders import ColumnLimits
-from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
+from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
 
 Values = NDArray[np.float64]
 

@@ -34,7 +34,7 @@ _SAME: Final = (1e-9, 1e-6)
 """Difference of a metric between two platforms, absolute and relative, which counts as none."""
 
 
-def add_reason(
+def explain_failures(
     run: Run,
     reference: Run | MetricsFile,
     results: Sequence[CheckResult],

@@ -202,14 +202,14 @@ class Recording:
             self.run, law, self._conclude, file=self.file, trust_law=self._trust_law
         )
 
-    def add_reason(self, results: Sequence[CheckResult]) -> Sequence[CheckResult]:
+    def explain_failures(self, results: Sequence[CheckResult]) -> Sequence[CheckResult]:
         """Return results; a failed one gets the reason why the run differs from its reference."""
         reference = next((one.reference for one in results if one.reference is not None), None)
         if reference is None:
             return results
-        from turtlelog.check.difference_reason import add_reason
+        from turtlelog.check.difference_reason import explain_failures
 
-        return add_reason(self.run, reference, results, trust_law=self._trust_law)
+        return explain_failures(self.run, reference, results, trust_law=self._trust_law)
 
     def describe(self, *results: CheckResult) -> list[str]:
         """Return a full description of failed checks, line by line."""

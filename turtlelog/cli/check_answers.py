@@ -11,7 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.check_tables import (
     CountedResults,
     count_checks,
-    list_reasons,
+    list_verdict_reasons,
     tabulate_checks,
     tabulate_files,
     tabulate_matrix,
@@ -130,7 +130,7 @@ def print_results(
         print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
     else:
         tables = [*tabulate_files(results), *tabulate_matrix(results)]
-        notes = (conclude(CountedResults(results), files), *list_reasons(spec, results))
+        notes = (conclude(CountedResults(results), files), *list_verdict_reasons(spec, results))
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
 
@@ -173,7 +173,7 @@ def format_results(
     valued = shown if shows_all else [one for one in shown if one.value is not None]
     tables = [*tabulate_files(valued), *(tabulate_matrix(shown) if shows_all else ())]
     tables = [replace(table, title="") for table in tables] if files == 1 else tables
-    lines = [*list_reasons(spec, shown)]
+    lines = [*list_verdict_reasons(spec, shown)]
     return _join(counted, files, tables, lines, _list_next(counted, spec, shows_all=shows_all))
 
 
@@ -184,7 +184,7 @@ def _format_many(
     tables = [count_checks(counted, shows_all=shows_all)]
     if shows_all:
         tables.append(tabulate_checks(counted.failures, "Failures", names_file=True))
-    lines = [*_list_failing(counted), *list_reasons(spec, counted.failures)]
+    lines = [*_list_failing(counted), *list_verdict_reasons(spec, counted.failures)]
     more = counted.verdicts[tl.check.Verdict.FAIL] - len(counted.failures)
     if more:
         lines.append(f"{more} more failures are not shown: --csv and --json show them")

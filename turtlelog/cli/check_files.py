@@ -255,7 +255,7 @@ class _Explainer:
         has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
         if not has_failed or self.explained == _MOST_EXPLAINED:
             return file
-        from turtlelog.check.difference_reason import add_reason
+        from turtlelog.check.difference_reason import explain_failures
 
         # Failed files that another process has judged are read once more here.
         closer = self.judge.look_closer(path, file) if file.run is None else file
@@ -263,7 +263,7 @@ class _Explainer:
         if closer.run is None or reference is None:
             return file
         self.explained += 1
-        found = add_reason(closer.run, reference, closer.checked.results, place=self.place)
+        found = explain_failures(closer.run, reference, closer.checked.results, place=self.place)
         whys = {one.check: one.why for one in found if one.why}
         results = tuple(replace(one, why=whys.get(one.check, ())) for one in file.checked.results)
         details = {

@@ -203,7 +203,7 @@ def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, floa
     return show_angle(0.0, result.unit)[1], value, limit, margin
 
 
-def list_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
+def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
     """Yield the reasons of failed or skipped checks, if their rows do not show them."""
     meant = {} if spec is None else _read_reasons(spec)
     found: dict[tuple[str, str, str], list[str]] = {}

@@ -33,6 +33,7 @@ from turtlelog.cli.options import (
     count_jobs,
     list_files,
     read_runs,
+    require_there,
     split_names,
     watch_summaries,
 )
@@ -226,6 +227,7 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
+        require_there(paths)
         raise UsageError(
             f"compare needs at least two runs, but {len(paths)} was given; add another file, or"
             " --reference FILE"

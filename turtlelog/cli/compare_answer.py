@@ -305,7 +305,7 @@ def list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterat
 def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scenario: str) -> str:
     """Return the distances of recorded robots from a simulated one, their meaning, and a table."""
     found = [
-        one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.name_file(file))
+        one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.label_file(file))
         for one, file in zip(found, files, strict=True)
     ]
     table = tl.compare.tabulate_robots(found)

@@ -55,7 +55,7 @@ def format_robot(
             numbers.
     """
     known = [axis for axis in model.axes if axis.is_known]
-    parts = [fill_lines([tl.identify.write_headline(model.axes, _name_robot(files))])]
+    parts = [fill_lines([tl.identify.write_robot_headline(model.axes, _name_robot(files))])]
     if known:
         brackets = model.brackets
         if any(axis.doubts for axis in known):
@@ -81,7 +81,7 @@ def _describe_scenario(robot: "RobotScenario", path: Path | None, *, shows_notes
 
 def _name_robot(files: Sequence[Path]) -> str:
     if len(files) == 1:
-        return tl.compare.name_file(files[0])
+        return tl.compare.label_file(files[0])
     return f"{len(files)} runs of one robot"
 
 
@@ -90,7 +90,7 @@ def _format_values(known: "Sequence[AxisModel]") -> str:
     table = tl.compare.Table(
         title="",
         columns=tuple(tl.compare.Column(title=title) for title in tl.identify.HEADS),
-        rows=tuple(map(tl.identify.list_values, known)),
+        rows=tuple(map(tl.identify.list_model_values, known)),
     )
     return "\n" + tl.draw.format_table(table, width=find_width()).strip("\n")
 

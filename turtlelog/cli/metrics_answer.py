@@ -124,7 +124,7 @@ def _format(table: "Table") -> str:
 def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> str:
     """Return the values of a few metrics; for more, the end of the run or their number."""
     who = (
-        tl.compare.name_file(summaries[0].file)
+        tl.compare.label_file(summaries[0].file)
         if len(summaries) == 1
         else describe_count(len(summaries), "run")
     )
@@ -151,7 +151,7 @@ def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
     if not values:
         return f"has no value ({', '.join(dict.fromkeys(one.status for one in found.values()))})"
-    units = tl.compare.list_units([*found.values()])
+    units = tl.compare.list_metric_units([*found.values()])
     if len(units) > 1:
         return f"is in {join_words(units)}"
     (low, lowest), (high, highest) = min(values), max(values)
@@ -199,7 +199,7 @@ def _ignores_goal(summary: "RunSummary") -> bool:
 def _format_run(summary: "RunSummary") -> str:
     """Return the end of a run, remarks, and its loops side by side."""
     essential = _drop_words(summary).metrics
-    head = [f"{tl.compare.name_file(summary.file)}: {_describe_end(summary)}."]
+    head = [f"{tl.compare.label_file(summary.file)}: {_describe_end(summary)}."]
     loops = [loop.name for loop in summary.declaration.loops]
     shown = [loop for loop in loops if _has_value(summary, loop)]
     remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]

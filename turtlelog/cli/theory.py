@@ -319,7 +319,7 @@ def _answer_file(
         ]
         print_json(_FileAnswer(name=name, source=source, loops=loops))
     else:
-        label = tl.compare.name_file(word) if source == "recording" else name
+        label = tl.compare.label_file(word) if source == "recording" else name
         print_text(format_file(label, word, answers, groups, wanted, shows_all=form.shows_all))
 
 

@@ -31,7 +31,7 @@ class GoalOptions:
 
     Attributes:
         grid: A key with its bounds, and perhaps a step. Examples: law.kp_linear=0.5:12,
-            law.kp_linear=1:12:0.5. Can be repeated.
+            law.kp_linear=1:12:0.5, kp=0.5:12 (all gains together). Can be repeated.
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: A metric, or a formula of metrics and keys, that should be large.
         subject_to: Constraint. Example: "rotate.overshoot <= 2". Can be repeated.
@@ -214,6 +214,8 @@ def _parse_keys(
     """Return the keys, and the scenario with a value for each, as laws may lack defaults."""
     given = list_given_keys(options)
     for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
+        if key.key == "kp" and options is not None and options.kp is not None:
+            raise UsageError("--kp: the gains are tuned by --grid kp; leave one of them out")
         if key.key in given:
             raise UsageError(f"--set: {key.key} is tuned by --grid; leave one of them out")
     return tl.sweep.tune.complete_searched(scenario, vary, source="--grid", trust_law=trust_law)

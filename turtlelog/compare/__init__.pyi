@@ -33,7 +33,7 @@ from .robot_prediction import (
     compare_robot as compare_robot,
 )
 from .run_names import (
-    name_file as name_file,
+    label_file as label_file,
     name_runs as name_runs,
     order_by_gain as order_by_gain,
     shorten_names as shorten_names,
@@ -52,8 +52,8 @@ from .run_table import (
     UNLOCKS as UNLOCKS,
     can_unlock as can_unlock,
     drop_absent as drop_absent,
+    list_metric_units as list_metric_units,
     list_reasons as list_reasons,
-    list_units as list_units,
     list_unlocks as list_unlocks,
     mark_metric as mark_metric,
     order_parameters as order_parameters,

@@ -42,7 +42,7 @@ def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
     return _number(names)
 
 
-def name_file(file: str | Path) -> str:
+def label_file(file: str | Path) -> str:
     """Return the name of a file without its folders; for FILE:TOPIC, with the topic."""
     path, topic = split_topic(file)
     name = path.name or str(file)
@@ -58,7 +58,7 @@ def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], l
     long = [len(name) > _LONGEST for name in names]
     short = _number(
         [
-            _cut(name_file(run.file) if run.file else name) if is_long else name
+            _cut(label_file(run.file) if run.file else name) if is_long else name
             for run, name, is_long in zip(runs, names, long, strict=True)
         ]
     )

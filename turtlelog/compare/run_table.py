@@ -235,7 +235,7 @@ def mark_metric(
     return marks | {row: "worst" for row, value in known.items() if value == worst}
 
 
-def list_units(metrics: Sequence[Metric]) -> list[str]:
+def list_metric_units(metrics: Sequence[Metric]) -> list[str]:
     """Return the units of a metric's values; several if loops of one name differ."""
     valued = [metric.unit for metric in metrics if metric.value is not None]
     return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))
@@ -382,7 +382,7 @@ def order_parameters(
 def _list_units(summaries: Sequence[RunSummary], name: str) -> list[str]:
     """Return the units of a metric in some runs; empty for a parameter."""
     found = [summary.find_metric(name) for summary in summaries]
-    return list_units([metric for metric in found if metric is not None])
+    return list_metric_units([metric for metric in found if metric is not None])
 
 
 def _head_column(name: str, units: Sequence[str]) -> Column:
@@ -454,7 +454,7 @@ def tabulate_measured(
 
 
 def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
-    units = list_units([metric for metric in found if metric is not None])
+    units = list_metric_units([metric for metric in found if metric is not None])
     has_one = len(units) == 1
     return (name, " or ".join(units), *(get_cell(metric, has_one_unit=has_one) for metric in found))
 

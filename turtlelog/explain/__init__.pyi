@@ -1,4 +1,15 @@
-from .answer_words import (
+from .causes import (
+    find_causes as find_causes,
+    simulate_without as simulate_without,
+)
+from .motion_facts import (
+    Delays as Delays,
+    Largest as Largest,
+    MotionFacts as MotionFacts,
+    Periods as Periods,
+    read_motion_facts as read_motion_facts,
+)
+from .one_run.answer_words import (
     choose_named as choose_named,
     format_contribution as format_contribution,
     format_value as format_value,
@@ -9,12 +20,12 @@ from .answer_words import (
     write_sentences as write_sentences,
     write_value as write_value,
 )
-from .attribute import (
+from .one_run.attribute import (
     attribute_run as attribute_run,
     attribute_scenario as attribute_scenario,
     require_causes as require_causes,
 )
-from .attribution import (
+from .one_run.attribution import (
     Attribution as Attribution,
     CausePart as CausePart,
     Contribution as Contribution,
@@ -25,58 +36,47 @@ from .attribution import (
     ValueSet as ValueSet,
     choose_metric as choose_metric,
 )
-from .causes import (
-    find_causes as find_causes,
-    simulate_without as simulate_without,
+from .one_run.game import (
+    Work as Work,
 )
-from .difference_report import (
+from .one_run.luck import (
+    Luck as Luck,
+    LuckCurve as LuckCurve,
+    measure_luck as measure_luck,
+    simulate_what_ifs as simulate_what_ifs,
+)
+from .scenario_from_log.hypothesis import (
+    require_trust as require_trust,
+)
+from .scenario_from_log.identification import (
+    Certainty as Certainty,
+    Finding as Finding,
+    Identification as Identification,
+)
+from .scenario_from_log.identify_scenario import (
+    identify_run as identify_run,
+)
+from .scenario_from_log.law_identification import (
+    describe_loop_name as describe_loop_name,
+)
+from .scenario_from_log.resimulation import (
+    Departure as Departure,
+    Resimulation as Resimulation,
+    find_departure as find_departure,
+)
+from .two_runs.difference_report import (
     format_change as format_change,
     format_magnitude as format_magnitude,
     name_change as name_change,
 )
-from .explained_difference import (
+from .two_runs.explained_difference import (
     Change as Change,
     DifferenceRange as DifferenceRange,
     EffectShift as EffectShift,
     ExplainedDifference as ExplainedDifference,
     Side as Side,
 )
-from .game import (
-    Work as Work,
-)
-from .hypothesis import (
-    require_trust as require_trust,
-)
-from .identification import (
-    Certainty as Certainty,
-    Finding as Finding,
-    Identification as Identification,
-)
-from .identify_scenario import (
-    identify_run as identify_run,
-)
-from .law_identification import (
-    describe_loop_name as describe_loop_name,
-)
-from .luck import (
-    Luck as Luck,
-    LuckCurve as LuckCurve,
-    measure_luck as measure_luck,
-    simulate_what_ifs as simulate_what_ifs,
-)
-from .motion_facts import (
-    Delays as Delays,
-    Largest as Largest,
-    MotionFacts as MotionFacts,
-    Periods as Periods,
-    read_motion_facts as read_motion_facts,
-)
-from .resimulation import (
-    Departure as Departure,
-    Resimulation as Resimulation,
-    find_departure as find_departure,
-)
-from .run_difference import (
+from .two_runs.run_difference import (
     Depth as Depth,
     choose_common_metric as choose_common_metric,
     explain_difference as explain_difference,

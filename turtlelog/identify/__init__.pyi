@@ -14,8 +14,8 @@ from .robot_model import (
     TickDelays as TickDelays,
     format_delay as format_delay,
     format_gain as format_gain,
-    list_values as list_values,
-    write_headline as write_headline,
+    list_model_values as list_model_values,
+    write_robot_headline as write_robot_headline,
 )
 from .robot_scenario import (
     RobotScenario as RobotScenario,

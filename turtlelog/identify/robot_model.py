@@ -312,8 +312,8 @@ class RobotModel:
 
     def _repr_html_(self) -> str:
 
-        rows = [(*list_values(axis), axis.reason) for axis in self.axes]
-        answer = write_headline(self.axes, ", ".join(self.files))
+        rows = [(*list_model_values(axis), axis.reason) for axis in self.axes]
+        answer = write_robot_headline(self.axes, ", ".join(self.files))
         doubts = [f"<p>{escape(doubt)}</p>" for axis in self.axes for doubt in axis.doubts]
         return format_answer(answer, format_html(rows, heads=(*HEADS, "")), *doubts)
 
@@ -322,7 +322,7 @@ _WHOLE_MS: Final = 10.0
 """Width of an interval from which tenths of a millisecond are not printed [ms]."""
 
 
-def write_headline(axes: Iterable[AxisModel], name: str) -> str:
+def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
     """Return the gain and the delay with which each axis follows its commands.
 
     Args:
@@ -369,11 +369,11 @@ def format_delay(found: Estimate | None) -> str:
     return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
-def list_values(axis: AxisModel) -> tuple[str, str, str, str]:
+def list_model_values(axis: AxisModel) -> tuple[str, str, str, str]:
     """Return the name of an axis, its gain, dead time and time constant, with intervals."""
     dead_time, lag = format_delay(axis.dead_time_s), format_delay(axis.lag_s)
     return NAMES[axis.axis], format_gain(axis.gain), dead_time, lag
 
 
 HEADS: Final = ("axis", "gain [1]", "dead time [ms]", "time constant [ms]")
-"""Titles of the columns of `list_values`."""
+"""Titles of the columns of `list_model_values`."""

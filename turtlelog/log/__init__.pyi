@@ -6,9 +6,6 @@ from .any_file import (
 from .complete_files import (
     replace_when_complete as replace_when_complete,
 )
-from .container import (
-    write_columns as write_columns,
-)
 from .engine import (
     TopicColumns as TopicColumns,
     iter_columns as iter_columns,
@@ -16,12 +13,6 @@ from .engine import (
 )
 from .engine.walk import (
     Loss as Loss,
-)
-from .exporters import (
-    export_csv as export_csv,
-    export_parquet as export_parquet,
-    export_rosbag2 as export_rosbag2,
-    export_tum as export_tum,
 )
 from .file_info import (
     RecordingInfo as RecordingInfo,
@@ -66,4 +57,13 @@ from .ros2 import (
 )
 from .trajectories import (
     read_trajectory as read_trajectory,
+)
+from .writing.container import (
+    write_columns as write_columns,
+)
+from .writing.exporters import (
+    export_csv as export_csv,
+    export_parquet as export_parquet,
+    export_rosbag2 as export_rosbag2,
+    export_tum as export_tum,
 )

@@ -15,7 +15,6 @@ from turtlelog.display import describe_count, fit_line
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.complete_files import create_folder, replace_when_complete
-from turtlelog.log.container import LIBRARY
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.opening import Damaged, open_damaged, open_place
 from turtlelog.log.engine.parsing import take_apart
@@ -24,11 +23,12 @@ from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.exporters import describe_bag
 from turtlelog.log.recording.head import RECOVERY, format_recovery
-from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2 import METADATA_FILE
 from turtlelog.log.ros2.bag import list_present_files, read_compression
+from turtlelog.log.writing.container import LIBRARY
+from turtlelog.log.writing.exporters import describe_bag
+from turtlelog.log.writing.rewriting import Numbering, Rewriter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,12 +19,12 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.container import McapFile
 from turtlelog.log.engine.chunks import unpack_chunk
 from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, grow_bound
 from turtlelog.log.engine.ros1_messages import name_as_ros2
 from turtlelog.log.error_boundary import DamageError
-from turtlelog.log.records import ChunkRows
+from turtlelog.log.writing.container import McapFile
+from turtlelog.log.writing.records import ChunkRows
 
 _START: Final = b"#ROSBAG V2.0\n"
 _LENGTH: Final = struct.Struct("<I")

@@ -19,8 +19,8 @@ from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
-from turtlelog.simulate.compiled_loops import CompiledLoops, is_kept
-from turtlelog.simulate.compiled_run import CompiledRunner
+from turtlelog.simulate.compiled.compiled_loops import CompiledLoops, is_kept
+from turtlelog.simulate.compiled.compiled_run import CompiledRunner
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0
@@ -185,17 +185,17 @@ def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Compi
     )
 
 
-ENTRY: Final = "turtlelog.simulate.compiled_entry"
+ENTRY: Final = "turtlelog.simulate.compiled.compiled_entry"
 
 
 def _load(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Any:
-    from turtlelog.simulate.compiled_loop import compile_loop
+    from turtlelog.simulate.compiled.compiled_loop import compile_loop
 
     return compile_loop(law, plant, states)
 
 
 def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
-    from turtlelog.simulate.compiled_loop import name_loop
+    from turtlelog.simulate.compiled.compiled_loop import name_loop
 
     try:
         return is_kept(ENTRY, name_loop(law, plant, states))

@@ -1,8 +1,17 @@
 from . import tune as tune
-from .find_recordings import (
+from .file_table.find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
     is_one_recording as is_one_recording,
+)
+from .file_table.recordings import (
+    RecordingTable as RecordingTable,
+    TabulatedFiles as TabulatedFiles,
+    describe_former as describe_former,
+    describe_values as describe_values,
+    hash_recording as hash_recording,
+    plan_metric_table as plan_metric_table,
+    tabulate_recordings as tabulate_recordings,
 )
 from .gain_borders import (
     Border as Border,
@@ -18,22 +27,6 @@ from .plan import (
     Sampling as Sampling,
     SweepPlan as SweepPlan,
     build_plan as build_plan,
-)
-from .recordings import (
-    RecordingTable as RecordingTable,
-    TabulatedFiles as TabulatedFiles,
-    describe_former as describe_former,
-    describe_values as describe_values,
-    hash_recording as hash_recording,
-    plan_metric_table as plan_metric_table,
-    tabulate_recordings as tabulate_recordings,
-)
-from .result_table import (
-    ResultColumn as ResultColumn,
-    ResultTable as ResultTable,
-    read_result_facts as read_result_facts,
-    read_result_table as read_result_table,
-    write_result_table as write_result_table,
 )
 from .sensitivities import (
     Sensitivities as Sensitivities,
@@ -58,16 +51,23 @@ from .sweep_scenario import (
     read_table_results as read_table_results,
     sweep_scenario as sweep_scenario,
 )
-from .sweep_table import (
+from .table.result_table import (
+    ResultColumn as ResultColumn,
+    ResultTable as ResultTable,
+    read_result_facts as read_result_facts,
+    read_result_table as read_result_table,
+    write_result_table as write_result_table,
+)
+from .table.sweep_table import (
     load_row_scenario as load_row_scenario,
 )
-from .swept_results import (
+from .table.swept_results import (
     SweptAxis as SweptAxis,
     SweptMetric as SweptMetric,
     SweptResults as SweptResults,
     read_swept_results as read_swept_results,
 )
-from .swept_views import (
+from .table.swept_views import (
     SweptCells as SweptCells,
     SweptView as SweptView,
     choose_view as choose_view,

@@ -12,8 +12,13 @@ from turtlelog.errors import TurtlelogError
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
-from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, SweptResults, list_declared_loops
-from turtlelog.sweep.swept_views import SweptView, fill_cells, is_gain
+from turtlelog.sweep.table.swept_results import (
+    SweptAxis,
+    SweptMetric,
+    SweptResults,
+    list_declared_loops,
+)
+from turtlelog.sweep.table.swept_views import SweptView, fill_cells, is_gain
 from turtlelog.theory import LoopModel, find_stable_gains, hides_stability, model_loops
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 

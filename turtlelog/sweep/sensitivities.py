@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.sweep.swept_results import SEED, SweptAxis, SweptMetric, SweptResults
-from turtlelog.sweep.swept_views import find_usual_place
+from turtlelog.sweep.table.swept_results import SEED, SweptAxis, SweptMetric, SweptResults
+from turtlelog.sweep.table.swept_views import find_usual_place
 
 Values = NDArray[np.float64]
 

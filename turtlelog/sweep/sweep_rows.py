@@ -26,10 +26,8 @@ from turtlelog.scenario import (
 )
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.batch import find_batch
-from turtlelog.sweep.kept_parts import KeptParts, has_results, name_partial, require_same
+from turtlelog.sweep.batch.measured_rows import find_batch
 from turtlelog.sweep.plan import KP, SweepPlan, build_row_scenario
-from turtlelog.sweep.result_table import open_result_table, write_result_table
 from turtlelog.sweep.simulate_rows import (
     RowChunk,
     RowRecords,
@@ -38,7 +36,14 @@ from turtlelog.sweep.simulate_rows import (
     require_condition,
     simulate_rows,
 )
-from turtlelog.sweep.sweep_table import SweptRows, assemble_table, find_failure, list_valueless
+from turtlelog.sweep.table.kept_parts import KeptParts, has_results, name_partial, require_same
+from turtlelog.sweep.table.result_table import open_result_table, write_result_table
+from turtlelog.sweep.table.sweep_table import (
+    SweptRows,
+    assemble_table,
+    find_failure,
+    list_valueless,
+)
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

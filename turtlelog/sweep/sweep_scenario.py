@@ -14,15 +14,15 @@ from turtlelog.run.tables import Tabular
 from turtlelog.scenario import Scenario, choose_scenario, parse_scenario, unwrap_number
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import MOST_ROWS, KeyValues, SweepPlan
-from turtlelog.sweep.result_table import (
+from turtlelog.sweep.sweep_rows import prepare_sweep, run_sweep
+from turtlelog.sweep.table.result_table import (
     ResultTable,
     build_result_arrow,
     choose_type,
     open_result_table,
     write_result_table,
 )
-from turtlelog.sweep.sweep_rows import prepare_sweep, run_sweep
-from turtlelog.sweep.swept_results import SweptResults, read_swept_results
+from turtlelog.sweep.table.swept_results import SweptResults, read_swept_results
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

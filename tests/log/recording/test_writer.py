@@ -14,11 +14,12 @@ from rosbags.highlevel import AnyReader
 from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
-from turtlelog.log import container, write_recording
-from turtlelog.log.container import write_columns
+from turtlelog.log import write_recording
 from turtlelog.log.engine.topic_columns import TopicColumns, read_columns
 from turtlelog.log.recording.topics import SCHEMAS
-from turtlelog.log.records import ChunkRows
+from turtlelog.log.writing import container
+from turtlelog.log.writing.container import write_columns
+from turtlelog.log.writing.records import ChunkRows
 
 MIXED = "mine_msgs/msg/Mixed"
 DEFINITIONS = {

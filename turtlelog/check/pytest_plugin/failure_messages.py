@@ -39,7 +39,7 @@ def explain_failures(
     """Return the complete message for the failed checks on a recording, and why it differs."""
     try:
         if explains:
-            results = recording.add_reason(results)
+            results = recording.explain_failures(results)
         return recording.describe(*results)
     except TurtlelogError as err:
         return [f"{recording.file}: {err}"]

@@ -31,8 +31,8 @@ from turtlelog.charts.map_values import (
 from turtlelog.charts.palette import choose_shades
 from turtlelog.draw.figures.page import STROKES, to_rgb
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
-from turtlelog.sweep.swept_results import SweptAxis, SweptMetric
-from turtlelog.sweep.swept_views import SweptView, fill_cells
+from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
+from turtlelog.sweep.table.swept_views import SweptView, fill_cells
 
 Values = NDArray[np.float64]
 

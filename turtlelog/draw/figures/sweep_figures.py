@@ -25,8 +25,8 @@ from turtlelog.files.urls import make_path
 from turtlelog.sweep.gain_borders import LoopLimits, find_loop_limits, list_gain_keys
 from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity, find_sensitivities
 from turtlelog.sweep.sweep_scenario import SweepTable, read_table_results
-from turtlelog.sweep.swept_results import read_swept_results
-from turtlelog.sweep.swept_views import SweptView, choose_view, require_values
+from turtlelog.sweep.table.swept_results import read_swept_results
+from turtlelog.sweep.table.swept_views import SweptView, choose_view, require_values
 
 _PANEL_INCH: Final = 2.5
 """Height of a map with its title and the label of its lower side [inch]."""

@@ -20,8 +20,8 @@ from turtlelog.charts.palette import choose_run_colors
 from turtlelog.draw.figures.map_figure import LIMITS, mark_places, name_limit
 from turtlelog.draw.figures.page import choose_colors, to_rgb
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
-from turtlelog.sweep.swept_results import SweptAxis, SweptMetric, format_key_value
-from turtlelog.sweep.swept_views import SweptView, fill_cells
+from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric, format_key_value
+from turtlelog.sweep.table.swept_views import SweptView, fill_cells
 
 Values = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report.report_file import hash_file
 from turtlelog.draw.report.sections import show, write_table
 from turtlelog.sweep.gain_borders import LoopLimits, find_borders, tell_borders
-from turtlelog.sweep.swept_results import SweptMetric
-from turtlelog.sweep.swept_views import SweptView, find_best_rows, list_shown_values
+from turtlelog.sweep.table.swept_results import SweptMetric
+from turtlelog.sweep.table.swept_views import SweptView, find_best_rows, list_shown_values
 from turtlelog.version import __version__
 
 

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.alike_messages import PackedItems, lay_out_alike
-from turtlelog.log.container import name_write_error, write_columns
 from turtlelog.log.engine.message_types import Column, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
@@ -39,6 +37,8 @@ from turtlelog.log.recording.topics import (
     define_types,
     name_state_type,
 )
+from turtlelog.log.writing.alike_messages import PackedItems, lay_out_alike
+from turtlelog.log.writing.container import name_write_error, write_columns
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW

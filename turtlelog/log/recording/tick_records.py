@@ -34,7 +34,7 @@ from turtlelog.log.recording.topics import (
     describe_topics,
     list_topics,
 )
-from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_message
+from turtlelog.log.writing.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_message
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.scenario import Scenario

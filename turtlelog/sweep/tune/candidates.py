@@ -14,7 +14,7 @@ from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes,
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.plan import KP, build_row_scenario
 from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
 from turtlelog.sweep.tune.goal import ConstraintFinding, TuningGoal
 
@@ -116,7 +116,9 @@ class Candidates:
         self._known: dict[Point, Candidate] = {}
         self._row_s: float | None = None
         self._is_batch = False
-        known = list_metrics(declare_scenario(resolved))
+        declared = declare_scenario(resolved)
+        self._set_keys = spread_keys(self.keys, declared.list_gains(), source=source)
+        known = list_metrics(declared)
         unknown = [name for name in goal.metrics if name not in known]
         if unknown:
             raise TuneError(
@@ -130,7 +132,8 @@ class Candidates:
     def build_scenario(self, point: Point) -> Scenario:
         """Return the scenario of a candidate, with the name of the base scenario."""
         trusted = True if self._trusts else None
-        keys, values = [*self.keys, "name"], [*point, self._scenario.name]
+        keys = [*self._list_set_keys(), "name"]
+        values = [*self._spread(point), self._scenario.name]
         return build_row_scenario(
             self._scenario, keys, values, 0, source=self._source, trust_law=trusted
         )
@@ -214,20 +217,28 @@ class Candidates:
     def _cut(self, points: Sequence[Point], *, threads: int = 1) -> RowChunk:
         return RowChunk(
             base=self._base,
-            keys=self.keys,
+            keys=self._list_set_keys(),
             first=0,
-            values=tuple(points),
+            values=tuple(map(self._spread, points)),
             metrics=self._goal.metrics,
             ahead=max(self._expected - self.evaluations, 0),
             threads=threads,
             step_budget_s=self._step_budget_s,
         )
 
+    def _list_set_keys(self) -> tuple[str, ...]:
+        return tuple(key for keys in self._set_keys for key in keys)
+
+    def _spread(self, point: Point) -> Point:
+        """Return a value for each key of the scenario: that of `kp` is one for all gains."""
+        return tuple(value for keys, value in zip(self._set_keys, point, strict=True) for _ in keys)
+
     def _judge(self, point: Point, results: RowResults, place: int) -> Candidate:
         found = {name: cells.values[place] for name, cells in results.metrics.items()}
         values = {
             **self._parameters,
             **dict(zip(self.keys, point, strict=True)),
+            **dict(zip(self._list_set_keys(), self._spread(point), strict=True)),
             **dict.fromkeys(self._goal.metrics),
             **found,
         }
@@ -252,6 +263,24 @@ class Candidates:
             failed=failed,
             missing=missing,
         )
+
+
+def spread_keys(
+    keys: Sequence[str], gains: Sequence[str], *, source: str
+) -> tuple[tuple[str, ...], ...]:
+    """Return the scenario's keys that each searched key sets: `kp` sets all gains of the law.
+
+    Raises:
+        TuneError: If the law declares no gain, or one of its gains is searched beside `kp`.
+    """
+    if KP not in keys:
+        return tuple((key,) for key in keys)
+    if not gains:
+        raise TuneError(f"{source}: kp: the law declares no gain; name its keys instead")
+    twice = [key for key in keys if key in gains]
+    if twice:
+        raise TuneError(f"{source}: kp sets {twice[0]} too; leave one of them out")
+    return tuple(tuple(gains) if key == KP else (key,) for key in keys)
 
 
 def _name_chunk(chunk: RowChunk) -> str:

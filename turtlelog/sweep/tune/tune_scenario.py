@@ -18,8 +18,10 @@ from turtlelog.scenario import (
     resolve_scenario,
     unwrap_number,
 )
+from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.tune.candidates import Candidates
+from turtlelog.sweep.plan import KP
+from turtlelog.sweep.tune.candidates import Candidates, spread_keys
 from turtlelog.sweep.tune.goal import TuningGoal
 from turtlelog.sweep.tune.robust_values import NEIGHBOURS, Neighbourhood, explore_best
 from turtlelog.sweep.tune.search import SearchedKey, Tuned, parse_searched_keys, search_best
@@ -107,7 +109,7 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
     Args:
         scenario: Scenario to tune: a scenario, the name of a preset, or a file.
-        ranges: Bounds by dotted key, as in `{"law.kp_linear": (1, 6)}`.
+        ranges: Bounds by dotted key, as in `{"law.kp_linear": (1, 6)}`; `kp` sets all gains.
         minimise: Metric, or formula of metrics and keys, to minimise.
         maximise: Metric or formula to maximise, instead of `minimise`.
         subject_to: Constraints, as in `["rotate.overshoot <= 2"]`.
@@ -163,7 +165,11 @@ def complete_searched(
     """
     known = flatten_scenario(scenario)
     keys = parse_searched_keys(texts, known, source=source)
-    lows = {one.key: one.low for one in keys if one.key not in known}
+    names = tuple(one.key for one in keys)
+    if KP in names:
+        gains = declare_scenario(resolve_scenario(scenario, trust_law=trust_law)).list_gains()
+        spread_keys(names, gains, source=source)
+    lows = {one.key: one.low for one in keys if one.key not in {*known, KP}}
     whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
     scenario = override_scenario(scenario, whole, source=source)
     resolved = flatten_scenario(resolve_scenario(scenario, trust_law=trust_law))

@@ -1,0 +1,1 @@
+"""Why one run has its value: causes, contributions, luck."""

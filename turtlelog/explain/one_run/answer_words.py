@@ -1,0 +1,411 @@
+"""An attribution in sentences that are true of the run."""
+
+import math
+from typing import Final
+
+from turtlelog.display import join_words
+from turtlelog.explain.causes import RANDOM_EFFECTS
+from turtlelog.explain.one_run.attribution import (
+    Attribution,
+    Contribution,
+    SeedRange,
+    StartRange,
+    Together,
+    ValueSet,
+    is_clear,
+)
+
+_NAMED: Final = 0.1
+"""Share of the contributions' total magnitude above which a cause, or a joint part, is named. A
+design parameter is named above this share of the value."""
+
+_MOST_TOGETHER: Final = 3
+"""Largest number of joint parts in one sentence; four causes have eleven."""
+
+_SAME: Final = 1e-6
+"""Share of a value below which a difference between log and re-simulation is not mentioned."""
+
+_ALIKE: Final = 1.25
+"""Largest ratio of contributions that count as about equal."""
+
+_COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
+"""Numbers of effects in words; more than six take part only if they are chosen."""
+
+
+def write_sentences(found: Attribution) -> tuple[str, ...]:
+    """Return sentences: the value, its causes, what they depend on, and what else changes it."""
+    parts = [write_part(found, one) for one in choose_named(found)]
+    causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
+    return (write_value(found), *causes, *write_reasons(found))
+
+
+def write_headline(found: Attribution) -> str:
+    """Return the value with the largest contributions, or the value alone if none is named.
+
+    The re-simulation's value follows in brackets if it differs from the log's.
+    """
+    if not choose_named(found):
+        return write_value(found)
+    known = [one for one in (found.as_logged, found.resimulated) if one is not None]
+    sizes = [*dict.fromkeys(format_value(found, one) for one in known)]
+    again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
+    return f"{found.metric} is {sizes[0]}{again}: {write_main(found)}"
+
+
+def write_value(found: Attribution) -> str:
+    """Return the value of the log, and that of the re-simulation if they differ."""
+    logged, built = found.as_logged, found.resimulated
+    if logged is None and built is None:
+        return f"{found.metric} has no value: {found.reason}."
+    if logged is None:
+        in_log = f", and has no value in the log: {found.reason}" if found.reason else ""
+        again = " re-simulated" * bool(in_log)
+        return f"{found.metric} is {format_value(found, built)}{again}{in_log}."
+    size = format_value(found, logged)
+    if built is None:
+        return f"{found.metric} is {size} in the log; re-simulated it has no value."
+    if abs(logged - built) <= _SAME * abs(built):
+        return f"{found.metric} is {size}, in the log and re-simulated."
+    if size == format_value(found, built):
+        apart = format_value(found, abs(logged - built))
+        return f"{found.metric} is {size}, in the log and re-simulated; they differ by {apart}."
+    return f"{found.metric} is {size} in the log, and {format_value(found, built)} re-simulated."
+
+
+def write_cause_head(found: Attribution) -> str:
+    """Return how many effects and design parameters cause the value, as the head of a list."""
+    named = choose_named(found)
+    sizes = [one.contribution or 0.0 for one in named]
+    count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
+    left = max(found.resolution.size, _NAMED * abs(found.divided))
+    is_whole = min(sizes) > 0.0 and abs(found.without_all or 0.0) <= left
+    does = "cause" if is_whole else "change"
+    head = f"{count} {_name_kinds(found, named)} {does}"
+    head += "s it" if len(named) == 1 else " it"
+    if found.seeds is not None:
+        return f"{head} in the mean over seeds"
+    is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
+    return f"{head}, in about equal parts" if is_alike else head
+
+
+def write_main(found: Attribution) -> str:
+    """Return the largest contribution and those about equal to it."""
+    named = choose_named(found)
+    largest = abs(named[0].contribution or 0.0)
+    main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
+    label = "mainly " if len(main) < len(named) else ""
+    mean = " in the mean over seeds" if found.seeds is not None else ""
+    return label + ", ".join(write_part(found, one) for one in main) + mean
+
+
+def _name_kinds(found: Attribution, named: list[Contribution]) -> str:
+    many = "s" * (len(named) > 1)
+    effects = [one for one in named if one.cause in found.effects]
+    if len(effects) == len(named):
+        return f"effect{many} of the implementation"
+    return "effects and design parameters" if effects else f"design parameter{many}"
+
+
+def choose_named(found: Attribution) -> list[Contribution]:
+    """Return the contributions that explain the value, the largest first; empty if too small."""
+    if not found.acting or found.withheld or _is_negligible(found):
+        return []
+    return [one for one in _list_large(found) if one.is_clear]
+
+
+def write_part(found: Attribution, one: Contribution) -> str:
+    """Return a cause and its contribution."""
+    return f"{one.cause} {format_contribution(found, one)}"
+
+
+def format_contribution(found: Attribution, one: Contribution) -> str:
+    """Return a contribution with its sign, unit, and standard error if it has one."""
+    value = one.contribution or 0.0
+    return f"{'+' if value >= 0.0 else ''}{format_value(found, value, one.standard_error)}"
+
+
+def write_reasons(found: Attribution) -> tuple[str, ...]:
+    """Return the total of the causes, what they depend on, and what else changes the value."""
+    if found.without_value:
+        sentences = [_write_missing(found)]
+    elif found.withheld:
+        sentences = [f"No contributions: {found.withheld}."]
+    else:
+        sentences = [_write_seeds(found), _write_rest(found), _write_together(found)]
+        sentences += [_write_starts(found), _write_unclear(found), _write_this_seed(found)]
+        sentences += [*found.doubts, *_write_others(found)]
+    if found.left:
+        sentences += [f"{_capitalise(join_words(found.left))} {_be(found.left)} left as recorded."]
+    sentences += found.remarks
+    return tuple(filter(None, sentences))
+
+
+def _write_missing(found: Attribution) -> str:
+    if not found.with_value and found.without_all is None:
+        return (
+            f"It has no value without {join_words(found.causes, 'or')} either."
+            if found.causes
+            else ""
+        )
+    parts = [
+        f"{_name_set(found, case)} it has no value: {case.reason}" for case in found.without_value
+    ]
+    parts += [f"{_name_set(found, case)} it has a value" for case in found.with_value]
+    return _capitalise("; ".join(parts)) + ". Therefore there are no contributions."
+
+
+def _name_set(found: Attribution, case: ValueSet) -> str:
+    if not case.causes:
+        return f"without {join_words(found.causes)}"
+    alone = " alone" if len(found.causes) > len(case.causes) else ""
+    return f"with {join_words(case.causes)}{alone}"
+
+
+def _is_negligible(found: Attribution) -> bool:
+    """Return whether each effect and their total are within the resolution."""
+    largest = max((abs(one.contribution or 0.0) for one in found.contributions), default=0.0)
+    return max(largest, abs(_sum_effects(found))) <= found.resolution.size
+
+
+def _sum_effects(found: Attribution) -> float:
+    return found.divided - (found.without_all or 0.0)
+
+
+def _write_rest(found: Attribution) -> str:
+    """Return the value without the effects, or that they change little."""
+    if not found.causes:
+        return "No effect of the implementation is in this run."
+    if not found.acting and found.seeds is not None and [*found.causes] == _list_idle(found):
+        return ""  # the sentence on seeds contains it
+    if not found.acting:
+        return f"Without {join_words(found.causes, 'or')} it is the same."
+    added = _sum_effects(found)
+    if _is_negligible(found):
+        idle = _list_idle(found) if found.seeds is not None else []  # named in another sentence
+        names = [name for name in found.causes if name not in idle]
+        together = " together change" if len(names) > 1 else " changes"
+        return (
+            f"{_capitalise(join_words(names))}{together} it by {format_value(found, added)},"
+            f" not more than the resolution, {_describe_resolution(found)}."
+        )
+    without = f"Without {_name_acting(found)} it would be {format_value(found, found.without_all)}"
+    cancel = ""
+    if abs(added) <= found.resolution.size:
+        cancel = f" Together they change it by not more than {_describe_resolution(found)}."
+    chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
+    return f"{chance}{without}{_write_bound(found)}.{cancel}"
+
+
+def _name_acting(found: Attribution) -> str:
+    """Return the acting causes by name, or `both` if the list has just named them."""
+    if len(found.acting) == 2 == len(choose_named(found)):
+        return "both"
+    return join_words(found.acting)
+
+
+def _describe_resolution(found: Attribution) -> str:
+    return f"{format_value(found, found.resolution.size)} ({found.resolution.reason})"
+
+
+def _write_bound(found: Attribution) -> str:
+    """Return whether the tolerances allow the value, for final errors that they bound."""
+    is_bounded = found.metric in {"final.position_error", "final.heading_error"}
+    is_bounded = is_bounded and "tolerance" not in found.causes
+    if not is_bounded or found.without_all is None or found.without_all > found.resolution.size:
+        return ""
+    if "tolerance" in found.resolution.reason:
+        return f"; the tolerances alone allow {format_value(found, found.resolution.size)}"
+    return f", not more than {_describe_resolution(found)}"
+
+
+def _list_large(found: Attribution) -> list[Contribution]:
+    ordered = sorted(found.contributions, key=lambda one: -abs(one.contribution or 0.0))
+    least = _NAMED * _sum_contributions(found)
+    return [one for one in ordered if abs(one.contribution or 0.0) > least]
+
+
+def _sum_contributions(found: Attribution) -> float:
+    return math.fsum(abs(one.contribution or 0.0) for one in found.contributions)
+
+
+def _write_together(found: Attribution) -> str:
+    """Return the part that arises only if several causes act; empty if it is small."""
+    if not found.acting or _is_negligible(found):
+        return ""
+    largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
+    parts = [
+        _write_case(found, case)
+        for case in largest
+        if abs(case.value) > _NAMED * _sum_contributions(found)
+        and is_clear(case.value, case.standard_error)
+    ]
+    return " ".join(parts)
+
+
+def _write_case(found: Attribution, case: Together) -> str:
+    size = format_value(found, abs(case.value), case.standard_error)
+    names = _capitalise(join_words(case.causes))
+    if case.value > 0.0:
+        both = "both" if len(case.causes) == 2 else "all"
+        return (
+            f"{names} need each other: their contributions share {size} that arises only if"
+            f" {both} act."
+        )
+    return f"{names} together add {size} less than the sum of their parts."
+
+
+def _write_seeds(found: Attribution) -> str:
+    """Return the value with other seeds."""
+    seeds = found.seeds
+    if seeds is None:
+        return ""
+    if not seeds.varies:
+        return _write_equal_seeds(found, seeds)
+    of = f"{seeds.count} seeds"
+    if seeds.used < seeds.count:
+        of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
+    mean = format_value(found, seeds.mean, seeds.standard_error)
+    low, high = format_value(found, seeds.low), format_value(found, seeds.high)
+    # Values that round to equal digits have no range that these digits show.
+    within = f"are between {low} and {high}"
+    if low == high:
+        within = f"span {format_value(found, seeds.high - seeds.low)}"
+    return (
+        f"Each seed gives another value: over {of} the mean is {mean} (one standard error), and the"
+        f" central 95 % {within}. Contributions are means over the seeds."
+    )
+
+
+def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
+    """Return that no seed changes the value, and which random effects are therefore inactive."""
+    idle = _list_idle(found)
+    if seeds.used < seeds.count:
+        return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
+    if not idle:
+        return f"All {seeds.count} seeds give the same value."
+    return (
+        f"The {idle[0]} does not change this metric."
+        if len(idle) == 1
+        else f"{_capitalise(join_words(idle))} do not change this metric."
+    )
+
+
+def _list_idle(found: Attribution) -> list[str]:
+    """Return the random effects that change the value in no combination."""
+    return [name for name in found.causes if name in RANDOM_EFFECTS - {*found.acting}]
+
+
+def _write_unclear(found: Attribution) -> str:
+    """Return the contributions that are too close to 0 to be distinguished from chance."""
+    unclear = [one for one in _list_large(found) if not one.is_clear]
+    if found.seeds is None or not unclear:
+        return ""
+    parts = [
+        f"{one.cause} ({format_value(found, one.contribution, one.standard_error)})"
+        for one in unclear
+    ]
+    return f"The contribution of {join_words(parts)} may be chance."
+
+
+def _write_this_seed(found: Attribution) -> str:
+    value = found.this_seed
+    if value is None or found.seeds is None or not found.seeds.varies:
+        return ""
+    size = format_value(found, abs(value))
+    does = "adds" if value >= 0.0 else "takes away"
+    return f"The seed of this run {does} {size}, compared with the mean over seeds."
+
+
+def _write_starts(found: Attribution) -> str:
+    starts = found.starts
+    if starts is None:
+        return ""
+    within = f"{math.degrees(starts.within_rad):.3g} deg"
+    where = f"or {starts.count} start headings within +-{within} it is"
+    missing = f"; {starts.without_value} of them have no value" if starts.without_value else ""
+    span = _format_span(found, starts.low, starts.high)
+    if not starts.is_wide:
+        return f"F{where} {span}{missing}."
+    return (
+        f"It depends on single samples: f{where} {span}{missing}."
+        f"{_write_parts(starts)}{_write_without_all(found, starts)}"
+    )
+
+
+def _write_parts(starts: StartRange) -> str:
+    """Return each cause's part of their total; the last part follows from the others."""
+    names = [part.cause for part in starts.parts]
+    parts = [
+        f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
+        for part in starts.parts[: len(names) - 1]
+    ]
+    return f" {_capitalise(join_words(parts))} of what {join_words(names)} add." if parts else ""
+
+
+def _write_without_all(found: Attribution, starts: StartRange) -> str:
+    if starts.without_all is None:
+        return ""
+    span = _format_span(found, *starts.without_all)
+    return f" Without {join_words(found.acting)} it is {span}."
+
+
+def _format_span(found: Attribution, low: float, high: float) -> str:
+    """Return a range with one unit."""
+    least, most = f"{low:.4g}", format_value(found, high)
+    return most if format_value(found, low) == most else f"{least} to {most}"
+
+
+def _write_others(found: Attribution) -> list[str]:
+    """Return the causes that alone change the value, without those that lower a large value."""
+    told = [one for one in found.others if _is_told(found, one)]
+    lowering = [one for one in told if _lowers(found, one)]
+    others = [_write_alone(found, one) for one in told if one not in lowering]
+    return [_write_lowering(found, lowering), *others] if lowering else others
+
+
+def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
+    names = join_words([one.cause for one in lowering])
+    values = ", ".join(format_value(found, one.alone) for one in lowering)
+    without = "without it" if len(lowering) == 1 else "without each"
+    mean = "" if found.seeds is None else " in the mean"
+    return f"Not a cause: {names} ({without} the value is larger{mean}: {values})."
+
+
+def _is_told(found: Attribution, one: Contribution) -> bool:
+    """Return whether a cause alone changes the value by more than the resolution and chance."""
+    if one.alone is None:
+        return True
+    change = abs(one.alone - found.divided)
+    is_large = change > found.resolution.size and change > _NAMED * abs(found.divided)
+    return is_large and is_clear(change, one.standard_error)
+
+
+def _lowers(found: Attribution, one: Contribution) -> bool:
+    """Return whether the value is larger without a design parameter, as without the effects."""
+    is_design = one.cause not in found.effects and one.alone is not None and not one.ending
+    return is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found)
+
+
+def _write_alone(found: Attribution, one: Contribution) -> str:
+    kind = "Effect apart" if one.cause in found.effects else "Design parameter"
+    mean = "" if found.seeds is None else " in the mean"
+    change = one.ending or f"{format_value(found, one.alone)}{mean}"
+    if one.alone is None:
+        change = f"no value, {one.ending}"
+    return f"{kind}: {one.cause} (without it, {one.meaning}: {change})."
+
+
+def format_value(
+    found: Attribution, value: float | None, standard_error: float | None = None
+) -> str:
+    """Return a value with four digits and the metric's unit, and its standard error if given."""
+    spread = f" +- {standard_error:.2g}" if standard_error else ""
+    return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
+
+
+def _be(words: "tuple[str, ...]") -> str:
+    return "is" if len(words) == 1 else "are"
+
+
+def _capitalise(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"

@@ -1,0 +1,326 @@
+"""A value as a cooperative game: simulations without any set of causes, over seeds.
+
+If an acting cause is random, one run shows little: such a scenario is simulated with all of
+`SEEDS`, and the same seeds are used with and without a cause.
+"""
+
+import time
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, combinations, islice
+from statistics import fmean
+from typing import Final
+
+from turtlelog.errors import ExplainError, SimulationError
+from turtlelog.explain.causes import (
+    SAMPLING,
+    draws_random,
+    find_causes,
+    is_present,
+    simulate_finer,
+    take_out,
+)
+from turtlelog.explain.scenario_from_log.law_identification import describe_phase
+from turtlelog.laws import LAWS
+from turtlelog.measure import measure_run
+from turtlelog.processes import count_cores, map_in_processes
+from turtlelog.run import Run
+from turtlelog.run.loops import Cause
+from turtlelog.scenario import Scenario
+from turtlelog.simulate import simulate_many
+
+SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
+"""Seeds of means: the same for all runs, so that runs with different seeds have equal
+contributions, and far from usual seeds."""
+
+_OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
+"""Metrics that depend on the dead time, which is searched up to 40 poses; a finer clock passes
+these in a few ticks."""
+
+_FEW: Final = 4
+"""Number of simulations, about 40 ms of work, below which another process is never useful."""
+
+_BLOCK: Final = 8
+"""Simulations in one task: few enough that all processes finish together."""
+
+_LONG_S: Final = 6.0
+"""Work from which several processes are used [s]: starting one takes one or two seconds."""
+
+Coalition = frozenset[str]
+"""The acting causes."""
+
+_Play = tuple[frozenset[str], int | None]
+"""The removed causes, and the seed; None: the scenario's own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Work:
+    """Settings of the simulation.
+
+    Attributes:
+        jobs: Number of processes, at least 1; None: one per core if that is faster. Each process
+            imports the main module, so a script with several processes needs `if __name__ ==
+            "__main__":` around its own work. A law that is not built in is simulated in one
+            process.
+        report: Function called with the numbers of simulations done and known to be needed.
+    """
+
+    jobs: int | None = 1
+    report: Callable[[int, int], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None and self.jobs < 1:
+            raise ExplainError(f"jobs: expected at least 1 process, found {self.jobs}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """Result of a simulation, or the majority result over several seeds.
+
+    Attributes:
+        value: Value of the metric; None if it has none; over several seeds their mean.
+        reason: Reason why there is no value; otherwise empty.
+        ended: Names of the phases that ended, in order.
+        end_xy_m: Position of the last pose [m]; None for several seeds, or if the law failed.
+    """
+
+    value: float | None
+    reason: str
+    ended: tuple[str, ...]
+    end_xy_m: tuple[float, float] | None = None
+
+
+class Game(ABC):
+    """Base of games: simulates without any set of causes, and stores the outcomes.
+
+    Attributes:
+        causes: All removable causes by name.
+        present: Causes that act, in their order; removing another one changes nothing.
+        is_random: Whether a single run shows little, so that outcomes are averaged over seeds.
+    """
+
+    def __init__(
+        self,
+        causes: Mapping[str, Cause],
+        present: Sequence[str],
+        work: Work | None = None,
+        *,
+        is_random: bool,
+    ) -> None:
+        """Store the causes; nothing is simulated yet."""
+        self._work = work or Work()
+        self.causes, self.present, self.is_random = causes, tuple(present), is_random
+        self._outcomes: dict[_Play, Outcome] = {}
+
+    @abstractmethod
+    def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        """Return the seeds for a simulation; None alone if the remaining scenario is not random."""
+
+    @abstractmethod
+    def describe_ending(self, name: str) -> str:
+        """Return a difference in kind without a cause, in one clause; empty if there is none."""
+
+    @abstractmethod
+    def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
+        """Yield the outcome of each play."""
+
+    def play(self, inside: Coalition, causes: Sequence[str]) -> Outcome:
+        """Return the outcome with only these causes acting."""
+        return self.take_out(name for name in causes if name not in inside)
+
+    def take_out(self, names: Iterable[str] = ()) -> Outcome:
+        """Return the outcome without these causes; if random, the majority over seeds."""
+        found = self.take_out_each(names)
+        return found[0] if len(found) == 1 else _average(found)
+
+    def take_out_each(self, names: Iterable[str] = ()) -> list[Outcome]:
+        """Return the outcomes without these causes, by seed; a single one if nothing is random."""
+        out = frozenset(names).intersection(self.present)
+        self.prepare([out])
+        return [self._outcomes[out, seed] for seed in self.list_seeds(out)]
+
+    def play_as_recorded(self, names: Iterable[str] = ()) -> Outcome:
+        """Return the outcome without these causes, with the scenario's own seed."""
+        out = frozenset(names).intersection(self.present)
+        self._simulate([(out, None)])
+        return self._outcomes[out, None]
+
+    def play_each(self, plays: Sequence[_Play]) -> list[Outcome]:
+        """Return the outcomes without each set of causes, with each of the seeds."""
+        self._simulate(plays)
+        return [self._outcomes[one] for one in plays]
+
+    def prepare(self, sets: Iterable[Iterable[str]]) -> None:
+        """Simulate without each of these sets of causes and store the outcomes."""
+        outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
+        self._simulate([(out, seed) for out in outs for seed in self.list_seeds(out)])
+
+    def _simulate(self, wanted: Sequence[_Play]) -> None:
+        missing = [one for one in dict.fromkeys(wanted) if one not in self._outcomes]
+        total = len(self._outcomes) + len(missing)
+        for one, outcome in zip(missing, self._play(missing), strict=True):
+            self._outcomes[one] = outcome
+            if self._work.report is not None:
+                self._work.report(len(self._outcomes), total)
+
+
+class ScenarioGame(Game):
+    """Simulations of a scenario with some of its causes removed."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        metric: str,
+        work: Work | None = None,
+        *,
+        causes: Mapping[str, Cause] | None = None,
+    ) -> None:
+        """Store the scenario with all causes; `find_causes` finds them unless they are given."""
+        self._scenario, self._metric = scenario, metric
+        causes = find_causes(scenario) if causes is None else causes
+        super().__init__(causes, self._list_present(causes), work, is_random=draws_random(scenario))
+        self._without: dict[Coalition, Scenario] = {}
+
+    def describe_ending(self, name: str) -> str:
+        """Return a difference in kind without a cause, in one clause; empty if there is none."""
+        built, without = self.take_out(), self.take_out([name])
+        longer = [phase for phase in built.ended if phase not in without.ended]
+        sooner = [phase for phase in without.ended if phase not in built.ended]
+        within = f"within {self._scenario.max_duration_s:g} s"
+        within += " with most seeds" * self.is_random
+        kind = self._scenario.law.kind
+        if longer:
+            return f"{describe_phase(kind, longer[0])} no longer ends {within}"
+        if sooner:
+            return f"{describe_phase(kind, sooner[0])} ends {within}"
+        return without.reason
+
+    def _take_out(self, out: Coalition) -> Scenario:
+        if out not in self._without:
+            causes = [found for name, found in self.causes.items() if name in out]
+            self._without[out] = self._build_without(causes)
+        return self._without[out]
+
+    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
+        return tuple(name for name, cause in causes.items() if is_present(self._scenario, cause))
+
+    def _build_without(self, causes: Iterable[Cause]) -> Scenario:
+        return take_out(self._scenario, causes)
+
+    def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        """Return the seeds for a simulation; None alone if the remaining scenario is not random."""
+        return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
+
+    def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
+        built = [self.build_play(out, seed) for out, seed in plays]
+        return iterate_outcomes(self._metric, built, self._work.jobs)
+
+    def build_play(self, out: Coalition, seed: int | None = None) -> "Play":
+        """Return the simulation without these causes, with this seed or the scenario's own."""
+        scenario = self._take_out(out)
+        if seed is not None:
+            scenario = replace(scenario, seed=seed)
+        return Play(scenario, is_finer=SAMPLING in out, may_fail=seed is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Play:
+    """A scenario to simulate.
+
+    Attributes:
+        scenario: Scenario without the removed causes.
+        is_finer: Whether the clock is finer.
+        may_fail: Whether a failing law only gives no value; otherwise it ends the work.
+    """
+
+    scenario: Scenario
+    is_finer: bool
+    may_fail: bool
+
+
+def iterate_outcomes(metric: str, plays: Sequence[Play], jobs: int | None) -> Iterator[Outcome]:
+    """Yield the outcome of each play, simulated in as many processes as `Work` says."""
+    outcomes = _simulate_each(metric, plays)
+    if any(play.scenario.law.kind not in LAWS for play in plays):
+        jobs = 1
+    if jobs is None:
+        # The first simulation may load a compiled loop; the second measures the time.
+        yield from islice(outcomes, 1)
+        began_s = time.perf_counter()
+        yield from islice(outcomes, 1)
+        plays = plays[2:]
+        is_long = len(plays) * (time.perf_counter() - began_s) > _LONG_S
+        jobs = count_cores() if is_long else 1
+    if jobs == 1 or len(plays) <= _FEW:
+        yield from outcomes
+        return
+    blocks = [plays[first : first + _BLOCK] for first in range(0, len(plays), _BLOCK)]
+    simulate = partial(_simulate_block, metric)
+    yield from chain.from_iterable(
+        map_in_processes(simulate, blocks, jobs, name=lambda _: "simulations")
+    )
+
+
+def _simulate_block(metric: str, plays: Sequence[Play]) -> list[Outcome]:
+    return list(_simulate_each(metric, plays))
+
+
+def _simulate_each(metric: str, plays: Sequence[Play]) -> Iterator[Outcome]:
+    """Yield the outcome of each play, with one run at a time in memory."""
+    runs = simulate_many([play.scenario for play in plays if not play.is_finer], threads=1)
+    for play in plays:
+        run = _simulate_finer(play.scenario) if play.is_finer else next(runs)
+        if isinstance(run, Run):
+            yield _measure(metric, run, is_finer=play.is_finer)
+        elif play.may_fail:
+            yield Outcome(value=None, reason=str(run), ended=())
+        else:
+            raise run
+
+
+def _simulate_finer(scenario: Scenario) -> Run | SimulationError:
+    try:
+        return simulate_finer(scenario)
+    except SimulationError as err:
+        return err
+
+
+def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:
+    found = measure_run(run, only=[metric])[metric]
+    value, reason = found.value, found.reason
+    if is_finer and metric.endswith(_OF_DEAD_TIME):
+        value, reason = None, "dead times are not measured on a finer clock"
+    end_xy_m = (float(run.poses.xy_m[-1, 0]), float(run.poses.xy_m[-1, 1]))
+    return Outcome(value=value, reason=reason, ended=_find_ended(run), end_xy_m=end_xy_m)
+
+
+def _find_ended(run: Run) -> tuple[str, ...]:
+    spans = run.find_phase_spans()
+    ended = (span.phase for span in (spans if run.is_complete else spans[:-1]))
+    return tuple(dict.fromkeys(ended))
+
+
+def _average(outcomes: Sequence[Outcome]) -> Outcome:
+    """Return the majority outcome: the mean of the values, and the phases that ended."""
+    most = len(outcomes) / 2.0
+    values = [found.value for found in outcomes if found.value is not None]
+    ended = Counter(phase for found in outcomes for phase in found.ended)
+    phases = tuple(phase for phase, count in ended.items() if count > most)
+    if len(values) > most:
+        return Outcome(value=fmean(values), reason="", ended=phases)
+    reasons = Counter(found.reason for found in outcomes if found.value is None)
+    ((reason, count),) = reasons.most_common(1)
+    reason = f"{reason} (with {count} of {len(outcomes)} seeds)"
+    return Outcome(value=None, reason=reason, ended=phases)
+
+
+def list_coalitions(causes: Sequence[str]) -> list[Coalition]:
+    """Return all sets of causes, smaller sets first."""
+    return [
+        frozenset(inside)
+        for size in range(len(causes) + 1)
+        for inside in combinations(causes, size)
+    ]

@@ -1,0 +1,253 @@
+"""Range of a value over starts within the turn of one sample, and over seeds."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from statistics import fmean, stdev
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.explain.one_run.attribution import (
+    Attribution,
+    CausePart,
+    Contribution,
+    SeedRange,
+    StartRange,
+    Together,
+    find_sample_period_s,
+)
+from turtlelog.explain.one_run.game import Coalition, Game, Outcome, ScenarioGame, list_coalitions
+from turtlelog.explain.one_run.shapley import Worth, compute_contributions, compute_dividends
+from turtlelog.run import Run
+from turtlelog.scenario import Scenario
+from turtlelog.simulate import simulate_run
+
+_COUNT: Final = 17
+"""Number of starts, a sixteenth of one sample's turn apart: each reaches the tolerance at another
+point of a sample's motion."""
+
+_WIDE: Final = 0.5
+"""Largest range as a share of the effects' total: over a wider one, their contributions change
+order between starts. If the total is small by chance, the largest value counts instead."""
+
+_MOST_TICKS: Final = 200_000
+"""Largest number of ticks simulated to divide the value again at every start: two to three
+seconds."""
+
+
+def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArray[np.float64]:
+    """Return the angles of equally spaced starts from the scenario's own [rad], shape (n,).
+
+    They span the largest turn from one sample to the next, with the scenario's own in the middle.
+
+    Args:
+        scenario: Scenario with all causes.
+        built: Run of the scenario.
+        count: Number of starts, odd.
+
+    Returns:
+        The angles; empty if the robot does not turn.
+    """
+    turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max(initial=0.0))
+    within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
+    return np.linspace(-within_rad, within_rad, count) if within_rad else np.zeros(0)
+
+
+def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
+    """Return a scenario with its start turned by an angle."""
+    heading_rad = scenario.start.heading_rad + offset_rad
+    return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
+
+
+def find_steady_span(values: Sequence[float | None], added: float, resolution: float) -> float:
+    """Return the largest range of values that counts as steady.
+
+    Args:
+        values: Values from each start.
+        added: Total of the causes from the scenario's own start.
+        resolution: The largest change that is negligible.
+    """
+    if abs(added) > resolution:
+        return _WIDE * abs(added)
+    greatest = max((abs(value) for value in values if value is not None), default=0.0)
+    return max(resolution, _WIDE * greatest)
+
+
+def ranges_over(values: Sequence[float | None], span: float) -> bool:
+    """Return whether the values that exist range over more than a span."""
+    known = [value for value in values if value is not None]
+    return bool(known) and max(known) - min(known) > span
+
+
+def subtract_values(
+    values: Sequence[float | None], without: Sequence[float | None]
+) -> list[float | None]:
+    """Return the total of the causes at each start; None if a value is missing.
+
+    A value that only follows the start, such as a turn's length, also follows it without the
+    causes; their total is then steady.
+    """
+    return [
+        None if value is None or rest is None else value - rest
+        for value, rest in zip(values, without, strict=True)
+    ]
+
+
+def vary_start(
+    scenario: Scenario, metric: str, *, added: float, resolution: float, acting: Sequence[str]
+) -> StartRange | None:
+    """Return the range of the value over starts within one sample's turn; None without a turn.
+
+    Args:
+        scenario: Scenario with all causes.
+        metric: Id of a metric that has a value.
+        added: Total of the causes.
+        resolution: The largest change that is negligible.
+        acting: The causes that change the value.
+    """
+    built = simulate_run(scenario)
+    offsets_rad = spread_starts(scenario, built).tolist()
+    if not offsets_rad:
+        return None
+    games = [ScenarioGame(turn_start(scenario, offset_rad), metric) for offset_rad in offsets_rad]
+    found = [game.take_out().value for game in games]
+    values = [value for value in found if value is not None]
+    span = find_steady_span(values, added, resolution)
+    is_far = ranges_over(values, span)
+    without = [game.take_out(acting).value for game in games] if is_far else []
+    is_wide = is_far and ranges_over(subtract_values(found, without), span)
+    rest = [value for value in without if value is not None]
+    ticks = len(built.poses) * len(games) * 2 ** len(acting)
+    return StartRange(
+        count=len(games),
+        within_rad=offsets_rad[-1],
+        low=min(values),
+        high=max(values),
+        without_value=len(found) - len(values),
+        is_wide=is_wide,
+        parts=_divide_again(games, acting) if is_wide and ticks <= _MOST_TICKS else (),
+        without_all=(min(rest), max(rest)) if is_wide and len(rest) == len(games) else None,
+    )
+
+
+def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple[CausePart, ...]:
+    """Return the lowest and highest part of each cause; empty unless all parts are positive."""
+    parts = []
+    for game in games:
+        found = {inside: game.play(inside, causes).value for inside in list_coalitions(causes)}
+        worth = {inside: value for inside, value in found.items() if value is not None}
+        if len(worth) < len(found):
+            return ()
+        total = worth[frozenset(causes)] - worth[frozenset()]
+        contributions = compute_contributions(worth, causes)
+        if any(contribution * total <= 0.0 for contribution in contributions.values()):
+            return ()
+        parts.append([contribution / total for contribution in contributions.values()])
+    lows, highs = np.min(parts, axis=0).tolist(), np.max(parts, axis=0).tolist()
+    return tuple(
+        CausePart(cause=name, low=low, high=high)
+        for name, low, high in zip(causes, lows, highs, strict=True)
+    )
+
+
+_FEWEST: Final = 0.5
+"""Smallest share of seeds with a value: with fewer, the others would be the majority."""
+
+_CENTRAL: Final = (0.025, 0.975)
+"""Quantiles that bound the central 95 %."""
+
+
+def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
+    """Return the attribution with its contributions, or why there are none.
+
+    A seed is used if every combination has a value with it, because combinations are compared by
+    seed.
+    """
+    names = found.causes
+    coalitions = list_coalitions(names)
+    played = {inside: game.take_out_each(set(names) - inside) for inside in coalitions}
+    count = max(map(len, played.values()))
+    worths = _list_worths(played, count)
+    known = [worth for worth in worths if worth is not None]
+    if len(known) <= _FEWEST * count:
+        reason = f"only with {len(known)} of {count} seeds every combination has a value"
+        return replace(found, withheld=reason)
+    worth = {inside: fmean(one[inside] for one in known) for inside in coalitions}
+    contributions = [compute_contributions(one, names) for one in known]
+    dividends = [compute_dividends(one, names) for one in known]
+    means = compute_contributions(worth, names)
+    together = compute_dividends(worth, names)
+    return replace(
+        found,
+        without_all=worth[frozenset()],
+        seeds=_describe_seeds([one[frozenset(names)] for one in known], count),
+        contributions=tuple(
+            replace(
+                describe_alone(game, name, contribution),
+                standard_error=_find_error([one[name] for one in contributions]),
+            )
+            for name, contribution in means.items()
+        ),
+        others=tuple(_add_error(game, other) for other in found.others),
+        together=tuple(
+            Together(
+                causes=case,
+                value=value,
+                standard_error=_find_error([one[case] for one in dividends]),
+            )
+            for case, value in together.items()
+        ),
+    )
+
+
+def describe_alone(game: Game, name: str, contribution: float | None = None) -> Contribution:
+    """Return the value without a cause alone."""
+    return Contribution(
+        cause=name,
+        contribution=contribution,
+        alone=game.take_out([name]).value,
+        ending=game.describe_ending(name) or None,
+        meaning=game.causes[name].meaning,
+    )
+
+
+def _list_worths(played: Mapping[Coalition, Sequence[Outcome]], count: int) -> list[Worth | None]:
+    """Return the values of all combinations by seed; None if a value is missing."""
+    found: list[Worth | None] = []
+    for number in range(count):
+        row = {
+            inside: outcomes[min(number, len(outcomes) - 1)].value
+            for inside, outcomes in played.items()
+        }
+        worth = {inside: value for inside, value in row.items() if value is not None}
+        found.append(worth if len(worth) == len(row) else None)
+    return found
+
+
+def _describe_seeds(values: Sequence[float], count: int) -> SeedRange:
+    low, high = np.quantile(values, _CENTRAL).tolist()
+    return SeedRange(
+        count=count,
+        used=len(values),
+        mean=fmean(values),
+        standard_error=_find_error(values),
+        low=low,
+        high=high,
+    )
+
+
+def _add_error(game: Game, other: Contribution) -> Contribution:
+    """Return a property with the standard error of the change without it, by seed."""
+    built, without = game.take_out_each(), game.take_out_each([other.cause])
+    pairs = [
+        (one.value, without[min(number, len(without) - 1)].value)
+        for number, one in enumerate(built)
+    ]
+    changes = [right - left for left, right in pairs if left is not None and right is not None]
+    return replace(other, standard_error=_find_error(changes)) if len(changes) > 1 else other
+
+
+def _find_error(values: Sequence[float]) -> float:
+    return stdev(values) / math.sqrt(len(values))

@@ -1,0 +1,1 @@
+"""The scenario that produced a log: identified, simulated again, compared."""

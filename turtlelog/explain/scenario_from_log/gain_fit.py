@@ -1,0 +1,404 @@
+"""The fit of one command: its gain from unclipped commands, its limit from clipped ones."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.explain.scenario_from_log.identification import (
+    Finding,
+    bound_value,
+    find_exactly,
+    fit_value,
+    miss,
+)
+from turtlelog.explain.scenario_from_log.trace import estimate_trace_noise, find_pose_resolution
+
+Values = NDArray[np.float64]
+
+_DIGITS: Final = 17
+"""Significant digits that distinguish all doubles."""
+
+_ROUNDING: Final = 1e-13
+"""Difference of commands between platforms, as a share of the largest: the last bits of a cosine,
+2e-16 each, times the few operations that follow."""
+
+_TYPED_DIGITS: Final = 8
+"""Largest number of digits of a typed gain: two commands fit many gains, so one with few digits is
+required."""
+
+_NEIGHBOURS: Final = 16
+"""Doubles on either side of a ratio that rounding may reach: a ratio of two products with three
+roundings each is wrong by a few."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainFit:
+    """A gain estimated from commands.
+
+    Attributes:
+        value: The shortest decimal that reproduces every command, otherwise the least-squares
+            value.
+        is_exact: Whether only this value reproduces every command, bit for bit.
+        is_close: Whether several doubles reproduce every command, or the value does within the
+            rounding of other platforms.
+        interval: Interval of the gain: all values that reproduce the commands, otherwise the 95 %
+            interval of least squares.
+        noise: Standard deviation of the residual error, in the error's unit; 0 if there is no
+            residual.
+        whiteness: Mean square of the changes of the residual, divided by twice its mean square: 1
+            for noise, near 0 for a curve.
+        rows: Number of commands used.
+    """
+
+    value: float
+    is_exact: bool
+    is_close: bool
+    interval: tuple[float, float]
+    noise: float
+    whiteness: float
+    rows: int
+
+
+def fit_gain(command: Values, reproduce: Callable[[float], Values]) -> GainFit:
+    """Return the gain for which `reproduce` gives the commands; both have shape (n,), n >= 1."""
+    error = reproduce(1.0)
+    return _find_exact_gain(command, reproduce, error) or _fit_least_squares(command, error)
+
+
+def _find_exact_gain(
+    command: Values, reproduce: Callable[[float], Values], error: Values
+) -> GainFit | None:
+    largest = int(np.abs(error).argmax())
+    if error[largest] == 0.0:
+        return None
+    ratio = float(command[largest] / error[largest])
+    slack = _ROUNDING * float(np.abs(command).max())
+    if (np.abs(reproduce(ratio) - command) > slack).any():
+        return None
+    digits = _DIGITS if len(np.unique(error)) > 2 else _TYPED_DIGITS
+    decimals = [float(f"{ratio:.{count}g}") for count in range(1, digits + 1)]
+    near = [ratio + step * math.ulp(ratio) for step in range(-_NEIGHBOURS, _NEIGHBOURS + 1)]
+    fitting = [gain for gain in {*decimals, *near} if np.array_equal(reproduce(gain), command)]
+    typed = [gain for gain in decimals if gain in fitting]
+    if digits < _DIGITS and not typed:
+        return None
+    low, high = (min(fitting), max(fitting)) if fitting else _widen(ratio)
+    inside = typed or fitting or [gain for gain in decimals if low <= gain <= high]
+    return GainFit(
+        value=[*inside, ratio][0],
+        is_exact=len(fitting) == 1,
+        is_close=len(fitting) != 1,
+        interval=(low, high),
+        noise=0.0,
+        whiteness=1.0,
+        rows=len(command),
+    )
+
+
+def _widen(ratio: float) -> tuple[float, float]:
+    slack = _ROUNDING * abs(ratio)
+    return ratio - slack, ratio + slack
+
+
+def _fit_least_squares(command: Values, error: Values) -> GainFit:
+    """Regress the errors on the commands: these are exact, only the errors are noisy.
+
+    The inverse regression would make every gain too small.
+    """
+    square = float(command @ command)
+    rows = len(command)
+    slope = float(error @ command) / square if square > 0.0 else 0.0
+    left = error - slope * command
+    noise = float(np.sqrt(left @ left / max(rows - 1, 1)))
+    changes = np.diff(left)
+    whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
+    spread = noise / math.sqrt(square) if square > 0.0 else math.inf
+    reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
+    return GainFit(
+        value=1.0 / slope if slope else 0.0,
+        is_exact=False,
+        is_close=False,
+        # The interval of the gain is that of the slope, inverted.
+        interval=(1.0 / (slope + reach), 1.0 / (slope - reach))
+        if slope > reach
+        else (0.0, math.inf),
+        noise=noise,
+        whiteness=whiteness,
+        rows=rows,
+    )
+
+
+def find_quantile(rows: int) -> float:
+    """Return the half-width of a 95 % interval in standard errors."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(rows - 1, 1), 0.975))
+
+
+def widen_for_runs(whiteness: Values) -> Values:
+    """Return the factor by which autocorrelated errors widen an interval."""
+    alike = np.clip(1.0 - whiteness, 0.0, 0.99)
+    return np.asarray(np.sqrt((1.0 + alike) / (1.0 - alike)))
+
+
+Reproduce = Callable[[float], Values]
+"""A function from a gain to the commands that the law wants."""
+
+_FEWEST: Final = 8
+"""Number of commands from which noise differs from a curve: with fewer, the whiteness of noise may
+be as small as a curve's."""
+
+_WHITE: Final = 0.4
+"""Largest distance of noise's whiteness from 1. Residuals of an integral, a derivative or a bend
+are smooth, below 0.1; those of a switch alternate, up to 2."""
+
+_WHITE_SURE: Final = 4.0
+"""The same in standard deviations, which are 1 / sqrt(rows): it is exceeded in one of 16,000
+logs."""
+
+_LARGER: Final = 2.0
+"""Largest residual as a multiple of the poses' noise: with 8 rows, 2 is four standard deviations of
+an estimate, with more rows it is more."""
+
+_BEYOND: Final = 5.0
+"""Change of the error during equal commands that shows clipping, in standard deviations. Noise
+alone reaches it in one of a million logs."""
+
+_TINY: Final = 1e-9
+
+_CLEAN: Final = 10.0
+"""Noise of the poses read by the controller, as a multiple of that of the logged poses, from which
+they differ."""
+
+_ALTERNATES: Final = 0.25
+"""Largest whiteness of the noise read, beyond 1; a derivative's whiteness is 1.5. With 34 rows,
+which a gain of 10 leaves unclipped, noise exceeds it in one of fourteen logs."""
+
+_CLEAR: Final = 4.0
+"""Distance from the limit at which hardly any command is clipped, in standard deviations of
+noise."""
+
+_REFITS: Final = 3
+"""Rounds until gain and rows converge."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseNoise:
+    """Noise of the logged poses.
+
+    Attributes:
+        size: Standard deviation [m or rad]; includes the curvature of the motion between rows.
+        least: The same from fourth differences, which contain almost none of the motion.
+        grain: Quantisation step of the log [m or rad].
+    """
+
+    size: float
+    least: float
+    grain: float
+
+
+def measure_pose_noise(values: Values) -> PoseNoise:
+    """Return the noise of logged coordinates, shape (n, axes)."""
+    return PoseNoise(
+        size=estimate_trace_noise(values),
+        least=estimate_trace_noise(values, order=4),
+        grain=max(find_pose_resolution(column) for column in values.T),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandFit:
+    """Gain and limit of one command.
+
+    Attributes:
+        gain: Fitted gain; None if all commands are clipped, or the error never changes.
+        limit: Limit at which commands are clipped; None if none is clipped.
+        least: The smallest gain that explains every command, if there is no fitted gain.
+        largest: The largest published magnitude.
+        rows: Number of commands in the phase.
+        noise: Noise of the poses.
+        has_signs: Whether every command has the sign of its error.
+        is_read: Whether the noise is in the poses that the controller read, not in the log.
+    """
+
+    gain: GainFit | None
+    limit: float | None
+    least: float = 0.0
+    largest: float
+    rows: int
+    noise: PoseNoise
+    has_signs: bool
+    is_read: bool = False
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the commands follow the logged errors bit for bit."""
+        return self.gain is not None and (self.gain.is_exact or self.gain.is_close)
+
+    @property
+    def obstacle(self) -> str | None:
+        """Reason why the commands are not proportional to the error; None if they may be."""
+        found = self.gain
+        if found is None:
+            return None
+        if not found.value > 0.0:
+            return f"the commands are not proportional: their gain would be {found.value:.4g}"
+        if self.is_certain:
+            return None
+        if found.rows < _FEWEST:
+            return f"{found.rows} unclipped commands cannot tell noise from another law"
+        reach = max(_WHITE, _WHITE_SURE / math.sqrt(found.rows))
+        is_pattern = abs(found.whiteness - 1.0) > reach and found.noise > self.noise.grain
+        leaves = ""
+        if is_pattern:
+            leaves = f"a pattern of {found.noise:.2g} and no noise"
+        elif not self.is_read and found.noise > _LARGER * max(self.noise.size, self.noise.grain):
+            leaves = f"{found.noise:.2g}, more than the poses have of noise"
+        return f"{_NOT_PROPORTIONAL} {found.value:.4g} leaves {leaves}" if leaves else None
+
+
+_NOT_PROPORTIONAL: Final = (
+    "the commands are not proportional to the error of the logged poses: a gain of"
+)
+
+
+def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> CommandFit:
+    """Find the clipped commands, and fit a gain to the others."""
+    size, error = np.abs(command), reproduce(1.0)
+    largest = float(size.max())
+    below = size < largest
+    has_signs = bool((error * command > 0.0).all())
+    known: dict[str, Any] = {"largest": largest, "noise": noise, "has_signs": has_signs}
+    whole = fit_gain(command, reproduce)
+    if (whole.is_exact or whole.is_close) and np.ptp(error) > 0.0:
+        return CommandFit(gain=whole, limit=None, rows=len(command), **known)
+    if not below.any():
+        return CommandFit(
+            gain=None,
+            limit=None,
+            least=largest / max(float(np.abs(error).min()), _TINY),
+            rows=len(command),
+            **known,
+        )
+    fit = fit_gain(command[below], lambda gain: reproduce(gain)[below])
+    if fit.is_exact or fit.is_close:
+        is_clipped = bool((np.abs(reproduce(fit.value))[~below] >= largest).all())
+    else:
+        fit = _fit_noisy(command, error, below)
+        is_clipped = _shows_clipping(error[~below], fit.noise)
+    if _is_read(fit, noise):
+        limit = largest if is_clipped else None
+        read = _fit_read(command, error, fit, limit or math.inf)
+        return CommandFit(gain=read, limit=limit, rows=len(command), is_read=True, **known)
+    if is_clipped:
+        return CommandFit(gain=fit, limit=largest, rows=len(command), **known)
+    every = _fit_noisy(command, error, np.ones_like(below))
+    return CommandFit(gain=every, limit=None, rows=len(command), **known)
+
+
+def _fit_noisy(command: Values, error: Values, rows: NDArray[np.bool_]) -> GainFit:
+    """Fit commands by least squares; equal successive ones count once: rounding repeats too."""
+    first = np.flatnonzero(np.diff(command[rows], prepend=np.nan) != 0.0)
+    means = np.add.reduceat(error[rows], first) / np.diff(np.append(first, rows.sum()))
+    return fit_gain(command[rows][first], lambda gain: gain * means)
+
+
+def _is_read(fit: GainFit, noise: PoseNoise) -> bool:
+    """Return whether the residual of a fit is noise that the logged poses do not contain.
+
+    The controller then read other poses than the logged ones. A derivative of noisy poses also
+    leaves a larger residual, but its noise alternates.
+    """
+    is_white = 1.0 - _WHITE < fit.whiteness < 1.0 + _ALTERNATES
+    is_more = fit.noise > _LARGER * max(noise.size, noise.grain)
+    return is_white and is_more and fit.noise > _CLEAN * max(noise.least, noise.grain)
+
+
+def _fit_read(command: Values, error: Values, fit: GainFit, limit: float) -> GainFit:
+    """Regress the commands on the logged errors: noise in the poses read is in the commands.
+
+    Rows are selected by their errors. Selected by commands, those that noise keeps off the limit
+    would bias the fit.
+    """
+    found = fit
+    for _ in range(_REFITS):
+        rows = np.abs(error) < limit / abs(found.value) - _CLEAR * fit.noise
+        if int(rows.sum()) < _FEWEST:
+            break
+        found = _regress(command[rows], error[rows])
+    return found
+
+
+def _regress(command: Values, error: Values) -> GainFit:
+    """Return the gain from noisy commands whose noise is independent of earlier errors."""
+    square, rows = float(error @ error), len(command)
+    gain = float(error @ command) / square if square > 0.0 else 0.0
+    left = command - gain * error
+    noise = float(np.sqrt(left @ left / max(rows - 1, 1)))
+    changes = np.diff(left)
+    whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
+    spread = noise / math.sqrt(square) if square > 0.0 else math.inf
+    reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
+    return GainFit(
+        value=gain,
+        is_exact=False,
+        is_close=False,
+        interval=(gain - reach, gain + reach),
+        noise=noise / abs(gain) if gain else math.inf,
+        whiteness=whiteness,
+        rows=rows,
+    )
+
+
+def _shows_clipping(error: Values, noise: float) -> bool:
+    """Return whether the error changed during equal commands by more than its noise."""
+    third = len(error) // 3
+    if third < 1:
+        return False
+    change = abs(float(error[:third].mean() - error[-third:].mean()))
+    return change > _BEYOND * noise * math.sqrt(2.0 / third)
+
+
+def describe_fitted_gain(fit: CommandFit) -> Finding:
+    """Return the gain in words, or why or how far the commands do not determine it."""
+    if fit.gain is None:
+        return miss(
+            f"all {fit.rows} commands are at {fit.largest:g}: at least {fit.least:.4g}",
+            max(1.0, math.ceil(fit.least * 1.001)),
+            (fit.least, math.inf),
+        )
+    if fit.obstacle:
+        return miss(fit.obstacle, max(fit.gain.value, _TINY))
+    found = fit.gain
+    noun = "command" if found.rows == 1 else "commands"
+    if found.is_exact:
+        return find_exactly(found.value, f"reproduces {found.rows} unclipped {noun}")
+    if found.is_close:
+        return bound_value(
+            found.value, f"reproduces {found.rows} unclipped {noun} to rounding", found.interval
+        )
+    return fit_value(found.value, f"least squares of {found.rows}, 95 %", found.interval)
+
+
+def describe_limit(fit: CommandFit) -> Finding:
+    """Return the limit in words, or the largest command if none is clipped."""
+    if fit.gain is None:
+        reason = f"all {fit.rows} commands are at {fit.largest:g}: a limit, or the law's only one"
+        return miss(reason, fit.largest)
+    if fit.limit is None:
+        return miss(f"no command is clipped; the largest is {fit.largest:.4g}", math.inf)
+    clipped = int(fit.rows - fit.gain.rows)
+    return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands are there")
+
+
+def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:
+    """Return the root mean square of the residual of a fit, clipped commands included."""
+    gain = math.inf if fit.gain is None else max(fit.gain.value, 0.0)
+    limit = fit.largest if fit.gain is None else (fit.limit or math.inf)
+    with np.errstate(invalid="ignore"):
+        wanted = np.clip(np.nan_to_num(gain * error), -limit, limit)
+    return float(np.sqrt(np.mean((wanted - command) ** 2)))

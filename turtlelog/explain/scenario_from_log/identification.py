@@ -1,0 +1,325 @@
+"""The scenario of a run as identified from its log.
+
+Sensing, disturbances, shaping, chances and rates are not identified: in poses and commands they
+look like one another, or like identified settings. They are taken from the recorded scenario if its
+re-simulation reproduces the run.
+"""
+
+import enum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.errors import ExplainError, ReplayError
+from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
+from turtlelog.explain.scenario_from_log.resimulation import Resimulation
+from turtlelog.replay import replay_plant
+from turtlelog.run import Run
+from turtlelog.scenario import DEFAULT_LAW, Scenario, flatten_scenario
+
+
+class Certainty(enum.StrEnum):
+    """Confidence in a finding."""
+
+    EXACT = "exact"
+    """Only this value reproduces all rows that depend on it, bit for bit or to the poses'
+    rounding."""
+    FITTED = "fitted"
+    """Estimated by least squares, with its standard error."""
+    BOUNDED = "bounded"
+    """Every value in an interval fits; the value is the roundest in it."""
+    AMBIGUOUS = "ambiguous"
+    """Several values fit equally; they are the candidates, and the value is the likeliest."""
+    RECORDED = "as recorded"
+    """Value of the recorded scenario, whose re-simulation reproduces every sample; the samples
+    alone do not show it."""
+    UNKNOWN = "unknown"
+    """The log does not determine it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One identified value.
+
+    Attributes:
+        value: Value in the unit of its key; None exactly if `certainty` is UNKNOWN.
+        certainty: Confidence in the value.
+        evidence: Evidence for the value, or the reason why it is unknown, in one clause.
+        interval: Bounds [low, high) of a bounded value.
+        candidates: All values that fit, if there are several.
+        assumed: Value that a re-simulation uses if the value is unknown and has no visible effect.
+    """
+
+    value: Any = None
+    certainty: Certainty
+    evidence: str
+    interval: tuple[float, float] | None = None
+    candidates: tuple[Any, ...] = ()
+    assumed: Any = None
+
+    @property
+    def used(self) -> Any:
+        """Value that a re-simulation uses: the identified value, otherwise the assumed one."""
+        return self.assumed if self.value is None else self.value
+
+
+def find_exactly(value: Any, evidence: str) -> Finding:
+    """Return a finding that is certain."""
+    return Finding(value=value, certainty=Certainty.EXACT, evidence=evidence)
+
+
+def fit_value(value: Any, evidence: str, interval: tuple[Any, Any] | None = None) -> Finding:
+    """Return a finding with its 95 % interval, or the likeliest of the values tried."""
+    return Finding(value=value, certainty=Certainty.FITTED, evidence=evidence, interval=interval)
+
+
+def bound_value(value: Any, evidence: str, interval: tuple[float, float]) -> Finding:
+    """Return a finding that any value within an interval fits."""
+    return Finding(value=value, certainty=Certainty.BOUNDED, evidence=evidence, interval=interval)
+
+
+def _take_recorded(value: Any, evidence: str) -> Finding:
+    """Return a finding taken from the recorded scenario."""
+    return Finding(value=value, certainty=Certainty.RECORDED, evidence=evidence)
+
+
+def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Finding:
+    """Return a finding with the likeliest of several equally good values."""
+    return Finding(
+        value=likeliest,
+        certainty=Certainty.AMBIGUOUS,
+        evidence=evidence,
+        candidates=tuple(candidates),
+    )
+
+
+def miss(
+    evidence: str, assumed: Any = None, interval: tuple[float, float] | None = None
+) -> Finding:
+    """Return a finding without a value: the reason, the assumed value, and bounds if known."""
+    return Finding(
+        certainty=Certainty.UNKNOWN, evidence=evidence, assumed=assumed, interval=interval
+    )
+
+
+LAW_KEYS: Final = (
+    "law.kp_angular",
+    "law.kp_linear",
+    "limits.turn_rate_rad_s",
+    "limits.speed_m_s",
+    "law.heading_tolerance_rad",
+    "law.position_tolerance_m",
+    "law.projection",
+    "law.wrap_error",
+)
+"""Parameters that the commands of sequential-p show. Its others are `law.pause_ticks`, which a
+simulation shows, `RULE_KEYS` for the end of a run, and `ABSENT_KEYS`."""
+
+ABSENT_KEYS: Final = ("law.reorient", "law.schedule")
+"""Parameters of sequential-p that an identified run must not have. If its declaration shows one,
+the law is not identified; without a declaration, a third phase or commands without a constant gain
+show them."""
+
+LOOP_KEYS: Final = (
+    "loop.start_backlog",
+    "law.pause_ticks",
+    "loop.queue_policy",
+    "loop.command_queue",
+    "loop.pose_queue",
+    "loop.transport_delay_ticks",
+    "loop.period_ticks",
+)
+"""Settings between controller and plant, found by simulation."""
+
+DEAD_TIME: Final = "dead_time."
+"""Prefix of the keys of dead times, followed by the name of a loop, or of a phase without loops."""
+
+_NO_SAMPLES: Final = "the recording holds no samples: which pose a command answers is not known"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification:
+    """The scenario of a run as identified from its log.
+
+    Attributes:
+        name: Name of the run.
+        findings: Findings by key of the scenario (`law.kp_linear`), and additionally `dead_time.`
+            with the name of each loop or phase [ticks], `pause.seconds` [s],
+            `pause.held_turn_rate_rad_s`, `pause.turned_rad`, `pause.burst` (poses answered at once
+            after it), `stop_reason`, `lost_commands`.
+        resimulation: Comparison of the identified scenario, simulated again, with the log; None if
+            there is none.
+        scenario: The identified scenario, or the recorded one; None if too little is known, or if
+            the recorded one does not reproduce the run.
+        is_recorded: Whether it is the recorded scenario, which reproduces every sample.
+        law: Kind of the recorded law, otherwise of the law whose parameters are identified; empty
+            if the run names no law and has other loops.
+        notes: Further notes, in sentences.
+        tried: Values that were tried, by key of the loop's settings; exact or fitted values are so
+            among these.
+    """
+
+    name: str
+    findings: Mapping[str, Finding]
+    resimulation: Resimulation | None
+    scenario: Scenario | None
+    is_recorded: bool = False
+    law: str = DEFAULT_LAW
+    notes: tuple[str, ...] = ()
+    tried: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    @property
+    def tells_law(self) -> bool:
+        """Whether the parameters of the law can be identified from its commands."""
+        return self.law == DEFAULT_LAW
+
+    def build_scenario(self) -> Scenario:
+        """Return the identified scenario; unknown settings have their assumed values.
+
+        Raises:
+            ExplainError: If too little is known.
+        """
+        if self.scenario is None:
+            reason = "; ".join(self.notes) or "too little is known"
+            expected = f"a run of the law {DEFAULT_LAW}, or one that its own scenario reproduces"
+            raise ExplainError(f"{self.name}: expected {expected}: {reason}")
+        return self.scenario
+
+    def __repr__(self) -> str:
+        return fit_line(f"<Identification of {self._describe()}>")
+
+    def _describe(self) -> str:
+        unsure = (Certainty.UNKNOWN, Certainty.AMBIGUOUS)
+        known = sum(found.certainty not in unsure for found in self.findings.values())
+        return f"{self.name}: {known} of {len(self.findings)} values known"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (key, found.value, found.certainty.value, found.evidence)
+            for key, found in self.findings.items()
+        ]
+        heads = ("", "value", "confidence", "evidence")
+        return format_answer(self._describe(), format_html(rows, heads=heads))
+
+
+def identify_plant(run: Run) -> Identification:
+    """Return what poses and commands show if no sample says which pose a command answers.
+
+    This is the largest commands and the number of lost commands.
+    """
+    loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
+    findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
+    largest = {
+        "limits.speed_m_s": run.commands.speed_m_s,
+        "limits.turn_rate_rad_s": run.commands.turn_rate_rad_s,
+    }
+    for key, command in largest.items():
+        if len(command):
+            seen = f"the largest of {len(command)} commands is {np.abs(command).max():.4g}"
+            findings[key] = miss(f"{seen}; without the error it is unknown whether it was clipped")
+    return give_up(run.name, {**findings, "lost_commands": _count_lost(run)}, _NO_SAMPLES)
+
+
+def _count_lost(run: Run) -> Finding:
+    if run.poses.speed_m_s is None:
+        return miss("the poses hold no applied velocities, which would tell the commands that act")
+    try:
+        use = replay_plant(run).commands
+    except ReplayError as err:
+        return miss(str(err))
+    return find_exactly(use.unseen, f"no pose shows them; {use.taken} others are shown")
+
+
+def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Finding]:
+    """Return findings that leave the law unknown, with the reason."""
+    used = {key: findings[key].used if key in findings else None for key in LAW_KEYS}
+    return {**findings, **{key: miss(reason, value) for key, value in used.items()}}
+
+
+def give_up(
+    name: str, findings: Mapping[str, Finding], reason: str, breaks: Sequence[str] = ()
+) -> Identification:
+    """Return the findings on a run that cannot be simulated again, with the reason.
+
+    Findings of law and loop that `findings` lacks are unknown for the same reason. `breaks` are
+    sentences on the log's jumps and missing rows, which may be the cause.
+    """
+    keys = (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")
+    unknown = {key: miss(reason) for key in keys}
+    return Identification(
+        name=name,
+        findings=MappingProxyType({**unknown, **findings}),
+        resimulation=None,
+        scenario=None,
+        notes=(*breaks, reason),
+    )
+
+
+_TABLES: Final = ("limits.", "loop.", "plant.", "sensing.", "shaping.", "disturbance.")
+
+_USUAL: Final = frozenset(flatten_scenario(Scenario()))
+"""Keys of every scenario."""
+
+_NAMES: Final = {
+    **{
+        key: found.name
+        for found in (*LOOP_CAUSES, *(one for causes in PLANT_CAUSES.values() for one in causes))
+        for key in found.neutral
+    },
+    "loop.trigger": "a timer",
+    "plant.kind": "another plant",
+}
+"""Names of the causes that keys belong to; keys that only extend another key have none."""
+
+_LOOKED_FOR: Final = (Certainty.EXACT, Certainty.FITTED, Certainty.BOUNDED)
+
+
+def list_unseen(run: Run) -> list[str]:
+    """Return the causes in a run's recorded scenario that cannot be identified."""
+    keys = [key for key in run.parameters if key.startswith(_TABLES) and key not in _USUAL]
+    return list(dict.fromkeys(_NAMES[key] for key in keys if key in _NAMES))
+
+
+def take_findings(
+    findings: Mapping[str, Finding], scenario: Scenario, evidence: str
+) -> dict[str, Finding]:
+    """Return findings with the settings of the recorded scenario, which reproduces the run.
+
+    Settings of the loop are the recorded ones; so are those of the law if the samples do not show
+    them, or show other values.
+    """
+    recorded = flatten_scenario(scenario)
+    kept = {
+        key: finding
+        for key, finding in findings.items()
+        if key in LAW_KEYS and _agrees(finding, recorded[key])
+    }
+    keys = [key for key in (*LAW_KEYS, *LOOP_KEYS) if key not in kept]
+    taken = {key: _take_recorded(recorded[key], evidence) for key in keys}
+    return {**findings, **taken, **take_seconds(scenario)}
+
+
+def take_seconds(scenario: Scenario) -> dict[str, Finding]:
+    """Return the settings in ticks that the recorded scenario extends or replaces by seconds."""
+    loop = scenario.loop
+    found: dict[str, Finding] = {}
+    if loop.transport_delay_s:
+        more = f"and {loop.transport_delay_s:g} s more"
+        found["loop.transport_delay_ticks"] = _take_recorded(loop.transport_delay_ticks, more)
+    if loop.period_s is not None:
+        asks = f"a timer asks for answers, every {loop.period_s:g} s as recorded"
+        found["loop.period_ticks"] = miss(asks, loop.period_ticks)
+    return found
+
+
+def _agrees(finding: Finding, value: object) -> bool:
+    if finding.certainty not in _LOOKED_FOR:
+        return False
+    if finding.interval is not None and isinstance(value, float):
+        low, high = finding.interval
+        return bool(low <= value <= high)
+    return bool(finding.value == value)

@@ -1,0 +1,418 @@
+"""From a log to the scenario that produced it."""
+
+from collections import ChainMap
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.display import join_words
+from turtlelog.errors import ScenarioError, SimulationError
+from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
+from turtlelog.explain.scenario_from_log.hypothesis import (
+    AROUND,
+    LONGEST_S,
+    check_recorded_scenario,
+    describe_dead_time,
+    describe_stop_rule,
+    find_lag_slack,
+    identify_other_law,
+    reject_lag,
+    require_noise,
+)
+from turtlelog.explain.scenario_from_log.identification import (
+    DEAD_TIME,
+    Certainty,
+    Finding,
+    Identification,
+    disclaim_law,
+    fit_value,
+    give_up,
+    identify_plant,
+    list_unseen,
+    miss,
+    take_findings,
+)
+from turtlelog.explain.scenario_from_log.law_identification import (
+    PHASES,
+    identify_rotation,
+    identify_translation,
+)
+from turtlelog.explain.scenario_from_log.loop_findings import (
+    describe_goal,
+    describe_loop,
+    describe_pause,
+    describe_start,
+    read_start,
+)
+from turtlelog.explain.scenario_from_log.loop_guesses import read_hints
+from turtlelog.explain.scenario_from_log.resimulation import (
+    Resimulation,
+    compare_samples,
+    cut_where_logged,
+)
+from turtlelog.explain.scenario_from_log.setting_search import Fits, search_loop
+from turtlelog.explain.scenario_from_log.stop_reason import (
+    RULE_KEYS,
+    Ending,
+    find_pause,
+    find_stop_rule,
+)
+from turtlelog.explain.scenario_from_log.trace import (
+    Trace,
+    describe_trace_breaks,
+    mark_breaks,
+    space_out,
+    trace_run,
+)
+from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.plants import TURTLESIM, find_plant
+from turtlelog.run import Run, slice_run
+from turtlelog.scenario import DEFAULT_LAW, Scenario
+from turtlelog.simulate import simulate_run
+
+_MOST_PHASES: Final = 6
+"""Largest number of phases that are listed: three runs in one file."""
+
+_BEGINNING_S: Final = 600.0
+"""Length of the used beginning of a run that is too long to simulate [s]: forty times one of the
+paper's, and some ten seconds of work."""
+
+_SLOWEST_S: Final = 4.0
+"""Longest time between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any known
+loop. With fewer samples, each of some hundred settings needs a longer simulation to differ from the
+others."""
+
+_MOST_ALIKE: Final = 8
+"""Largest number of equally good settings that are simulated again for their dead times: a second
+of work."""
+
+_UNEXPLAINED: Final = (
+    "an effect that does not show in a log, such as loss, jitter or a disturbance, or commands"
+    " that the log does not contain"
+)
+
+
+def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
+    """Identify the scenario of a run from its samples alone: pose read, command published, time.
+
+    From the run's parameters only the law's name and the plant are read. No parameter is identified
+    for a law other than sequential-p or a plant other than turtlesim. Gains, limits and tolerances
+    come from the commands; queues and pause from the dead times and time stamps, and from
+    simulating every setting that agrees with them and keeping those that reproduce all samples. If
+    none does, the plant is driven with the log's commands, and settings that fit within the noise
+    are marked as such. A run without samples gives almost no findings, and the findings say why. If
+    a run is too long to simulate again, only its beginning is used, and no scenario reproduces it.
+
+    A recorded scenario is a hypothesis that its re-simulation tests: for another law it is accepted
+    if it reproduces every sample; for sequential-p, if the identified scenario does not reproduce
+    it, or if it contains effects that cannot be identified.
+
+    Args:
+        run: Any run.
+        trust_law: Whether to run the code of a recorded law that is not built in. Otherwise the
+            scenario of such a run is not tested.
+
+    Raises:
+        ScenarioError: If a trusted law cannot be loaded, or a parameter is wrong.
+    """
+    if not len(run.samples):
+        return identify_plant(run)
+    length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
+    if length_s > LONGEST_S:
+        return _identify_beginning(run, length_s, trust_law=trust_law)
+    # Commands may have any size; those whose squares overflow fit no law.
+    with np.errstate(over="ignore", invalid="ignore"):
+        reason = _find_other_law(run)
+        if reason:
+            return identify_other_law(run, reason, trust_law=trust_law)
+        recorded, plant = _identify_recorded(run), find_plant(run).name
+        if recorded is None and plant != TURTLESIM.name:
+            return identify_other_law(run, f"its plant is {plant}: {AROUND}", trust_law=trust_law)
+        return recorded or _prefer_recorded(run, _identify_samples(run))
+
+
+def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identification:
+    """Return what the first minutes of a long run show, and nothing of its end."""
+    end_ns = int(run.poses.time_ns[0]) + round(_BEGINNING_S * 1e9)
+    found = identify_run(slice_run(run, end_ns=end_ns), trust_law=trust_law)
+    reason = (
+        f"it lasts {length_s:.0f} s, and up to {LONGEST_S:.0f} s are simulated again:"
+        f" what is found is of its first {_BEGINNING_S:.0f} s"
+    )
+    ends = {key: miss("the end of the run is not looked at") for key in ("stop_reason", *RULE_KEYS)}
+    return replace(
+        found,
+        findings=MappingProxyType(
+            {**found.findings, **{key: ends[key] for key in ends if key in found.findings}}
+        ),
+        scenario=None,
+        notes=(reason, *found.notes),
+    )
+
+
+def _identify_recorded(run: Run) -> Identification | None:
+    """Return what is known of a run whose scenario contains effects that cannot be identified.
+
+    An effect may be invisible in this run, or look like another setting: if the recorded scenario
+    reproduces every sample, its settings are used. None if it does not, or contains no such effect.
+    """
+    unseen = list_unseen(run)
+    if not (unseen and run.scenario_is_complete):
+        return None
+    trace = mark_breaks(trace_run(run, PHASES))
+    recorded = check_recorded_scenario(run, trace, trust_law=False)
+    if recorded.scenario is None:
+        return None
+    motion = space_out(trace)
+    rotation, turning = identify_rotation(trace)
+    translation, driving = identify_translation(trace)
+    is_law = _contradict_law(trace, turning, driving) is None
+    findings = {**describe_goal(trace), **(rotation | translation if is_law else {})}
+    for loop in PHASES:
+        dead_time = require_noise(find_dead_time(motion, loop))
+        findings[f"{DEAD_TIME}{loop}"] = describe_dead_time(dead_time, motion, run)
+    note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
+    findings |= take_findings(findings, recorded.scenario, note)
+    findings["stop_reason"] = describe_stop_rule(run, recorded)
+    findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
+    return Identification(
+        name=run.name,
+        findings=MappingProxyType(findings),
+        resimulation=recorded.resimulation,
+        scenario=recorded.scenario,
+        is_recorded=True,
+        notes=(note,),
+    )
+
+
+def _prefer_recorded(run: Run, found: Identification) -> Identification:
+    """Return the recorded scenario if it reproduces the run and the identified one does not."""
+    again = found.resimulation
+    if not run.scenario_is_complete or (again is not None and again.is_exact):
+        return found
+    recorded = check_recorded_scenario(run, mark_breaks(trace_run(run, PHASES)), trust_law=False)
+    if recorded.scenario is None or recorded.resimulation is None:
+        return found
+    identified = "no scenario is identified" if again is None else "the identified one does not"
+    return replace(
+        found,
+        scenario=recorded.scenario,
+        resimulation=recorded.resimulation,
+        is_recorded=True,
+        notes=(f"{recorded.reach}; {identified}", *_list_candidates(found.findings)),
+    )
+
+
+def _identify_samples(run: Run) -> Identification:
+    trace = mark_breaks(trace_run(run, PHASES))
+    motion = space_out(trace)
+    dead_times = {loop: require_noise(find_dead_time(motion, loop)) for loop in PHASES}
+    findings = {
+        f"{DEAD_TIME}{loop}": describe_dead_time(found, motion, run)
+        for loop, found in dead_times.items()
+    }
+    findings |= describe_goal(trace)
+    rotation, turning = identify_rotation(trace)
+    translation, driving = identify_translation(trace)
+    obstacle = _contradict_law(trace, turning, driving)
+    breaks = describe_trace_breaks(trace)
+    if obstacle:
+        return give_up(run.name, findings, obstacle, breaks)
+    obstacle = _find_obstacle(trace)
+    if obstacle:
+        # Commands that follow their errors bit for bit determine their gain alone.
+        pairs = ((rotation, turning), (translation, driving))
+        sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
+        return give_up(run.name, {**findings, **dict(ChainMap(*sure))}, obstacle, breaks)
+    findings |= {**rotation, **translation}
+    is_certain = all(
+        fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
+    )
+    ending = find_stop_rule(trace, is_certain=is_certain, is_finished=run.is_complete)
+    findings |= ending.rules
+    hints = read_hints(trace)
+    known = {**_collect(findings), **read_start(trace)}
+    try:
+        fits = search_loop(trace, known, hints, tuple(dead_times.values()))
+        scenario = _cut_scenario(trace, fits, ending)
+        again = simulate_run(scenario)
+    except (ScenarioError, SimulationError) as err:
+        return give_up(run.name, findings, f"it cannot be simulated again: {err}", breaks)
+    findings |= describe_start(trace, fits)
+    fits = reject_lag(fits, dead_times)
+    slack = find_lag_slack(run, dead_times)
+    findings |= describe_loop(trace, fits, slack)
+    if fits.is_fitted and not (fits.is_exact or fits.is_partial):
+        findings |= _describe_dead_times_again(dead_times, fits, slack)
+    if not (fits.is_exact or fits.is_close):
+        findings |= _withhold_law(findings, turning, driving)
+    if not (fits.is_exact or fits.is_close or fits.is_fitted):
+        findings = disclaim_law(findings, "no setting of the loop explains the motion")
+    findings |= {**find_pause(hints), **describe_pause(trace, fits)}
+    findings["stop_reason"] = ending.reason
+    resimulation = compare_samples(trace, again)
+    return Identification(
+        name=run.name,
+        findings=MappingProxyType(findings),
+        resimulation=resimulation,
+        scenario=scenario,
+        tried=fits.ranges,
+        notes=(
+            *breaks,
+            *_describe_difference(trace, fits, resimulation),
+            *_list_candidates(findings),
+        ),
+    )
+
+
+def _describe_dead_times_again(
+    dead_times: Mapping[str, DeadTime | Missing], fits: Fits, lag_slack: int
+) -> dict[str, Finding]:
+    """Return the dead times of the found settings if noise hides those of the log."""
+    found: dict[str, Finding] = {}
+    if len(fits.scenarios) > _MOST_ALIKE:
+        return found
+    runs = [simulate_run(scenario) for scenario in fits.scenarios]
+    for loop, logged in dead_times.items():
+        is_hidden = (
+            not logged.is_exact
+            if isinstance(logged, DeadTime)
+            else (logged.status is Status.UNDETERMINED)
+        )
+        again = [find_dead_time(run, loop) for run in runs] if is_hidden else []
+        ticks = [one.ticks for one in again if isinstance(one, DeadTime)]
+        if ticks and len(ticks) == len(runs):
+            found[f"{DEAD_TIME}{loop}"] = fit_value(
+                ticks[0],
+                "of the settings that explain the motion",
+                (max(min(ticks) - lag_slack, 0), max(ticks)),
+            )
+    return found
+
+
+def _withhold_law(
+    findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
+) -> dict[str, Finding]:
+    """Remove the findings of a loop whose commands are all clipped and that nothing reproduces."""
+    keys = {
+        "law.kp_angular": turning,
+        "limits.turn_rate_rad_s": turning,
+        "law.heading_tolerance_rad": turning,
+        "law.kp_linear": driving,
+        "limits.speed_m_s": driving,
+        "law.position_tolerance_m": driving,
+    }
+    return {
+        key: miss(f"all {fit.rows} commands are alike in size: any law", findings[key].used)
+        for key, fit in keys.items()
+        if fit is not None and fit.gain is None
+    }
+
+
+def _find_other_law(run: Run) -> str | None:
+    """Return why the law is not sequential-p with constant gains, by its name or its loops."""
+    kind = run.parameters.get("law.kind", DEFAULT_LAW)
+    told = f"parameters are identified from commands only for {DEFAULT_LAW}"
+    if kind != DEFAULT_LAW:
+        return f"its law is {kind}: {told}"
+    names = [loop.name for loop in run.declaration.loops]
+    if not {*PHASES} <= {*names}:
+        return f"its loops are {', '.join(names) or 'not recorded'}: {told}"
+    if len(names) > len(PHASES):
+        return f"its loops are {', '.join(names)}: {told} that rotates and translates"
+    if any(loop.gain is None for loop in run.declaration.loops):
+        return f"its gains are scheduled: {told} with constant gains"
+    return None
+
+
+def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
+    """Return the scenario, ended with the log if that was cut and no search found its end."""
+    if fits.is_exact or fits.is_close or ending.reason.value not in {None, "cut"}:
+        return fits.scenario
+    return cut_where_logged(fits.scenario, trace)
+
+
+def _contradict_law(
+    trace: Trace, turning: CommandFit | None, driving: CommandFit | None
+) -> str | None:
+    """Return why the commands do not come from the sequential law."""
+    for name, fit in (("rotating", turning), ("translating", driving)):
+        if fit is not None and fit.obstacle:
+            return f"{name}: {fit.obstacle}"
+    turned = trace.turn_rate_rad_s[trace.rotating :][: trace.translating]
+    if trace.speed_m_s[: trace.rotating].any() or turned.any():
+        return "it drives while rotating, or turns while translating"
+    return None
+
+
+def _find_obstacle(trace: Trace) -> str | None:
+    """Return why this is not a whole run of the sequential law, or cannot be simulated."""
+    if trace.rotating + trace.translating < len(trace) or not trace.rotating:
+        listed = ", ".join(_list_phases(trace))
+        return f"its phases are not one rotation and one translation: {listed}"
+    if trace.goal_xy_m is None:
+        return "the log does not hold the goal"
+    if trace.answered_after_s >= TURTLESIM.period_s:
+        return (
+            f"poses are answered {trace.answered_after_s:.3g} s after their publication (median):"
+            " what delays them, the log does not tell"
+        )
+    times_ns = trace.time_ns if len(trace) > 1 else [trace.run.poses.time_ns[0], trace.run.end_ns]
+    apart_s = float(np.median(np.diff(times_ns))) / 1e9
+    if apart_s > _SLOWEST_S:
+        return (
+            f"its samples come every {apart_s:.3g} s (median); loops of up to {_SLOWEST_S:g} s are"
+            " simulated again"
+        )
+    return None
+
+
+def _list_phases(trace: Trace) -> list[str]:
+    """Return the phases in order, up to `_MOST_PHASES`."""
+    phases = trace.run.samples.phase
+    names = trace.run.phase_names
+    begins = np.flatnonzero(np.diff(phases, prepend=-1) != 0)
+    labels = [names[phase] for phase in phases[begins[:_MOST_PHASES]].tolist()]
+    return [*labels, "..."] if len(begins) > _MOST_PHASES else labels
+
+
+def _collect(findings: Mapping[str, Finding]) -> dict[str, Any]:
+    """Return the values to simulate with, by key of the scenario."""
+    tables = ("start.", "goal.", "law.", "limits.", "loop.")
+    return {key: finding.used for key, finding in findings.items() if key.startswith(tables)}
+
+
+def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -> list[str]:
+    if fits.is_exact:
+        return []
+    if fits.is_close:
+        return ["the re-simulation agrees to rounding, not bit for bit"]
+    if resimulation.is_exact:
+        return ["poses and commands are reproduced, but not the times at which they were answered"]
+    reach = _describe_reach(trace, fits)
+    if not fits.is_fitted:
+        return [f"{reach}: no setting explains the motion: {_UNEXPLAINED}"]
+    noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
+    left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
+    return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]
+
+
+def _describe_reach(trace: Trace, fits: Fits) -> str:
+    """Return how far the re-simulation agrees with the log, and where it departs."""
+    rows = int(np.searchsorted(trace.number, fits.reproduced))
+    if rows >= len(trace):
+        return f"the re-simulation reproduces all {len(trace)} samples and goes on"
+    at_s = float(trace.time_ns[rows] - trace.run.start_ns) / 1e9
+    return f"the re-simulation reproduces the first {rows:,} samples and departs at {at_s:.3f} s"
+
+
+def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
+    return [
+        f"of {key} the values {', '.join(map(str, finding.candidates))} fit alike:"
+        f" {finding.evidence}"
+        for key, finding in findings.items()
+        if finding.certainty is Certainty.AMBIGUOUS
+    ]

@@ -1,0 +1,276 @@
+"""Parameters of sequential-p from its commands: gains, limits, tolerances, projection, wrapping."""
+
+import math
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from turtlelog.explain.scenario_from_log.gain_fit import (
+    CommandFit,
+    Reproduce,
+    compute_misfit,
+    describe_fitted_gain,
+    describe_limit,
+    fit_command,
+    measure_pose_noise,
+)
+from turtlelog.explain.scenario_from_log.identification import (
+    Finding,
+    bound_value,
+    find_exactly,
+    fit_value,
+    leave_open,
+    miss,
+)
+from turtlelog.explain.scenario_from_log.trace import Trace, Values
+from turtlelog.measure.motion import CERTAIN
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import DONE, PAUSE
+from turtlelog.scenario import DEFAULT_LAW
+
+ROTATE: Final = "rotate"
+TRANSLATE: Final = "translate"
+PHASES: Final = (ROTATE, TRANSLATE)
+"""Phases of sequential-p in order, which are its loops."""
+
+_NOUNS: Final = {ROTATE: "rotation", TRANSLATE: "translation"}
+_ADVERBS: Final = {ROTATE: "rotating", TRANSLATE: "translating"}
+
+_HALF_TURN_SURE: Final = 6.0
+"""Excess over half a turn from which a noisy error has wrapped, in standard deviations."""
+
+
+def describe_phase(kind: str, phase: str) -> str:
+    """Return a phase of a law in words: `the rotation`, `phase approach`."""
+    if phase in {PAUSE, DONE}:
+        return "the pause" if phase == PAUSE else "the run"
+    noun = _NOUNS.get(phase) if kind == DEFAULT_LAW else None
+    return f"the {noun}" if noun else f"phase {phase}"
+
+
+def describe_loop_name(kind: str, loop: str) -> str:
+    """Return the action of a law's loop, or its name: `rotating`, `of align`."""
+    adverb = _ADVERBS.get(loop) if kind == DEFAULT_LAW else None
+    return adverb or f"of {loop}"
+
+
+def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:
+    """Return gain, limit, tolerance and wrapping of the heading loop, by key of the scenario."""
+    rows = slice(1, trace.rotating - trace.ended_rotation)
+    error = trace.bearing_rad - trace.read_heading_rad
+    command = trace.turn_rate_rad_s[rows]
+    if not np.any(command):
+        reason = "the run has no command that turns"
+        return {
+            "law.kp_angular": miss(reason, 1.0),
+            "limits.turn_rate_rad_s": miss(reason, math.inf),
+            "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, None),
+            "law.wrap_error": miss(reason, assumed=False),
+        }, None
+    noise = measure_pose_noise(np.unwrap(trace.read_heading_rad)[:, None])
+    plain = fit_command(command, partial(np.multiply, error[rows]), noise)
+    wrapped = fit_command(command, partial(np.multiply, wrap_angle(error[rows])), noise)
+    wraps, wrap_finding = _choose_wrapping(command, error[rows], plain, wrapped)
+    fit = wrapped if wraps else plain
+    error = wrap_angle(error) if wraps else error
+    return {
+        "law.kp_angular": describe_fitted_gain(fit),
+        "limits.turn_rate_rad_s": describe_limit(fit),
+        "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, fit),
+        "law.wrap_error": wrap_finding,
+    }, fit
+
+
+def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:
+    """Return gain, limit, tolerance and projection of the position loop, by key of the scenario."""
+    rows = slice(trace.rotating, trace.rotating + trace.translating)
+    command = trace.speed_m_s[rows]
+    driven = command != 0.0
+    if trace.goal_xy_m is None or not driven.any():
+        known = "the log does not hold the goal" if driven.any() else "no command drives"
+        return {
+            "law.kp_linear": miss(known, 1.0),
+            "limits.speed_m_s": miss(known, math.inf),
+            "law.position_tolerance_m": miss(known, DEFAULT_TOLERANCE),
+            "law.projection": miss(known, "heading"),
+        }, None
+    errors = np.subtract(trace.goal_xy_m, trace.read_xy_m[rows])
+    along = {
+        "bearing": np.full(int(driven.sum()), trace.bearing_rad),
+        "heading": trace.read_heading_rad[rows][driven],
+    }
+    noise = measure_pose_noise(trace.read_xy_m)
+    fits = {
+        name: fit_command(command[driven], _project(errors[driven], headings), noise)
+        for name, headings in along.items()
+    }
+    projection = _choose_projection(fits)
+    fit = fits[projection.used]
+    return {
+        "law.kp_linear": describe_fitted_gain(fit),
+        "limits.speed_m_s": describe_limit(fit),
+        "law.position_tolerance_m": bound_position_tolerance(errors, command, fit),
+        "law.projection": projection,
+    }, fit
+
+
+def _project(errors: Values, headings: Values) -> Reproduce:
+    """Return the projection in the law's order of operations; numpy's cosine differs in one bit."""
+    cosine = np.array([math.cos(heading) for heading in headings.tolist()])
+    sine = np.array([math.sin(heading) for heading in headings.tolist()])
+    x, y = errors.T.copy()
+
+    def reproduce(gain: float) -> Values:
+        return np.asarray(gain * x * cosine + gain * y * sine)
+
+    return reproduce
+
+
+def _choose_wrapping(
+    command: Values, error: Values, plain: CommandFit, wrapped: CommandFit
+) -> tuple[bool, Finding]:
+    if plain.is_certain != wrapped.is_certain and (np.abs(error) >= math.pi).any():
+        chosen = wrapped.is_certain
+        return chosen, find_exactly(chosen, "the heading error exceeds half a turn")
+    if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
+        return False, miss("the heading error stays within half a turn", assumed=False)
+    left = compute_misfit(wrapped, command, wrap_angle(error))
+    chosen = left < compute_misfit(plain, command, error)
+    evidence = "the heading error exceeds half a turn"
+    return chosen, fit_value(chosen, evidence)
+
+
+def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
+    bearing, heading = fits["bearing"].gain, fits["heading"].gain
+    if bearing is None or heading is None:
+        signed = [name for name, fit in fits.items() if fit.has_signs]
+        assumed = signed[0] if len(signed) == 1 else "bearing"
+        return miss("every command is at its limit", assumed)
+    if bearing.is_exact == heading.is_exact and (bearing.is_exact or bearing.is_close):
+        return leave_open(tuple(fits), "both reproduce every command", "heading")
+    for name, gain in (("bearing", bearing), ("heading", heading)):
+        if gain.is_exact:
+            return find_exactly(name, f"reproduces {gain.rows} unclipped commands")
+    better, other = ("bearing", heading) if bearing.noise <= heading.noise else ("heading", bearing)
+    found = fits[better].gain or other
+    ratio = other.noise / found.noise if found.noise > 0.0 else math.inf
+    if found.rows * math.log(max(ratio, 1.0)) < CERTAIN:
+        return leave_open(tuple(fits), "noise hides the difference", better)
+    return fit_value(better, f"the other leaves {ratio:.3g} times")
+
+
+DEFAULT_TOLERANCE: Final = 0.001
+"""Default tolerance of heading [rad] and position [m], if the log does not show it."""
+
+_LAST_TWO: Final = "the errors at the end and before it"
+_NOISY: Final = "noise; from the last errors and commands"
+
+_SURE: Final = 4.0
+"""Standard deviations by which a bound from one noisy error is widened: the bound then holds
+always, not only in 95 %."""
+
+
+def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
+    """Bound the tolerance by the error that ended the rotation, and the smallest that turned."""
+    moving = slice(1, trace.rotating - trace.ended_rotation)
+    ended = float(abs(error[trace.rotating - 1])) if trace.ended_rotation else 0.0
+    if fit is not None and fit.gain is not None and not fit.is_certain:
+        if fit.obstacle:
+            return miss(fit.obstacle, DEFAULT_TOLERANCE)
+        # The command shows its error more precisely than the noisy pose.
+        commands = np.abs(trace.turn_rate_rad_s[moving])
+        least = float(commands[commands > 0.0].min()) / fit.gain.interval[0]
+        return _bound_by_noise(ended, least, fit.gain.noise, "rad", high_noise=0.0)
+    if not np.any(trace.turn_rate_rad_s[moving]):
+        return miss("the run has no command that turns", DEFAULT_TOLERANCE)
+    high = float(np.abs(error[moving]).min(initial=math.inf))
+    if not trace.ended_rotation:
+        return _bound_between(0.0, high, "the rotation has no end", "rad")
+    return _bound_between(ended, high, _LAST_TWO, "rad")
+
+
+def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
+    """Bound the tolerance by the error that ended the run, and the smallest that still drove."""
+    larger = np.abs(errors).max(axis=1)
+    is_within = command[-1] == 0.0
+    if fit.gain is not None and not fit.is_certain:
+        if fit.obstacle:
+            return miss(fit.obstacle, DEFAULT_TOLERANCE)
+        driven = float(larger[command != 0.0][-1])
+        return _bound_by_noise(float(larger[-1]) if is_within else 0.0, driven, fit.gain.noise, "m")
+    high = float(larger[command != 0.0].min())
+    if not is_within:
+        return _bound_between(0.0, high, "the run ends outside it", "m")
+    return _bound_between(float(larger[-1]), high, _LAST_TWO, "m")
+
+
+def _bound_by_noise(
+    low: float, high: float, noise: float, unit: str, *, high_noise: float | None = None
+) -> Finding:
+    """Return bounds from noisy errors, widened by the noise."""
+    low = max(low - _SURE * noise, 0.0)
+    high += _SURE * (noise if high_noise is None else high_noise)
+    return miss(f"{_NOISY}: {_name_bounds(low, high, unit)}", _choose(low, high), (low, high))
+
+
+def _bound_between(low: float, high: float, evidence: str, unit: str) -> Finding:
+    if low >= high:
+        return miss("errors that moved are no larger than the one that ended", DEFAULT_TOLERANCE)
+    if low <= 0.0 or math.isinf(high):
+        return miss(f"{evidence}: {_name_bounds(low, high, unit)}", _choose(low, high), (low, high))
+    return bound_value(_choose(low, high), evidence, (low, high))
+
+
+def _choose(low: float, high: float) -> float:
+    """Return the default tolerance if it fits, otherwise the roundest number."""
+    if low <= DEFAULT_TOLERANCE < high:
+        return DEFAULT_TOLERANCE
+    return find_round_number(low, min(high, 10.0 * low) if low > 0.0 else high)
+
+
+def _name_bounds(low: float, high: float, unit: str) -> str:
+    if unit == "rad":
+        low, high, unit = math.degrees(low), math.degrees(high), "deg"
+    if low <= 0.0:
+        return f"below {high:.4g} {unit}"
+    return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
+
+
+_DIGITS: Final = 17
+"""Significant digits that distinguish all doubles."""
+
+_LEADING: Final = "1528346790"
+"""First digits, the more common first."""
+
+
+def find_round_number(low: float, high: float) -> float:
+    """Return the roundest number in [low, high), 0 < high: fewest digits, then common digits."""
+    if low <= 0.0:
+        return _find_power_below(high)
+    for digits in range(1, _DIGITS + 1):
+        exponent = int(np.floor(np.log10(high))) - digits + 1
+        found = [
+            number
+            for place in range(exponent - 1, exponent + 1)
+            for number in _list_multiples(low, high, place)
+        ]
+        if found:
+            return min(found, key=lambda number: _rank(number))
+    return low
+
+
+def _list_multiples(low: float, high: float, place: int) -> list[float]:
+    first = int(np.ceil(low / 10.0**place))
+    numbers = [float(f"{multiple}e{place}") for multiple in range(first, first + 20)]
+    return [number for number in numbers if low <= number < high]
+
+
+def _rank(number: float) -> tuple[int, int]:
+    digits = f"{number:.16e}".split("e")[0].rstrip("0").replace(".", "")
+    return len(digits), _LEADING.index(digits[0])
+
+
+def _find_power_below(high: float) -> float:
+    exponent = int(np.ceil(np.log10(high))) - 1
+    return float(f"1e{exponent}")

@@ -1,0 +1,266 @@
+"""Settings found by a search, as findings."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.explain.scenario_from_log.gain_fit import find_quantile
+from turtlelog.explain.scenario_from_log.identification import (
+    LOOP_KEYS,
+    Certainty,
+    Finding,
+    bound_value,
+    find_exactly,
+    fit_value,
+    leave_open,
+    miss,
+)
+from turtlelog.explain.scenario_from_log.loop_guesses import PAUSE_KEY
+from turtlelog.explain.scenario_from_log.resimulation import list_lost_commands, read_pause
+from turtlelog.explain.scenario_from_log.setting_search import START_KEYS, Fits
+from turtlelog.explain.scenario_from_log.trace import Trace
+from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.run.angles import subtract_headings
+
+_HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
+
+_QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
+"""Settings whose single value is the default, because the clock does not show it."""
+
+_LIKE_A_LAG: Final = MappingProxyType(
+    {"loop.start_backlog": 1, "loop.transport_delay_ticks": 0, "law.pause_ticks": 0}
+)
+"""Settings that a time constant of the robot may imitate, with their smallest values."""
+
+_PERIOD: Final = "the usual distance of the poses answered"
+
+
+def describe_loop(trace: Trace, fits: Fits, lag_slack: int = 0) -> dict[str, Finding]:
+    """Return findings on what is between controller and plant, and on the lost commands.
+
+    If no setting is exact and the residual is not noise, the best fit is not a finding.
+
+    Args:
+        trace: Samples of the run.
+        fits: Settings that fit.
+        lag_slack: Number of ticks of the dead times that may be a time constant of the robot.
+    """
+    keys = [key for key in LOOP_KEYS if key in fits.guesses[0]]
+    poses = np.column_stack([trace.xy_m, trace.heading_rad])
+    if not np.ptp(poses, axis=0).any():
+        reason = "the robot never moves in this log"
+        findings = {key: miss(reason, fits.guesses[0][key]) for key in keys}
+        return {**findings, "lost_commands": miss(reason)}
+    findings = {key: _describe_setting(trace, fits, key) for key in keys}
+    if lag_slack and not (fits.is_exact or fits.is_close):
+        findings |= _allow_lag(findings, lag_slack)
+    for key in _QUEUES:
+        if fits.is_driven and len(fits.ranges[key]) == 1:
+            findings[key] = miss("no other value was tried", fits.guesses[0][key])
+    findings["lost_commands"] = _describe_lost(fits)
+    if "law.pause_ticks" in keys and not trace.shows_pause:
+        assumed = fits.guesses[0]["law.pause_ticks"]
+        seen = f": at least {assumed - 1} ticks" if assumed else ""
+        findings["law.pause_ticks"] = miss(f"the log does not show the end of it{seen}", assumed)
+    return findings
+
+
+def describe_pause(trace: Trace, fits: Fits) -> dict[str, Finding]:
+    """Return the plant's motion from the pause on, and the number of poses answered after it."""
+    if not trace.shows_pause:
+        return {}
+    return {"pause.turned_rad": _describe_turn(trace, fits), **_describe_queues(fits)}
+
+
+def _describe_turn(trace: Trace, fits: Fits) -> Finding:
+    """Return the robot's turn from the rotation's last sample to the last of the log."""
+    ended = trace.rotating - 1
+    jumped = [row for row in trace.jumps if row > ended]
+    if jumped:
+        return miss("the pose jumps after the rotation: how far the robot turned is unknown")
+    turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
+    evidence = "heading at the end, less at the rotation's"
+    if fits.is_exact or fits.is_close:
+        return find_exactly(turned, evidence)
+    if not (fits.is_fitted and fits.drive):
+        return miss("no setting explains the motion")
+    # Each of the two headings has its own noise.
+    reach = find_quantile(fits.drive.rows) * float(np.sqrt(2.0)) * fits.drive.noise[2]
+    return fit_value(turned, evidence, (turned - reach, turned + reach))
+
+
+def _describe_queues(fits: Fits) -> dict[str, Finding]:
+    if not fits.is_exact:
+        return {}
+    again = [read_pause(scenario) for scenario in fits.scenarios]
+    held, bursts = ([*dict.fromkeys(values)] for values in zip(*again, strict=True))
+    if 0 in bursts:
+        return dict.fromkeys(_HELD_AND_BURST, miss("the re-simulation has no pause"))
+    found = {"pause.burst": _settle(bursts, "poses answered at once after it")}
+    reason = "the queue is not empty before the pause ends: no command is held"
+    found["pause.held_turn_rate_rad_s"] = (
+        miss(reason)
+        if None in held
+        else _settle(held, "the last command before the rotation's end")
+    )
+    return found
+
+
+def _settle(values: list[Any], evidence: str) -> Finding:
+    if len(values) == 1:
+        return find_exactly(values[0], evidence)
+    return leave_open(tuple(values), "the settings that fit differ in it", values[0])
+
+
+def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
+    values, chosen = fits.list_values(key), fits.guesses[0][key]
+    is_reproduced = fits.is_exact or fits.is_close
+    if reason := _find_obstacle(fits, key, chosen):
+        return miss(reason, chosen)
+    if len(values) > 1:
+        how = "reproduces every sample" if is_reproduced else "leaves as little as the others"
+        return leave_open(values, f"each {how}", chosen)
+    also = _name_alike(key, chosen)
+    if fits.is_exact:
+        if key == "loop.period_ticks":
+            return find_exactly(chosen, _PERIOD)
+        return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
+    evidence = f"likeliest of {fits.tried} settings; none is exact"
+    if fits.is_driven:
+        evidence = f"likeliest of {fits.tried} settings, the plant driven with the log's commands"
+        also = also.replace("so does", "as likely is")
+    if fits.is_close:
+        evidence = f"reproduces all {len(trace)} samples to rounding, none bit for bit"
+    is_number = isinstance(chosen, int)
+    return fit_value(chosen, evidence + also, (chosen, chosen) if is_number else None)
+
+
+def _find_obstacle(fits: Fits, key: str, chosen: Any) -> str:
+    """Return the reason why a setting has no value; empty if it has one."""
+    is_reproduced = fits.is_exact or fits.is_close
+    if not (is_reproduced or fits.is_fitted):
+        return _write_none(fits, chosen)
+    if fits.is_partial and not is_reproduced:
+        return "the log is too long to try all settings that may explain it"
+    return "a deeper queue gives the same run" if key in fits.hidden else ""
+
+
+def _allow_lag(findings: Mapping[str, Finding], ticks: int) -> dict[str, Finding]:
+    """Widen the intervals of settings that a time constant of the robot could imitate.
+
+    A time constant is never longer than the dead time that it imitates.
+    """
+    waits = [findings[key].used for key in _LIKE_A_LAG if key in findings and key != PAUSE_KEY]
+    ticks = min(ticks, sum(waits))
+    return {
+        key: replace(
+            findings[key],
+            interval=(max(findings[key].value - ticks, least), findings[key].value + ticks),
+            evidence=f"{findings[key].evidence}; up to {ticks} ticks may be a lag of the robot",
+        )
+        for key, least in _LIKE_A_LAG.items()
+        if key in findings and findings[key].certainty is Certainty.FITTED
+    }
+
+
+def _name_alike(key: str, chosen: Any) -> str:
+    """Return the other settings that give the same run; empty if there are none."""
+    if key == "loop.transport_delay_ticks" and chosen:
+        low_s, high_s = chosen * TICK_S, (chosen + 1) * TICK_S
+        return f"; so does any delay from {low_s:.3g} s to below {high_s:.3g} s"
+    if key == "loop.pose_queue" and chosen == 1:
+        return "; so does a timer that reads the newest pose"
+    return "; so does a command queue of 1" if chosen == "newest" else ""
+
+
+def _write_none(fits: Fits, chosen: Any) -> str:
+    if fits.is_driven and fits.drive is None:
+        return f"none of {fits.tried} settings answers the poses that were answered"
+    return f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
+
+
+def _describe_lost(fits: Fits) -> Finding:
+    if not fits.is_exact:
+        never = "no setting reproduces every sample"
+        return miss("only a re-simulation shows" if fits.is_driven else never)
+    likeliest, *others = list_lost_commands(fits.scenarios)
+    counts = sorted({likeliest, *others})
+    if len(counts) > 1:
+        because = "the settings that fit lose different numbers"
+        return leave_open(tuple(counts), because, likeliest)
+    return find_exactly(likeliest, "the re-simulation's plant never takes them")
+
+
+_GOAL_KEYS: Final = ("goal.x_m", "goal.y_m")
+
+
+def read_start(trace: Trace) -> dict[str, Any]:
+    """Return the initial settings to simulate with, by key of the scenario: the first pose read."""
+    precision = "float32" if _is_single(trace) else "float64"
+    first = (*trace.xy_m[0].tolist(), float(trace.heading_rad[0]))
+    return {**dict(zip(START_KEYS, first, strict=True)), "loop.pose_precision": precision}
+
+
+def describe_goal(trace: Trace) -> dict[str, Finding]:
+    """Return the goal in the log."""
+    if trace.goal_xy_m is None:
+        return dict.fromkeys(_GOAL_KEYS, miss("the log does not hold the goal"))
+    evidence = "as logged" if trace.run.goal_xy_m else "position plus error, as logged"
+    return {
+        key: find_exactly(value, evidence)
+        for key, value in zip(_GOAL_KEYS, trace.goal_xy_m, strict=True)
+    }
+
+
+def describe_start(trace: Trace, fits: Fits) -> dict[str, Finding]:
+    """Return the start and the precision of the poses, by key of the scenario."""
+    read = read_start(trace)
+    precision = read.pop("loop.pose_precision")
+    return {
+        **_describe_pose(fits, read),
+        "loop.pose_precision": _describe_precision(fits, precision),
+    }
+
+
+def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
+    if fits.is_exact and fits.bounds is None:
+        return {key: find_exactly(value, "first pose read") for key, value in read.items()}
+    if fits.bounds is not None:
+        bounds = zip(read, fits.bounds.middle, fits.bounds.low, fits.bounds.high, strict=True)
+        return {
+            key: bound_value(
+                value, "between the steps of logged poses; all poses agree with it", (low, high)
+            )
+            for key, value, low, high in bounds
+        }
+    if fits.drive is None or not fits.is_fitted:
+        reason = "no setting explains the motion; taken from the first pose read"
+        return {key: miss(reason, value) for key, value in read.items()}
+    if fits.drive.is_rounding:
+        reason = "the rounding of the poses does not bound it; taken from the first pose read"
+        return {key: miss(reason, value) for key, value in read.items()}
+    found = zip(read, fits.drive.start, fits.drive.reach, strict=True)
+    return {
+        key: fit_value(value, "least squares of all poses, 95 %", (value - reach, value + reach))
+        for key, value, reach in found
+    }
+
+
+def _describe_precision(fits: Fits, precision: str) -> Finding:
+    if precision == "float64" and not fits.is_exact:
+        return miss("poses have more than 32 bits, which noise may have added", precision)
+    evidence = "every pose is a 32-bit float"
+    if precision == "float64":
+        evidence = "poses have more than 32 bits"
+    if fits.is_exact:
+        return find_exactly(precision, evidence)
+    return fit_value(precision, evidence)
+
+
+def _is_single(trace: Trace) -> bool:
+    poses = trace.run.poses
+    values = np.column_stack([poses.xy_m, poses.heading_rad])
+    return bool((values == values.astype(np.float32)).all())

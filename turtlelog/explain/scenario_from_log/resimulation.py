@@ -1,0 +1,390 @@
+"""A scenario simulated again and compared with a log, and where they first differ."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.explain.scenario_from_log.trace import Trace, Values
+from turtlelog.replay import PoseError
+from turtlelog.replay.differences import Difference, Pairing, compare_pairing, find_earliest
+from turtlelog.replay.run_pairs import (
+    compare_ends,
+    count_missing_samples,
+    count_recorded_rows,
+    find_count_difference,
+    has_ticks,
+    pair_by_sample,
+    pair_by_tick,
+)
+from turtlelog.run import Run
+from turtlelog.run.angles import subtract_headings
+from turtlelog.scenario import Scenario
+from turtlelog.simulate import (
+    PlainLoop,
+    SampleRow,
+    Tick,
+    declare_scenario,
+    iterate_ticks,
+    needs_time,
+)
+
+CLOSE: Final = 1e-6
+"""Poses of one scenario differ by less between platforms [m, rad]."""
+
+CLOSE_COMMAND: Final = 1e-9
+"""Commands of one scenario differ by less between platforms [m/s, rad/s]."""
+
+Row = tuple[Any, ...]
+"""The compared values of a sample."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resimulation:
+    """Comparison of the re-simulated scenario with the log.
+
+    Attributes:
+        samples: Number of compared samples, by their order in each phase.
+        max_abs_error: Largest difference of the poses read [m or rad].
+        max_command_error: Largest difference of the published commands [m/s or rad/s].
+        is_exact: Whether each phase has the same number of samples, and none differs.
+    """
+
+    samples: int
+    max_abs_error: PoseError
+    max_command_error: float
+    is_exact: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Depths:
+    """Depths of the queues for commands and poses, or the depths that a run needs."""
+
+    commands: int
+    poses: int
+
+    def hold(self, needed: "Depths") -> bool:
+        """Return whether queues of these depths lose nothing."""
+        return self.commands >= needed.commands and self.poses >= needed.poses
+
+
+class QueueGauge:
+    """Gauge of the queue depths that lose nothing; deeper queues give the same run.
+
+    They follow from the times when poses are answered and commands published; a constant delay
+    changes nothing.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        loop = scenario.loop
+        self._period_ticks = loop.period_ticks
+        self._takes_newest = loop.queue_policy == "newest"
+        self._is_known = not needs_time(scenario)
+        self._waiting = self._queued = 0
+        self._poses = self._commands = 1
+
+    def receive(self, tick: int) -> None:
+        """Queue the pose of a tick, if it is read."""
+        if tick % self._period_ticks == 0:
+            self._waiting += 1
+            self._poses = max(self._poses, self._waiting)
+
+    def answer(self, tick: Tick) -> None:
+        """Remove the poses that a tick answers, and queue its commands; the plant takes one."""
+        self._waiting -= len(tick.computed)
+        if not self._takes_newest:
+            self._queued = max(self._queued - 1, 0) + len(tick.published)
+            self._commands = max(self._commands, self._queued)
+
+    @property
+    def needed(self) -> Depths:
+        """The smallest depths so far; infinite if poses or commands travel for a time."""
+        return Depths(self._commands, self._poses) if self._is_known else _BEYOND_ALL
+
+
+_BEYOND_ALL: Final = Depths(sys.maxsize, sys.maxsize)
+
+
+def read_depths(scenario: Scenario) -> Depths:
+    """Return the depths of a scenario's queues."""
+    return Depths(scenario.loop.command_queue, scenario.loop.pose_queue)
+
+
+def list_rows(trace: Trace) -> list[Row | None]:
+    """Return the values of each sample that a re-simulation must reproduce; None if one is lost."""
+    samples = trace.run.samples
+    columns = [
+        trace.xy_m[:, 0],
+        trace.xy_m[:, 1],
+        trace.heading_rad,
+        trace.speed_m_s,
+        trace.turn_rate_rad_s,
+        np.array(trace.run.phase_names)[samples.phase],
+    ]
+    if trace.has_ticks:
+        columns.append(number_poses(trace))
+    if trace.has_exact_clock and trace.has_ticks:
+        columns.append(trace.time_ns - trace.run.poses.time_ns[0])
+    rows: list[Row | None] = [None] * (int(trace.number[-1]) + 1)
+    columns = [column.tolist() for column in columns]
+    for number, row in zip(trace.number.tolist(), zip(*columns, strict=True), strict=True):
+        rows[number] = row
+    return rows
+
+
+def number_poses(trace: Trace) -> NDArray[np.int64]:
+    """Return the number of the pose that each sample read; poses may also be lost."""
+    poses, read = trace.run.poses, trace.run.samples.pose_sequence
+    return (
+        (poses.time_ns[read] - poses.time_ns[0]) // trace.tick_ns if trace.has_exact_clock else read
+    )
+
+
+def count_equal(
+    scenario: Scenario, rows: list[Row | None], *, to_rounding: bool = False
+) -> tuple[int, Depths]:
+    """Return how many samples, from the first, a simulation reproduces bit for bit.
+
+    One more than all if all are reproduced and the simulation goes on. `to_rounding` allows
+    differences of 1e-6 for poses and 1e-9 for commands, as between platforms. The second value is
+    the smallest queue depths with the same result.
+    """
+    width = len(rows[-1] or ())
+    equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)
+    phases = declare_scenario(scenario).phase_names
+    for number, tick in enumerate(iterate_ticks(scenario)):
+        gauge.receive(number)
+        poses.append((tick.row.x_m, tick.row.y_m, tick.row.heading_rad))
+        for sample in tick.computed:
+            if equal == len(rows):
+                return equal + 1, gauge.needed
+            again = (*poses[sample.pose_sequence], *_describe(sample, phases))[:width]
+            row = rows[equal]
+            if row not in {None, again} and not (to_rounding and _agrees(again, row)):
+                return equal, gauge.needed
+            equal += 1
+        gauge.answer(tick)
+    return equal, gauge.needed
+
+
+def _agrees(again: Row, recorded: Row) -> bool:
+    x, y, heading, *commands = (
+        abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)
+    )
+    is_close = max(x, y, heading) < CLOSE and max(commands) < CLOSE_COMMAND
+    return is_close and again[5:] == recorded[5:]
+
+
+def _describe(sample: SampleRow, phases: tuple[str, ...]) -> Row:
+    return (
+        sample.speed_m_s,
+        sample.turn_rate_rad_s,
+        phases[sample.phase],
+        sample.pose_sequence,
+        sample.time_ns,
+    )
+
+
+def compare_samples(trace: Trace, again: Run) -> Resimulation:
+    """Return a comparison of a simulated run with the log."""
+    pairs = [*_pair_phases(trace, again)]
+    left = np.concatenate([rows for rows, _ in pairs])
+    right = np.concatenate([rows for _, rows in pairs])
+    read = again.samples.pose_sequence[right]
+    xy = np.abs(trace.xy_m[left] - again.poses.xy_m[read])
+    turned = np.abs(subtract_headings(trace.heading_rad[left], again.poses.heading_rad[read]))
+    speed = np.abs(trace.speed_m_s[left] - again.samples.speed_m_s[right])
+    turn_rate = np.abs(trace.turn_rate_rad_s[left] - again.samples.turn_rate_rad_s[right])
+    error = PoseError(x_m=_max(xy[:, 0]), y_m=_max(xy[:, 1]), heading_rad=_max(turned))
+    command_error = max(_max(speed), _max(turn_rate))
+    is_whole = len(trace) == len(left) and int(trace.number[-1]) + 1 == len(again.samples)
+    return Resimulation(
+        samples=len(left),
+        max_abs_error=error,
+        max_command_error=command_error,
+        is_exact=is_whole and error == PoseError() and command_error == 0.0,
+    )
+
+
+def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
+    if trace.number[-1] + 1 > len(trace):
+        left = np.flatnonzero(trace.number < len(again.samples))
+        yield left, trace.number[left]
+        return
+    logged = np.array(trace.run.phase_names)[trace.run.samples.phase]
+    simulated = np.array(again.phase_names)[again.samples.phase]
+    for phase in trace.run.phase_names:
+        left, right = np.flatnonzero(logged == phase), np.flatnonzero(simulated == phase)
+        count = min(len(left), len(right))
+        yield left[:count], right[:count]
+
+
+def find_end_s(trace: Trace, scenario: Scenario, samples: int) -> float:
+    """Return the time in a simulation at which the log ends, if it reproduces all samples [s]."""
+    run, tick_s = trace.run, trace.tick_ns / 1e9
+    if trace.has_exact_clock and trace.has_ticks:
+        return max(float(run.end_ns - run.poses.time_ns[0]) / 1e9, tick_s)
+    computed = 0
+    for tick in iterate_ticks(scenario):
+        computed += len(tick.computed)
+        if computed >= samples:
+            return max(tick.time_ns / 1e9, tick_s)
+    return scenario.max_duration_s
+
+
+def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
+    """Return the scenario, ended at the tick in which the log ends."""
+    run, loop = trace.run, scenario.loop
+    first_ns = run.poses.time_ns[0] if trace.has_ticks else trace.time_ns[0]
+    waited = 0 if trace.has_ticks else (loop.start_backlog - 1) * loop.period_ticks
+    ticks = waited + round(float(run.end_ns - first_ns) / trace.tick_ns)
+    end_s = max(ticks, 1) * (trace.tick_ns / 1e9)
+    return replace(scenario, max_duration_s=min(scenario.max_duration_s, end_s))
+
+
+def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
+    """Return, for each scenario, the number of published commands that the plant never takes.
+
+    Commands on their way at the end of the run are not counted. Scenarios that differ only in
+    queues of sufficient depth are simulated once.
+    """
+    known: list[tuple[Scenario, Depths, int]] = []
+    counts = []
+    for scenario in scenarios:
+        alike, depths = _set_depths(scenario, 1), read_depths(scenario)
+        found = (lost for other, needed, lost in known if depths.hold(needed) and other == alike)
+        lost = next(found, None)
+        if lost is None:
+            lost, needed = _count_lost(scenario)
+            if depths.hold(needed):
+                known.append((alike, needed, lost))
+        counts.append(lost)
+    return counts
+
+
+def _set_depths(scenario: Scenario, depth: int) -> Scenario:
+    loop = replace(scenario.loop, command_queue=depth, pose_queue=depth)
+    return replace(scenario, loop=loop)
+
+
+def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
+    gauge, loops = QueueGauge(scenario), list[PlainLoop]()
+    superseded = 0
+    for number, tick in enumerate(iterate_ticks(scenario, made=loops)):
+        gauge.receive(number)
+        superseded += max(len(tick.published) - 1, 0)
+        gauge.answer(tick)
+    is_newest = scenario.loop.queue_policy == "newest"
+    return superseded if is_newest else loops[0].now.commands_dropped, gauge.needed
+
+
+def read_pause(scenario: Scenario) -> tuple[float | None, int]:
+    """Return the turn rate that the plant held at the end of the law's pause, and the burst then.
+
+    The rate is None if commands were still queued. The burst is the number of poses answered at
+    once; 0 if there is no pause.
+    """
+    is_blocked, sent = False, 0.0
+    for tick in iterate_ticks(scenario):
+        if is_blocked and tick.computed:
+            is_held = float(np.float32(sent)) == tick.row.turn_rate_rad_s
+            return (sent if is_held else None), len(tick.computed)
+        for sample in tick.computed:
+            is_blocked = sample.blocks_ticks > 0
+            sent = sent if is_blocked else sample.turn_rate_rad_s
+    return None, 0
+
+
+def _max(values: Values) -> float:
+    return float(values.max()) if len(values) else 0.0
+
+
+Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]
+
+_TIMES: Final = ("sample_time", "pose_read", "command_time")
+_POSES: Final = ("x", "y", "heading", "applied_speed", "applied_turn_rate")
+_ENDS: Final = ("stop", "samples", "poses", "commands")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departure:
+    """The earliest difference of two runs.
+
+    Attributes:
+        part: Part that differs first. `start`: the first pose. `robot`: it moves differently after
+            equal commands. `sensor`: the sensed pose. `controller`: it answers an equal pose
+            differently. `timing`: the time of a sample or command. `end`: one run is longer.
+        signal: Name of the signal that differs.
+        unit: Unit of the values; empty for a name or a count.
+        time_s: Time of the difference from the first sample, otherwise from the first pose [s].
+        first: The value of the first run; None if it has none there.
+        second: The value of the second run.
+        samples: Number of samples before it, which are equal in both runs.
+    """
+
+    part: Part
+    signal: str
+    unit: str
+    time_s: float
+    first: float | str | None
+    second: float | str | None
+    samples: int
+
+
+def find_departure(first: Run, second: Run) -> Departure | None:
+    """Return where two runs depart; None if all their common data are equal.
+
+    Poses are compared tick by tick if both runs contain all ticks, otherwise only the poses that
+    samples read.
+    """
+    signals = [compare_pairing(one, tolerance=0.0) for one in _pair(first, second)]
+    others = [*_compare_counts(first, second), compare_ends(first, second.stop_reason)]
+    found = find_earliest([*(one.first_difference for one in signals), *others])
+    if found is None:
+        return None
+    units = {one.signal: one.unit for one in signals}
+    return Departure(
+        part=_name_part(found, first),
+        signal=found.signal,
+        unit=units.get(found.signal, ""),
+        time_s=float(found.time_ns - first.start_ns) / 1e9,
+        first=found.recorded,
+        second=found.replayed,
+        samples=int(np.searchsorted(first.samples.time_ns, found.time_ns)),
+    )
+
+
+def _pair(first: Run, second: Run) -> Iterator[Pairing]:
+    """Yield the signals row by row; at equal times, causes before their consequences."""
+    if count_missing_samples(second.samples):  # rows are matched by sample number
+        return
+    by_tick = has_ticks(first) and has_ticks(second)
+    pairings = (pair_by_tick if by_tick else pair_by_sample)(first, second)
+    yield from (one for one in pairings if len(one.time_ns))
+
+
+def _compare_counts(first: Run, second: Run) -> Iterator[Difference | None]:
+    by_tick = has_ticks(first) and has_ticks(second)
+    for name, count in count_recorded_rows(first, second, by_tick=by_tick).items():
+        found = find_count_difference(first, name, count)
+        if found is not None:
+            end_ns = min(first.end_ns, second.end_ns)
+            yield Difference(
+                signal=name, time_ns=end_ns, recorded=found.recorded, replayed=found.replayed
+            )
+
+
+def _name_part(found: Difference, first: Run) -> Part:
+    signal = found.signal
+    if signal in _ENDS:
+        return "end"
+    if signal in _TIMES:
+        return "timing"
+    if signal.startswith("sensed_"):
+        return "sensor"
+    if signal in _POSES:
+        return "start" if found.time_ns <= first.poses.time_ns[0] else "robot"
+    return "controller"

@@ -1,0 +1,446 @@
+"""Search for the loop settings that reproduce a log, by simulation of the possible ones."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, product
+from math import ceil
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.explain.scenario_from_log.driven_plant import (
+    FLOOR,
+    Drive,
+    StartBounds,
+    bound_start,
+    drive_plant,
+    join_bounds,
+    join_starts,
+    keep_in_world,
+)
+from turtlelog.explain.scenario_from_log.loop_guesses import (
+    DEPTHS,
+    PAUSE_KEY,
+    Guess,
+    Hints,
+    agrees_with_clock,
+    drop_pause,
+    list_neighbours,
+    list_queues,
+    set_pause,
+)
+from turtlelog.explain.scenario_from_log.resimulation import (
+    Depths,
+    Row,
+    count_equal,
+    find_end_s,
+    list_rows,
+    read_depths,
+)
+from turtlelog.explain.scenario_from_log.trace import Trace
+from turtlelog.measure import DeadTime, Missing
+from turtlelog.measure.motion import CERTAIN, COARSE, LIKE_THE_BEST
+from turtlelog.scenario import Scenario, build_scenario, nest_parameters
+
+_MOST_TICKS: Final = 150_000
+"""Largest number of simulated ticks if no setting is exact: about four seconds."""
+
+_MOST_BOUNDED: Final = 8
+"""Largest number of equally good settings whose starts are bounded together: half a second of
+work."""
+
+_FEWEST_ROWS: Final = 150
+"""Smallest number of rows over which settings are compared: half a turn at 1 rad/s has 200."""
+
+_MOST_SAMPLES: Final = 100_000
+"""Number of simulated samples from which rare queues are no longer tried: about three seconds."""
+
+_SPARE_S: Final = 3.0
+"""Time by which a simulation may be longer than the log before it counts as different [s]."""
+
+_USUAL_S: Final = Scenario().max_duration_s
+
+START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
+
+Settings = Mapping[str, Any]
+
+_Exact = tuple[Guess, int]
+"""Settings that reproduce every sample, and the number of simulated samples."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fits:
+    """Settings that fit a log.
+
+    Attributes:
+        guesses: Values by key of the scenario, the likeliest first; at least one.
+        scenarios: The same as whole scenarios.
+        is_exact: Whether they reproduce every sample bit for bit.
+        is_close: Whether they reproduce every sample to rounding.
+        drive: The plant driven with the log's commands and the likeliest settings; None if it was
+            not needed or is impossible.
+        reproduced: Number of samples, from the first, that the likeliest settings reproduce.
+        tried: Number of simulated settings.
+        ranges: The values of each key among the settings tried, in ascending order.
+        is_driven: Whether the plant was driven with the log's commands, without a law.
+        is_partial: Whether the log is too long to try all settings that may explain its motion.
+        hidden: Keys whose value makes no difference in this run.
+        bounds: Bounds of the start, if the residual is the rounding of poses alone.
+    """
+
+    guesses: tuple[Guess, ...]
+    scenarios: tuple[Scenario, ...]
+    is_exact: bool
+    is_close: bool = False
+    drive: Drive | None = None
+    reproduced: int
+    tried: int
+    ranges: Mapping[str, tuple[Any, ...]]
+    is_driven: bool = False
+    is_partial: bool = False
+    hidden: frozenset[str] = frozenset()
+    bounds: StartBounds | None = None
+
+    @property
+    def scenario(self) -> Scenario:
+        """The likeliest scenario."""
+        return self.scenarios[0]
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the settings explain the motion up to noise."""
+        return self.drive is not None and self.drive.explains
+
+    def list_values(self, key: str) -> tuple[Any, ...]:
+        """Return the values of a key, the likeliest first."""
+        return tuple(dict.fromkeys(guess[key] for guess in self.guesses))
+
+
+def search_loop(
+    trace: Trace,
+    known: Settings,
+    hints: Hints,
+    dead_times: Sequence[DeadTime | Missing],
+    *,
+    recorded: Guess | None = None,
+) -> Fits:
+    """Return the loop settings that reproduce a log; `known` has all other settings.
+
+    The usual queue depths are tried first, others only if those do not fit, or fit only with a
+    pause or an initial queue that the clock contradicts. If no setting is exact, the plant is
+    driven with the log's own commands, and the settings that explain the motion best are returned.
+
+    Args:
+        trace: Samples of the run.
+        known: Values by key of the scenario.
+        hints: Constraints from time stamps and pose numbers.
+        dead_times: Dead times of the loops, in the order in which they act; at least one.
+        recorded: Settings known to reproduce the log, which are tried first.
+    """
+    search = _Search(trace, known, hints)
+    tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
+    if recorded is not None:
+        others = [[guess for guess in tier if guess != recorded] for tier in tiers]
+        tiers = [[recorded, *list_neighbours(recorded)], *others]
+    found = search.find_in_tiers(tiers)
+    if found is None:
+        likeliest = search.find_likeliest(next(filter(None, tiers)))
+        found = search.start_between_floats(tiers, likeliest)
+        search.to_rounding = found is None
+        found = found or search.find_in_tiers(tiers) or likeliest
+    return found
+
+
+def drive_loop(trace: Trace, hints: Hints, dead_times: Sequence[DeadTime | Missing]) -> Fits:
+    """Return the settings with which the log's commands move the plant best; no law is used."""
+    search = _Search(trace, {}, hints)
+    tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
+    return search.drive_only([guess for tier in tiers for guess in tier])
+
+
+class _Search:
+    """Simulation and counting of scenarios.
+
+    Attributes:
+        to_rounding: Whether samples need to be reproduced only to rounding.
+        is_driven: Whether no law is used; the numbers of the answered poses then count as well.
+    """
+
+    def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
+        self._trace, self._known, self._hints = trace, dict(known), hints
+        self._rows = list_rows(trace)
+        # A law without a known pause has none to search.
+        self._pauses = pauses = hints.pauses or (None,)
+        near = [pause for pause in hints.pauses if agrees_with_clock(pause, hints, trace)]
+        self._near: Sequence[int | None] = near or pauses
+        self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
+        self._tried = self._simulated = 0
+        self._is_partial = False
+        self._values: dict[str, set[Any]] = {}
+        self.to_rounding = self.is_driven = False
+        self._base: Scenario | None = None
+        self._base_values: Settings = {}
+        self._counted: dict[tuple[Any, ...], list[tuple[Depths, int]]] = {}
+
+    def build(self, guess: Settings, **more: Any) -> Scenario:
+        """Return the scenario of a guess, which sets only the loop and the pause."""
+        known = {**self._known, **more}
+        if self._base is None or known != self._base_values:
+            self._base, self._base_values = self._build_base({**known, **guess}), known
+        base, values = self._base, dict(guess)
+        law = base.law
+        if PAUSE_KEY in values:
+            pause_ticks = values.pop(PAUSE_KEY)
+            law = replace(law, parameters=replace(law.parameters, pause_ticks=pause_ticks))
+        loop = {key.removeprefix("loop."): value for key, value in values.items()}
+        return replace(base, law=law, loop=replace(base.loop, **loop))
+
+    def _build_base(self, values: Settings) -> Scenario:
+        values = {"name": self._trace.run.name, "max_duration_s": self._most_s, **values}
+        # A search with a law implies that the law may run.
+        tables = nest_parameters(values)
+        return build_scenario(tables, source=self._trace.run.name, trust_law=True)
+
+    def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
+        """Return the settings that reproduce every sample; None if there are none."""
+        exact: list[_Exact] = []
+        for tier in tiers:
+            # Once one setting agrees with the clock, only others that agree count.
+            is_settled = any(self.contradict_clock(guess) == (False, False) for guess, _ in exact)
+            exact += self.find_exact(self._keep_agreeing(tier) if is_settled else tier)
+            if self._simulated > _MOST_SAMPLES:
+                break
+        if not exact:
+            return None
+        least = min(self.contradict_clock(guess) for guess, _ in exact)
+        return self.build_exact_fits(
+            [found for found in exact if self.contradict_clock(found[0]) == least]
+        )
+
+    def _keep_agreeing(self, queues: Sequence[Guess]) -> list[Guess]:
+        return [g for g in queues if g["loop.start_backlog"] in self._hints.backlogs]
+
+    def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
+        """Return, of the settings that reproduce every sample, those nearest to the clock."""
+        self._note_values(queues, self._pauses)
+        first, rotation = self._pauses[0], self._list_rotation()
+        alike = [
+            guess
+            for guess in queues
+            if self._count(set_pause(guess, first), rotation) >= len(rotation)
+        ]
+        guesses = [set_pause(guess, pause) for pause, guess in product(self._pauses, alike)]
+        guesses.sort(key=self.contradict_clock)
+        for _, group in groupby(guesses, key=self.contradict_clock):
+            counted = [(guess, self._count(guess, self._rows)) for guess in group]
+            exact = [(guess, count) for guess, count in counted if count >= len(self._rows)]
+            if exact:
+                return exact
+        return []
+
+    def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
+        """Return whether time stamps and pose numbers contradict the pause, and the queue."""
+        return (
+            guess.get(PAUSE_KEY) not in self._near,
+            guess["loop.start_backlog"] not in self._hints.backlogs,
+        )
+
+    def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
+        """Return the found settings as scenarios that end with the log."""
+        hidden = {
+            key
+            for key in DEPTHS
+            if any(
+                self._count({**guess, key: guess[key] + 1}, self._rows) >= len(self._rows)
+                for guess, _ in exact
+            )
+        }
+        return Fits(
+            guesses=tuple(guess for guess, _ in exact),
+            scenarios=tuple(
+                self._end(self.build(guess), goes_on=count > len(self._rows))
+                for guess, count in exact
+            ),
+            is_exact=not self.to_rounding,
+            is_close=self.to_rounding,
+            reproduced=len(self._rows),
+            tried=self._tried,
+            ranges=self._list_ranges(),
+            hidden=frozenset(hidden),
+        )
+
+    def find_likeliest(self, queues: Sequence[Guess]) -> Fits:
+        """Return the settings with which the log's commands move the plant as logged."""
+        first = self._near[0]
+        before = self._drive(queues, [first], rows=self._trace.rotating)
+        guesses = [guess for guess, _ in before] or [set_pause(queues[0], first)]
+        driven = self._drive(guesses, self._near, rows=None)
+        if not driven:
+            guesses = guesses[:1]
+            return self._build_nearest(guesses, [])
+        # Among equally good settings, those that the clock does not contradict.
+        least = min(self.contradict_clock(guess) for guess, _ in driven)
+        agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
+        found = self._build_nearest(
+            [guess for guess, _ in agreeing], [drive for _, drive in agreeing]
+        )
+        return replace(found, hidden=self._find_hidden(agreeing))
+
+    def drive_only(self, queues: Sequence[Guess]) -> Fits:
+        """Return the settings with which the log's commands alone move the plant as logged."""
+        self.is_driven = True
+        self._note_values(queues, self._pauses)
+        driven = self._drive(queues, self._pauses, rows=None)
+        least = min((self.contradict_clock(guess) for guess, _ in driven), default=(False, False))
+        agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
+        drives = [drive for _, drive in agreeing]
+        return Fits(
+            guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
+            scenarios=(),
+            is_exact=False,
+            drive=join_starts(drives) if drives else None,
+            reproduced=0,
+            tried=self._tried,
+            ranges=self._list_ranges(),
+            is_driven=True,
+            is_partial=self._is_partial,
+            hidden=self._find_hidden(agreeing),
+        )
+
+    def _find_hidden(self, driven: Sequence[tuple[Guess, Drive]]) -> frozenset[str]:
+        """Return queue depths above which deeper queues move the plant equally."""
+        return frozenset(
+            key for key in DEPTHS if any(self._is_deeper_alike(*one, key) for one in driven)
+        )
+
+    def _is_deeper_alike(self, guess: Guess, drive: Drive, key: str) -> bool:
+        guess = {**guess, key: guess[key] + 1}
+        deeper = drive_plant(self._trace, guess, reads_alike=self.is_driven)
+        return deeper is not None and np.array_equal(deeper.left, drive.left)
+
+    def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
+        """Return the settings that reproduce every sample from a start that is no 32-bit float.
+
+        A plant has such a start if it moved before, as in a second run without a reset.
+        """
+        trace = self._trace
+        poses = np.column_stack([trace.xy_m, trace.heading_rad])
+        is_single = bool((poses == poses.astype(np.float32)).all())
+        if fits.bounds is None or not is_single:
+            return None
+        start = keep_in_world(fits.bounds.middle)
+        kept = self._known
+        precise = {**dict(zip(START_KEYS, start, strict=True)), "start.precision": "float64"}
+        self._known = {**kept, **precise}
+        found = self.find_in_tiers(tiers)
+        if found is None:
+            self._known = kept
+            return None
+        return replace(found, bounds=fits.bounds)
+
+    def _drive(
+        self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
+    ) -> list[tuple[Guess, Drive]]:
+        """Return the settings that fit equally well, the best first."""
+        every = [
+            set_pause(guess, pause)
+            for pause, guess in product(pauses, [drop_pause(g) for g in guesses])
+        ]
+        if rows is not None:
+            # All settings are tried over the first rows, instead of some over all rows.
+            enough = max(_MOST_TICKS // (len(every) * self._trace.period_ticks), _FEWEST_ROWS)
+            rows = min(rows, enough)
+        ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks
+        ticks += pauses[0] or 0
+        tried = every[: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
+        self._is_partial |= len(tried) < len(every)
+        self._tried += len(tried)
+        alike = self.is_driven
+        found = [
+            (guess, drive_plant(self._trace, guess, rows=rows, reads_alike=alike))
+            for guess in tried
+        ]
+        driven = [(guess, drive) for guess, drive in found if drive is not None]
+        if not driven:
+            return []
+        # The residual of the best setting shows how independent the rows are.
+        first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
+        misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
+        order = np.argsort(misfits, kind="stable").tolist()
+        within = self._list_within_steps([drive for _, drive in driven], order[0])
+        return [
+            driven[row] for row in order if within[row] or misfits[row] < min(misfits) + CERTAIN
+        ]
+
+    def _list_within_steps(self, drives: Sequence[Drive], best: int) -> NDArray[np.bool_]:
+        """Return which drives have residuals within the quantisation of the poses."""
+        steps = np.array(self._trace.coarse_steps)
+        spans = np.array([drive.spans for drive in drives])
+        if not steps.any():
+            return np.asarray(np.arange(len(drives)) == best)
+        most = np.maximum(COARSE * steps, LIKE_THE_BEST * spans[best] + FLOOR)
+        return np.asarray((spans <= most).all(axis=1))
+
+    def _build_nearest(self, guesses: Sequence[Guess], drives: Sequence[Drive]) -> Fits:
+        drive = join_starts([*drives]) if drives else None
+        start: dict[str, float] = {}
+        if drive is not None:
+            start = dict(zip(START_KEYS, keep_in_world(drive.start), strict=True))
+        self.to_rounding = True
+        scenarios = tuple(self._end(self.build(guess, **start), goes_on=False) for guess in guesses)
+        counts = [self._count(guess, self._rows) for guess in guesses[:1]]
+        self.to_rounding = False
+        return Fits(
+            guesses=tuple(guesses),
+            scenarios=scenarios,
+            is_exact=False,
+            drive=drive,
+            bounds=join_bounds([bound_start(one, self._trace) for one in drives[:_MOST_BOUNDED]])
+            if len(drives) <= _MOST_BOUNDED
+            else None,
+            is_partial=self._is_partial,
+            reproduced=counts[0],
+            tried=self._tried,
+            ranges=self._list_ranges(),
+        )
+
+    def _note_values(self, guesses: Sequence[Guess], pauses: Sequence[int | None]) -> None:
+        for key, value in (pair for guess in guesses for pair in guess.items()):
+            self._values.setdefault(key, set()).add(value)
+        if self._hints.pauses:
+            self._values.setdefault(PAUSE_KEY, set()).update(pauses)
+
+    def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
+        return {key: tuple(sorted(values)) for key, values in self._values.items()}
+
+    def _list_rotation(self) -> list[Row | None]:
+        return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
+
+    def _count(self, guess: Guess, rows: list[Row | None]) -> int:
+        self._tried += 1
+        equal = self._count_equal(guess, rows)
+        self._simulated += equal
+        return equal
+
+    def _count_equal(self, guess: Guess, rows: list[Row | None]) -> int:
+        """Simulate a guess, unless one with other sufficient queue depths was simulated."""
+        scenario = self.build(guess)
+        others = frozenset(pair for pair in guess.items() if pair[0] not in DEPTHS)
+        start = tuple(self._known.get(key) for key in (*START_KEYS, "start.precision"))
+        key = (others, start, len(rows), self.to_rounding)
+        alike, depths = self._counted.setdefault(key, []), read_depths(scenario)
+        known = next((equal for needed, equal in alike if depths.hold(needed)), None)
+        if known is not None:
+            return known
+        equal, needed = count_equal(scenario, rows, to_rounding=self.to_rounding)
+        if depths.hold(needed):
+            alike.append((needed, equal))
+        return equal
+
+    def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:
+        """Return the scenario ended with the log if that was cut, else with the usual duration."""
+        if not goes_on:
+            return replace(scenario, max_duration_s=max(_USUAL_S, ceil(self._most_s)))
+        end_s = find_end_s(self._trace, scenario, len(self._rows))
+        return replace(scenario, max_duration_s=end_s)

@@ -1,0 +1,1 @@
+"""Why a metric differs between two runs."""

@@ -1,0 +1,479 @@
+"""Sentences on the difference of a metric between two runs, each true for these runs."""
+
+import math
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from turtlelog.display import describe_count, format_pair, join_words
+from turtlelog.explain.one_run.attribution import is_clear
+from turtlelog.explain.two_runs.explained_difference import ROBOT, SEED
+from turtlelog.explain.two_runs.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
+from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
+from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
+
+if TYPE_CHECKING:
+    from turtlelog.explain.one_run.attribution import ValueSet
+    from turtlelog.explain.two_runs.explained_difference import (
+        Change,
+        EffectShift,
+        ExplainedDifference,
+        Side,
+    )
+
+
+_NAMED: Final = 0.1
+"""Share of the contributions' total magnitude above which one of many changes is named."""
+
+_FEW: Final = 3
+"""Largest number of changes that are all named, so that their contributions visibly add up."""
+
+_TINY: Final = 1e-3
+"""Share of that total below which a change is only in the list, because it changes no printed
+digit."""
+
+_DIGITS: Final = 4
+"""Digits of the largest value; all others have as many decimals."""
+
+_FEWEST: Final = 2
+"""Fewest digits of the largest contribution, however small it is beside the values."""
+
+_MOST_DECIMALS: Final = 9
+
+_SAME: Final = 1e-6
+"""Share of a value below which a difference is 0: two platforms differ by less."""
+
+_PLURALS: Final = ("gains", "limits", "limits driving", "limits turning", COMMANDS)
+_SPANS: Final = ("pause", "delay", "time span", "sampling period")
+_CHANCE: Final = {
+    SEED: "the seeds of these runs",
+    NOISE: "different noise levels",
+    TIMES: "the times at which poses are recorded",
+}
+"""Parts of a difference that are chance instead of causes."""
+
+_WORDS: Final = {"law": "the law itself"}
+
+_PARTS: Final = {
+    "start": "They start from other poses",
+    "robot": "Until then all commands are equal, so the cause lies outside the controller: in the"
+    " transport of commands, in the robot, in what acts on it, or in the measurement of its poses",
+    "sensor": "Until then the robot moves equally, so the cause lies in the sensor",
+    "controller": "Until then the controller reads equal poses, so the cause lies in the"
+    " controller: its code, its version or its state",
+    "timing": "Until then all values are equal, so the cause lies in the timing",
+    "end": "All that both contain is equal",
+}
+"""Meaning of the first difference between two runs, by the part that differs."""
+
+
+_CODE: Final = (
+    "Until then the controller reads equal poses, so the cause lies in the controller, whose code"
+    " differs"
+)
+
+
+def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
+    """Return sentences: the difference, its reasons, what they depend on, and what else differs."""
+    sentences = [
+        write_difference_headline(found),
+        _write_resimulated(found),
+        *_write_departure(found),
+        *_write_obstacle(found),
+        _write_together(found),
+        _write_seeds(found),
+        _write_orders(found),
+        _write_unclear(found),
+        _write_starts(found),
+        _write_effects(found),
+        _write_idle(found),
+        _write_basis(found),
+        *_write_robot_basis(found),
+    ]
+    return tuple(filter(None, sentences))
+
+
+def write_difference_headline(found: "ExplainedDifference") -> str:
+    """Return both values, and how much each change adds to or subtracts from the first."""
+    first, second = found.first, found.second
+    if first.as_logged is None or second.as_logged is None:
+        return f"{found.metric}: {_write_side(found, first)}; {_write_side(found, second)}."
+    apart = second.as_logged - first.as_logged
+    sizes = [format_magnitude(found, one) for one in (first.as_logged, second.as_logged)]
+    if abs(apart) <= _SAME * max(abs(first.as_logged), abs(second.as_logged)):
+        moves = f"is {sizes[0]} in both runs"
+    else:
+        moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} to {sizes[1]}"
+    if _is_negligible(found) and found.contributions:
+        size = f"{format_magnitude(found, found.resolution.size)} ({found.resolution.reason})"
+        return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
+    told = "; ".join(filter(None, (_write_parts(found), *_write_chance(found))))
+    return f"{found.metric} {moves}{f': {told}' if told else ''}."
+
+
+def _write_parts(found: "ExplainedDifference") -> str:
+    """Return the contributions of the changes; those not named in the headline in one sum."""
+    parts = [_write_part(found, one) for one in choose_told(found)]
+    if found.unexplained is not None:
+        return join_words(parts) or ("no cause is certain" if found.contributions else "")
+    rest = [one for one in _list_divided(found) if one not in choose_told(found)]
+    size = math.fsum(one.contribution or 0.0 for one in rest)
+    if parts and abs(size) > _TINY * _sum(_list_divided(found)):
+        parts.append(f"{len(rest)} other changes together {_write_move(found, size, is_many=True)}")
+    told = join_words(parts) if len(parts) > 2 else ", ".join(parts)
+    return f"in the mean over {found.seeds} seeds {told}" if told and found.seeds > 1 else told
+
+
+def _list_divided(found: "ExplainedDifference") -> list["Change"]:
+    return [one for one in found.contributions if not _is_chance(found, one)]
+
+
+def _is_chance(found: "ExplainedDifference", one: "Change") -> bool:
+    """Return whether a part is chance, not a cause; noise set by a scenario is a cause."""
+    return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
+
+
+def _write_chance(found: "ExplainedDifference") -> list[str]:
+    """Return the parts of the difference that chance adds."""
+    least = _TINY * _sum(found.contributions)
+    return [
+        f"{_CHANCE[one.name]} {_write_move(found, one.contribution or 0.0, is_many=True)}"
+        for one in found.contributions
+        if _is_chance(found, one) and (one.name == SEED or _is_large(one, least))
+    ]
+
+
+def _write_side(found: "ExplainedDifference", side: "Side") -> str:
+    if side.as_logged is None:
+        return f"{side.name} has no value ({side.reason})"
+    return f"{side.name} has {format_magnitude(found, side.as_logged)}"
+
+
+def _write_resimulated(found: "ExplainedDifference") -> str:
+    """Return the re-simulated values, which contributions divide, if they differ from the logs."""
+    sides = (found.first, found.second)
+    pairs = [(one.as_logged, one.resimulated) for one in sides]
+    known = [(a, b) for a, b in pairs if a is not None and b is not None]
+    if len(known) < 2 or all(abs(a - b) <= _SAME * abs(a) for a, b in known):
+        return ""
+    values = [format_magnitude(found, value) for _, value in known]
+    if found.unexplained is not None:
+        left = format_magnitude(found, abs(found.unexplained))
+        return f"The robots' models have {values[0]} and {values[1]}: {left} is not explained."
+    return f"Simulated again it is {values[0]} and {values[1]}."
+
+
+def choose_told(found: "ExplainedDifference") -> list["Change"]:
+    """Return the changes that the first line names: all relevant ones, or the largest of many."""
+    divided = _list_divided(found)
+    if found.unexplained is not None:
+        return [one for one in divided if _is_large(one, _TINY * _sum(divided))]
+    if len(divided) <= _FEW:
+        tiny = _TINY * _sum(divided)
+        return [one for one in divided if abs(one.contribution or 0.0) > tiny]
+    least = _NAMED * _sum(divided)
+    told = [one for one in divided if _is_large(one, least)]
+    return divided if len(told) == len(divided) - 1 else told
+
+
+def _sum(changes: Sequence["Change"]) -> float:
+    return math.fsum(abs(one.contribution or 0.0) for one in changes)
+
+
+def _is_large(one: "Change", least: float) -> bool:
+    size = one.contribution or 0.0
+    return abs(size) > least and is_clear(size, one.standard_error)
+
+
+def _write_part(found: "ExplainedDifference", one: "Change") -> str:
+    """Return a change and the amount that it adds or subtracts."""
+    many = one.name in _PLURALS
+    return f"{name_change(one)} {_write_move(found, one.contribution or 0.0, is_many=many)}"
+
+
+def _write_move(found: "ExplainedDifference", size: float, *, is_many: bool) -> str:
+    verb, end = ("add", "") if size >= 0.0 else ("take", " away")
+    return f"{verb}{'' if is_many else 's'} {format_magnitude(found, abs(size))}{end}"
+
+
+def format_change(found: "ExplainedDifference", one: "Change") -> str:
+    """Return a contribution with its sign, unit, and standard error if it has one."""
+    size = one.contribution or 0.0
+    if one.low is not None and one.high is not None:
+        low, high = (format_magnitude(found, end) for end in (one.low, one.high))
+        spread = f" ({low} to {high})"
+    else:
+        spread = f" +- {one.standard_error:.2g}" if one.standard_error else ""
+    return f"{'+' if size >= 0.0 else ''}{format_magnitude(found, size)}{spread}"
+
+
+def name_change(one: "Change") -> str:
+    """Return a group of settings in words: `the gains`, `the shorter pause`, or its key."""
+    if _is_robot_part(one):
+        return f"the robot's {_describe_robot_part(one)}"
+    if one.name in _WORDS:
+        return _WORDS[one.name]
+    if "." in one.name:
+        return one.name
+    if len(one.keys) == 1 and one.name in _SPANS:
+        before, after = one.first[0] or 0, one.second[0] or 0
+        if not after:
+            return f"the missing {one.name}"
+        return (
+            f"the {'longer' if after > before else 'shorter'} {one.name}"
+            if before
+            else f"the {one.name}"
+        )
+    return f"the {one.name}"
+
+
+def _is_negligible(found: "ExplainedDifference") -> bool:
+    """Return whether all contributions and the difference are within the resolution."""
+    sizes = [abs(one.contribution or 0.0) for one in found.contributions]
+    return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
+
+
+def format_magnitude(found: "ExplainedDifference", value: float) -> str:
+    """Return a value with its unit, with as many decimals as all values of this answer."""
+    text = f"{value:.{_count_decimals(found)}f}"
+    if not float(text):
+        text = f"{value:.1g}" if value else "0"
+    return f"{text} {found.unit}".removesuffix(" 1")
+
+
+def _count_decimals(found: "ExplainedDifference") -> int:
+    """Return the decimals that show four digits of the largest value, two of a contribution."""
+    sides = (found.first.as_logged, found.second.as_logged)
+    sizes = [one.contribution for one in found.contributions]
+    decimals = [
+        digits - 1 - math.floor(math.log10(largest))
+        for digits, values in ((_DIGITS, (*sides, *sizes)), (_FEWEST, sizes))
+        if (largest := max((abs(one) for one in values if one is not None), default=0.0))
+    ]
+    return min(max([*decimals, 0]), _MOST_DECIMALS)
+
+
+def _write_obstacle(found: "ExplainedDifference") -> list[str]:
+    if found.without_value:
+        changes = {one.name: one for one in found.changes}
+        cases = [
+            f"{_name_set(case, changes)} it has no value: {case.reason}"
+            for case in found.without_value
+        ]
+        cases += [f"{_name_set(case, changes)} it has a value" for case in found.with_value]
+        text = "; ".join(cases)
+        return [f"{text[:1].upper()}{text[1:]}. Therefore there are no contributions."]
+    if not found.withheld:
+        return []
+    if found.has_same_settings:
+        alike = [side.name for side in (found.first, found.second) if side.basis == "recorded"]
+        return [f"Simulated again, that scenario reproduces {one} alone." for one in alike] or [
+            f"That scenario is not known to reproduce either run: {found.withheld}."
+        ]
+    names = [name_change(one) for one in found.changes]
+    who = "robots" if found.first.basis == ROBOT else "runs"
+    differ = f" The {who} differ in {join_words(names)}." if names else ""
+    others = list_software_changes(found.first.simulated_by, found.second.simulated_by)
+    if any(one.name == "law" for one in found.changes):
+        others = tuple(one for one in others if one.name != LAW)
+    software = f" The software differs, too: {describe_changes(others)}." if others else ""
+    return [f"Why is not known: {found.withheld}.{differ}{software}"]
+
+
+def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
+    if not case.causes:
+        return "without all changes"
+    alone = " alone" if len(case.causes) < len(changes) else ""
+    return f"with {join_words([name_change(changes[name]) for name in case.causes])}{alone}"
+
+
+def _write_together(found: "ExplainedDifference") -> str:
+    """Return the part that arises only if several changes act; empty if it is small."""
+    if not found.contributions or _is_negligible(found):
+        return ""
+    least = _NAMED * _sum(_list_divided(found))
+    large = [
+        one
+        for one in sorted(found.together, key=lambda one: -abs(one.value))[:_FEW]
+        if abs(one.value) > least and is_clear(one.value, one.standard_error)
+    ]
+    changes = {one.name: one for one in found.contributions}
+    parts = []
+    for one in large:
+        names = join_words([name_change(changes[name]) for name in one.causes])
+        size = format_magnitude(found, abs(one.value))
+        both = "both" if len(one.causes) == 2 else "all"
+        parts.append(
+            f"{size} arises only if {names} {both} act"
+            if one.value > 0.0
+            else f"{names} together add {size} less than the sum of their parts"
+        )
+    return f"They act together: {'; '.join(parts)}." if parts else ""
+
+
+def _write_seeds(found: "ExplainedDifference") -> str:
+    is_seed_alone = found.contributions and not _list_divided(found)
+    return "No setting differs but the seed of the random effects." if is_seed_alone else ""
+
+
+def _write_orders(found: "ExplainedDifference") -> str:
+    if found.orders is None or not found.contributions:
+        return ""
+    orders = f"{found.orders} orders of the changes were sampled"
+    return f"{orders}: each contribution has a standard error."
+
+
+def _write_unclear(found: "ExplainedDifference") -> str:
+    unclear = [
+        name_change(one)
+        for one in found.contributions
+        if one.standard_error and not is_clear(one.contribution or 0.0, one.standard_error)
+    ]
+    if not unclear:
+        return ""
+    return f"May be chance: what {join_words(unclear)} {'adds' if len(unclear) == 1 else 'add'}."
+
+
+def _write_starts(found: "ExplainedDifference") -> str:
+    starts = found.starts
+    if starts is None or not starts.is_wide:
+        return ""
+    within = f"{math.degrees(starts.within_rad):.3g} deg"
+    first, second = (_format_span(found, *span) for span in (starts.first, starts.second))
+    return (
+        f"The difference depends on single samples: for {starts.count} start headings within"
+        f" +-{within} the first run has {first}, the second {second}."
+    )
+
+
+def _format_span(found: "ExplainedDifference", low: float, high: float) -> str:
+    least, most = format_magnitude(found, low), format_magnitude(found, high)
+    return most if least == most else f"{least} to {most}"
+
+
+def _write_departure(found: "ExplainedDifference") -> list[str]:
+    one = found.departure
+    if not found.has_same_settings:
+        return []
+    if one is None:
+        return ["The runs are equal: no setting differs, and no sample."]
+    values = join_words(format_pair(one.first, one.second, one.unit), "then")
+    samples = describe_count(one.samples, "equal sample")
+    return [
+        f"{_write_software(found)} The runs depart at {one.time_s:.3f} s, after {samples}, in"
+        f" {one.signal.replace('_', ' ')}: {values}.",
+        f"{_CODE if one.part == 'controller' and _has_other_code(found) else _PARTS[one.part]}.",
+    ]
+
+
+def _has_other_code(found: "ExplainedDifference") -> bool:
+    """Return whether both recordings contain a digest of the law's code, and these differ."""
+    codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
+    return None not in codes and codes[0] != codes[1]
+
+
+def _write_software(found: "ExplainedDifference") -> str:
+    """Return differences before the runs depart other than settings: versions, platform or code."""
+    first, second = found.first.simulated_by, found.second.simulated_by
+    silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
+    if silent:
+        names = f"{join_words(silent)} {'does' if len(silent) == 1 else 'do'} not name"
+        return f"No setting differs, and {names} the versions used."
+    changes = list_software_changes(first, second)
+    if [one.name for one in changes] == [LAW]:
+        return "No setting differs, but the code of the law does."
+    if changes:
+        return f"No setting differs, but the software does: {describe_changes(changes)}."
+    code = ", by the same code of the law" if LAW in first else ""
+    return f"No setting differs: both ran with {describe_software(first)}{code}."
+
+
+def _write_effects(found: "ExplainedDifference") -> str:
+    """Return how the contributions of `explain` differ; empty if the differences are negligible."""
+    large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
+    parts = [_write_shift(found, one) for one in large[:_FEW]]
+    head = "As a whole, effects contribute differently in the second run (turtlelog explain)"
+    return f"{head}: {join_words(parts)}." if parts else ""
+
+
+def _write_shift(found: "ExplainedDifference", one: "EffectShift") -> str:
+    return f"{one.cause} {'+' if one.shift >= 0.0 else ''}{format_magnitude(found, one.shift)}"
+
+
+def _write_idle(found: "ExplainedDifference") -> str:
+    if not found.idle:
+        return ""
+    return f"Different, but without effect on this metric: {join_words(found.idle)}."
+
+
+def _write_basis(found: "ExplainedDifference") -> str:
+    """Return the basis of the contributions."""
+    sides: Sequence[Side] = (found.first, found.second)
+    if found.contributions and all(side.basis == "recorded" for side in sides):
+        return "The recorded scenarios reproduce all samples of both runs."
+    return " ".join(_write_identified(side) for side in sides if side.basis == "identified")
+
+
+def _write_identified(side: "Side") -> str:
+    unknown = f" Not identified, so taken as equal: {join_words(side.unknown)}."
+    reason, _, _ = side.note.partition(":")
+    return (
+        f"The scenario of {side.name} is identified from its samples: {reason}."
+        f" It {'reproduces all samples' if side.is_exact else 'does not reproduce every sample'}."
+        f"{unknown if side.unknown else ''}"
+    )
+
+
+_MS: Final = ("dead_time_s", "lag_s")
+"""Fields of values that are printed in milliseconds."""
+
+_AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"})
+"""Text after a value, instead of the axis's unit or after it."""
+
+
+def _is_robot_part(one: "Change") -> bool:
+    """Return whether a group is a parameter of an identified robot's axis."""
+    return one.keys[0].partition(".")[0] in AXES
+
+
+def _describe_robot_part(one: "Change") -> str:
+    """Return a robot parameter with its values in both logs: `dead time turning (70 -> 110 ms)`."""
+    for key, before, after in zip(one.keys, one.first, one.second, strict=False):
+        if before != after and not isinstance(before or after, str):
+            return f"{one.name} ({_format_pair(key, before, after)})"
+    return one.name
+
+
+def _format_pair(key: str, before: Any, after: Any) -> str:
+    axis, _, name = key.partition(".")
+    of_axis = UNITS["speed" if axis == "speed" else "turn_rate"]
+    factor, unit = (1e3, " ms") if name in _MS else (1.0, f" {of_axis}")
+    unit = _AFTER[name] if name.endswith("gain") else unit + _AFTER.get(name, "")
+    shown = ["none" if one is None else f"{factor * one:.3g}" for one in (before, after)]
+    if after is None:
+        return f"{shown[0]}{unit} -> none"
+    return f"{' -> '.join(shown)}{unit}"
+
+
+def _write_robot_basis(found: "ExplainedDifference") -> list[str]:
+    """Return the basis of the contributions of two robots' parts; empty for simulated runs."""
+    sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
+    said = [f"{side.name}: {side.note}." for side in sides if side.note]
+    said += [_write_unknown(side) for side in sides if side.unknown]
+    if not sides or not found.contributions:
+        return said
+    answers = any(
+        one.name == COMMANDS and is_clear(one.contribution or 0.0, one.standard_error)
+        for one in found.contributions
+    )
+    return [
+        *(["Why the commands differ is not in the logs: they may answer the robot."] * answers),
+        "Each robot's model is driven with the recorded commands. Intervals are 95 %, from"
+        f" {found.seeds} draws of the identified parameters and the noise.",
+        *said,
+    ]
+
+
+def _write_unknown(side: "Side") -> str:
+    names = join_words([NAMES[axis] for axis in AXES if axis in side.unknown])
+    return f"{side.name} has no commands of the {names}, so the other robot's is taken for it."

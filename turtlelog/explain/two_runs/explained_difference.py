@@ -1,0 +1,203 @@
+"""The data of an explained difference between two runs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from html import escape
+from typing import Any, Final
+
+from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.explain.one_run.attribution import Resolution, Together, ValueSet
+from turtlelog.explain.scenario_from_log.resimulation import Departure
+
+SEED: Final = "seed"
+"""Name of the line with the effect of the two seeds, relative to the means over seeds."""
+
+ROBOT: Final = "robot"
+"""Basis of a robot's log: its model, driven by the recorded commands."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Side:
+    """One of two runs.
+
+    Attributes:
+        name: Name of the run.
+        as_logged: The metric of the log; None if it has no value.
+        resimulated: The metric re-simulated with the run's own seed; None if it has no value.
+        reason: Reason why the metric has no value; empty if it has one.
+        basis: Scenario that reproduces the run. `recorded`: the run's own, which reproduces every
+            sample. `identified`: a scenario identified from its samples. `robot`: the robot model,
+            driven by the recorded commands. None if no scenario does.
+        note: Accuracy with which the recorded scenario reproduces the run, or the reason why no
+            scenario does.
+        is_exact: Whether that scenario reproduces every sample.
+        unknown: Keys that are not identified: the other run's values are used.
+        simulated_by: Versions, platform and digest of the law that simulated the run; see `Run`.
+    """
+
+    name: str
+    as_logged: float | None
+    resimulated: float | None = None
+    reason: str = ""
+    basis: str | None = None
+    note: str = ""
+    is_exact: bool = False
+    unknown: tuple[str, ...] = ()
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A group of settings that differ, and what it contributes to the difference of the metric.
+
+    Attributes:
+        name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.
+        keys: Keys of the settings in which the scenarios differ; `seed` for the effect of the
+            seeds.
+        first: Their values in the first run; None for a key that it does not have.
+        second: Their values in the second run.
+        contribution: Contribution to the difference, in the metric's unit; None if it is withheld.
+        standard_error: Standard error of the contribution, if it is a mean over seeds or sampled
+            orders, or rests on identified values.
+        low: Lower end of its 95 % interval; None if the contribution is exact.
+        high: Upper end of the interval.
+        undone: The metric of the second run if only this group is as in the first run; None if it
+            has no value.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    first: tuple[Any, ...] = ()
+    second: tuple[Any, ...] = ()
+    contribution: float | None = None
+    standard_error: float | None = None
+    low: float | None = None
+    high: float | None = None
+    undone: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectShift:
+    """The contribution of an effect to the metric of each run, as `explain` finds it.
+
+    Attributes:
+        cause: Name of the effect.
+        first: Its contribution in the first run, in the metric's unit; 0 if the run is without it.
+        second: Its contribution in the second run.
+    """
+
+    cause: str
+    first: float
+    second: float
+
+    @property
+    def shift(self) -> float:
+        """Change of the contribution."""
+        return self.second - self.first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DifferenceRange:
+    """Range of the difference over starts within the turn of one sample.
+
+    Attributes:
+        count: Number of starts, at equal distances; the scenarios' own are in the middle.
+        within_rad: Angle between the scenarios' own heading and the first and last start [rad].
+        difference: The smallest and the largest difference, in the metric's unit.
+        first: The smallest and the largest metric of the first run.
+        second: The smallest and the largest metric of the second run.
+        is_wide: Whether the difference depends on single samples: whether its range exceeds half
+            of the difference.
+    """
+
+    count: int
+    within_rad: float
+    difference: tuple[float, float]
+    first: tuple[float, float]
+    second: tuple[float, float]
+    is_wide: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplainedDifference:
+    """The difference of a metric between two runs, divided among the changed settings.
+
+    Attributes:
+        metric: Id of the metric.
+        unit: Unit of all values.
+        first: The run from which the difference is taken.
+        second: The other run.
+        difference: The metric of the second run minus that of the first, re-simulated (for robots,
+            as logged); None if one of them has no value.
+        contributions: Contribution of each group of changed settings, the largest first; their sum
+            is `difference`; for robots, this includes `unexplained`. Empty if they are withheld.
+        changes: Names and values of the changed settings, without contributions, if these are
+            withheld.
+        idle: Keys that differ and change the metric in no combination.
+        unexplained: Part of the difference that neither the models of two robots nor the
+            contributions explain; None if no robots are identified.
+        withheld: Reason why there are no contributions, in one clause; None if there are some.
+        together: Parts that several groups add only if all of them are changed.
+        without_value: The smallest sets of changes that leave the metric without a value.
+        with_value: The smallest sets that give it a value, if the first run has none.
+        resolution: The largest change that is negligible.
+        starts: Range of the difference over starts within the turn of one sample; None with random
+            effects.
+        seeds: Number of seeds over which the contributions are means; 1 if nothing is random.
+        orders: Number of sampled orders of the changes; None if all combinations were simulated.
+        effects: Differences of the contributions of `explain`, the largest first.
+        has_same_settings: Whether no setting differs that could change a run.
+        departure: First difference of runs that have the same settings; None if they do not.
+        sentences: The answer in words.
+    """
+
+    metric: str
+    unit: str
+    first: Side
+    second: Side
+    difference: float | None = None
+    contributions: tuple[Change, ...] = ()
+    changes: tuple[Change, ...] = ()
+    idle: tuple[str, ...] = ()
+    unexplained: float | None = None
+    withheld: str | None = None
+    together: tuple[Together, ...] = ()
+    without_value: tuple[ValueSet, ...] = ()
+    with_value: tuple[ValueSet, ...] = ()
+    resolution: Resolution
+    starts: DifferenceRange | None = None
+    seeds: int = 1
+    orders: int | None = None
+    effects: tuple[EffectShift, ...] = ()
+    has_same_settings: bool = False
+    departure: Departure | None = None
+    sentences: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Write the sentences."""
+        from turtlelog.explain.two_runs.difference_report import write_difference_sentences
+
+        object.__setattr__(self, "sentences", write_difference_sentences(self))
+
+    def __repr__(self) -> str:
+        names = f"{self.first.name} and {self.second.name}"
+        return fit_line(f"<ExplainedDifference of {names}: {self.metric}>")
+
+    def _repr_html_(self) -> str:
+        heads = ["settings", f"contribution [{self.unit}]", "first run", "second run"]
+        rows = [
+            [
+                one.name,
+                one.contribution,
+                _write_values(one, one.first),
+                _write_values(one, one.second),
+            ]
+            for one in self.contributions
+        ]
+        table = format_html(rows, heads=heads) if rows else ""
+        rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
+        return format_answer(self.sentences[0], table, *rest)
+
+
+def _write_values(change: Change, values: tuple[Any, ...]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in zip(change.keys, values, strict=False))

@@ -1,0 +1,413 @@
+"""Explanation of the difference between two robots' logs: contributions of the robots' parts."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from statistics import fmean, stdev
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import join_words
+from turtlelog.explain.one_run.attribute import divide_game
+from turtlelog.explain.one_run.attribution import Attribution, Contribution, Resolution
+from turtlelog.explain.one_run.game import SEEDS, Coalition, Game, Outcome, Work
+from turtlelog.explain.one_run.shapley import ORDERS, sample_game
+from turtlelog.explain.two_runs.explained_difference import ROBOT, Change, ExplainedDifference, Side
+from turtlelog.explain.two_runs.robot_parts import (
+    COMMANDS,
+    MOTIONS,
+    NOISE,
+    PATH,
+    TIMES,
+    RobotLog,
+    differs_surely,
+    draw_model,
+    find_parts,
+    get_axis,
+    list_axes,
+    list_part_fields,
+    list_part_values,
+    read_robot_log,
+    share_unseen_bounds,
+)
+from turtlelog.identify.axis_motion import AXES, NAMES, Axis
+from turtlelog.identify.axis_values import NORMAL_95
+from turtlelog.identify.motion_prediction import predict_response
+from turtlelog.identify.robot_model import AxisModel
+from turtlelog.measure import measure_run
+from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.columns import take_rows
+from turtlelog.run.loops import Cause, Declaration
+
+_MOST_EXACT: Final = 5
+"""Largest number of parts whose combinations are all driven, with every draw: some thousand
+drives."""
+
+_MOST_UNEXPLAINED: Final = 1.0 / 3.0
+"""Largest share of the difference that the models may leave unexplained."""
+
+_ACTS: Final = 1e-3
+"""Share of the difference below which a part does not act, if it is changed in either log."""
+
+_SAME: Final = 1e-6
+"""Share of a value below which a difference is 0."""
+
+_LAW_ACTS: Final = "its controller is known, the other one's is not, so its law counts as commands"
+
+_BY_CHANCE: Final = 2.0
+"""Difference of two logs of equal robots in standard deviations, below which there is no
+difference."""
+
+
+def is_robot_log(run: Run) -> bool:
+    """Return whether only poses and commands are known, and nothing of the controller."""
+    return not len(run.samples) and not run.declaration.loops
+
+
+def explain_robots(
+    first: Run, second: Run, metric: str, unit: str, work: Work | None = None
+) -> ExplainedDifference:
+    """Explain why a metric differs between two logs whose robots are identified.
+
+    Each robot's model is driven with recorded commands, with every set of parts taken from the
+    other log. The remainder of the difference is a part of its own.
+    """
+    runs = [_leave_controller(run) for run in (first, second)]
+    left = [run is not given for run, given in zip(runs, (first, second), strict=True)]
+    sides = [
+        _measure_side(run, metric, note=_LAW_ACTS if is_left and not all(left) else "")
+        for run, is_left in zip(runs, left, strict=True)
+    ]
+    found = ExplainedDifference(
+        metric=metric,
+        unit=unit,
+        first=sides[0],
+        second=sides[1],
+        resolution=Resolution(size=0.0, reason="no scenario is known"),
+    )
+    one, other = (side.as_logged for side in sides)
+    if one is None or other is None:
+        return replace(found, withheld="one log has no value")
+    found = replace(found, difference=other - one)
+    if abs(other - one) <= _SAME * max(abs(one), abs(other)):
+        return found
+    lacking = [run.name for run in runs if not len(run.commands)]
+    if lacking:
+        reason = f"{join_words(lacking)}: no commands are recorded, so no robot can be identified"
+        return replace(found, withheld=reason)
+    logs = share_unseen_bounds([read_robot_log(run) for run in runs])
+    axes = list_axes(metric)
+    found = replace(
+        found,
+        first=replace(found.first, unknown=_list_idle(logs, axes, 0)),
+        second=replace(found.second, unknown=_list_idle(logs, axes, 1)),
+    )
+    obstacles = [text for log in logs for axis in axes if (text := _find_obstacle(log, axis))]
+    if obstacles:
+        return replace(found, withheld="; ".join(obstacles))
+    parts = find_parts(logs[0], logs[1], axes)
+    return _divide(found, logs, parts, work)
+
+
+def _leave_controller(run: Run) -> Run:
+    """Return a run reduced to a robot's log: its poses and commands, goal and path."""
+    if is_robot_log(run):
+        return run
+    kept = {key: value for key, value in run.parameters.items() if key.startswith("path.")}
+    return replace(
+        run,
+        samples=take_rows(run.samples, slice(0, 0)),
+        declaration=Declaration(),
+        parameters=kept,
+        scenario_is_complete=False,
+    )
+
+
+def _measure_side(run: Run, metric: str, note: str) -> Side:
+    logged = measure_run(run, only=[metric])[metric]
+    return Side(name=run.name, as_logged=logged.value, reason=logged.reason, basis=ROBOT, note=note)
+
+
+def _list_idle(logs: Sequence[RobotLog], axes: Sequence[Axis], row: int) -> tuple[str, ...]:
+    """Return the axes that are commanded in only one of the logs."""
+    one, other = logs[row].model, logs[1 - row].model
+    return tuple(
+        axis for axis in axes if get_axis(one, axis).is_idle and get_axis(other, axis).is_known
+    )
+
+
+def _find_obstacle(log: RobotLog, axis: Axis) -> str:
+    """Return the reason why a commanded axis is unknown; empty if it is known or idle."""
+    model = get_axis(log.model, axis)
+    if model.is_known or model.is_idle:
+        return ""
+    return f"the {NAMES[axis]} of {log.run.name} cannot be identified: {model.reason}"
+
+
+def _divide(
+    found: ExplainedDifference,
+    logs: Sequence[RobotLog],
+    parts: Mapping[str, Cause],
+    work: Work | None,
+) -> ExplainedDifference:
+    """Return the difference divided among the parts that act, or why it is withheld."""
+    difference = found.difference or 0.0
+    acting = _find_acting(found, logs, parts)
+    game = RobotGame(logs[0], logs[1], found.metric, acting, work)
+    base = Attribution(
+        metric=found.metric,
+        unit=found.unit,
+        resimulated=game.play_as_recorded().value,
+        without_all=game.play_as_recorded(acting).value,
+        causes=tuple(acting),
+        contributions=(),
+        others=(),
+        resolution=found.resolution,
+    )
+    if base.resimulated is None or base.without_all is None:
+        return replace(found, withheld="the robots' models have no value of this metric")
+    is_exact = len(acting) <= _MOST_EXACT
+    divided = divide_game(base, game) if is_exact else sample_game(base, game)
+    values = [[one.value for one in game.take_out_each(out)] for out in (acting, ())]
+    ends = [[value for value in side if value is not None] for side in values]
+    changes = [_describe(one, logs) for one in parts.values()]
+    surely = tuple(one for one in changes if differs_surely(one.name, one.keys, logs))
+    found = replace(found, changes=surely, seeds=len(SEEDS))
+    if divided.withheld:
+        return replace(found, withheld=divided.withheld)
+    listed = {one.name: one for one in changes}
+    shares = sorted(divided.contributions, key=lambda one: -abs(one.contribution or 0.0))
+    contributions = tuple(_complete(listed[one.cause], one) for one in shares)
+    explained = math.fsum(one.contribution or 0.0 for one in contributions)
+    sides = [
+        replace(side, resimulated=fmean(drawn))
+        for side, drawn in zip((found.first, found.second), ends, strict=True)
+    ]
+    found = replace(
+        found,
+        first=sides[0],
+        second=sides[1],
+        unexplained=difference - explained,
+        orders=None if is_exact else ORDERS,
+    )
+    chance = _BY_CHANCE * math.hypot(*(stdev(drawn) for drawn in ends))
+    if abs(difference) <= chance:
+        reason = f"noise and the identified intervals alone make up to {chance:.2g} {found.unit}"
+        return replace(found, withheld=reason.removesuffix(" 1"))
+    share = abs(found.unexplained or 0.0) / abs(difference)
+    if share > _MOST_UNEXPLAINED:
+        reason = f"the robots' models leave {100.0 * share:.0f} % of the difference unexplained"
+        return replace(found, withheld=reason)
+    idle = tuple(key for name in parts if name not in acting for key in listed[name].keys)
+    return replace(
+        found,
+        contributions=contributions,
+        changes=(),
+        idle=idle,
+        together=divided.together,
+    )
+
+
+def _find_acting(
+    found: ExplainedDifference, logs: Sequence[RobotLog], parts: Mapping[str, Cause]
+) -> dict[str, Cause]:
+    """Return the parts that alone change the metric in one of the logs."""
+    game = RobotGame(logs[0], logs[1], found.metric, parts)
+    least = _ACTS * abs(found.difference or 0.0)
+
+    def moves(out: frozenset[str], other: frozenset[str]) -> bool:
+        one, two = (game.play_as_recorded(names).value for names in (out, other))
+        return (one is None) != (two is None) or abs((one or 0.0) - (two or 0.0)) > least
+
+    every, none = frozenset(parts), frozenset[str]()
+    return {
+        name: part
+        for name, part in parts.items()
+        if moves(none, frozenset({name})) or moves(every, every - {name})
+    }
+
+
+def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
+    keys = tuple(part.neutral)
+    first, second = (tuple(list_part_values(log, keys).values()) for log in logs)
+    return Change(name=part.name, keys=keys, first=first, second=second)
+
+
+def _complete(change: Change, share: Contribution) -> Change:
+    """Return a change with its contribution; the spread is that of single samples, not of means.
+
+    The standard error of a mean over samples would be too small by the root of their number.
+    """
+    error = (share.standard_error or 0.0) * math.sqrt(len(SEEDS))
+    size = share.contribution or 0.0
+    return replace(
+        change,
+        contribution=size,
+        standard_error=error,
+        low=size - NORMAL_95 * error,
+        high=size + NORMAL_95 * error,
+        undone=share.alone,
+    )
+
+
+Values = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+_MIRRORED: Final = len(SEEDS) // 2
+"""Number of draws with a mirrored draw each, so that their mean is the identified values."""
+
+
+class RobotGame(Game):
+    """Simulations of one robot's model with recorded commands and some parts from another log.
+
+    Each seed is a random sample of both robots' parameters within their intervals, and of the
+    noise. The measured run is the recording whose commands are used, with the model's poses at its
+    times.
+    """
+
+    def __init__(
+        self,
+        first: RobotLog,
+        second: RobotLog,
+        metric: str,
+        parts: Mapping[str, Cause],
+        work: Work | None = None,
+    ) -> None:
+        """Store the logs; a removed part gives the second robot the first one's values."""
+        super().__init__(parts, tuple(parts), work, is_random=True)
+        self._logs, self._metric = (first, second), metric
+        self._models: dict[int | None, list[dict[Axis, AxisModel]]] = {}
+        self._ways: dict[object, tuple[Values, Values]] = {}
+
+    def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:  # noqa: ARG002
+        """Return every seed: any set of parts of two robots is uncertain."""
+        return SEEDS
+
+    def describe_ending(self, name: str) -> str:  # noqa: ARG002
+        """Return an empty text, because a robot's log has no phases."""
+        return ""
+
+    def _play(self, plays: Sequence[tuple[Coalition, int | None]]) -> Iterator[Outcome]:
+        for out, seed in plays:
+            run = self.drive(out, seed)
+            found = measure_run(run, only=[self._metric])[self._metric]
+            yield Outcome(value=found.value, reason=found.reason, ended=())
+
+    def drive(self, out: Coalition, seed: int | None = None) -> Run:
+        """Return the recording of the commands with the poses of the robot without some parts."""
+        base, places = self._get(COMMANDS, out).run, self._get(PATH, out).run
+        noise = self._get(NOISE, out).noise
+        rng = np.random.default_rng(0 if seed is None else seed)
+        time_ns = self._find_times(out)
+        root_s = np.sqrt(np.diff(time_ns) / 1e9)
+        motions = {axis: self._predict(axis, out, seed) for axis in AXES}
+        speed, turn_rate = (
+            np.diff(motions[axis][0])
+            + getattr(noise, axis) * root_s * rng.standard_normal(len(root_s))
+            for axis in AXES
+        )
+        poses = _integrate(speed, turn_rate, places)
+        sizes = noise.position_m, noise.position_m, noise.heading_rad
+        poses += rng.standard_normal(poses.shape) * sizes
+        return replace(
+            base,
+            poses=PoseColumns(
+                time_ns=time_ns,
+                xy_m=poses[:, :2],
+                heading_rad=wrap_angle(poses[:, 2]),
+                **{name: motions[axis][1] for name, axis in self._list_reported(out)},
+            ),
+            goal_xy_m=places.goal_xy_m,
+            goal_heading_rad=places.goal_heading_rad,
+            parameters=places.parameters,
+        )
+
+    def _get(self, part: str, out: Coalition) -> RobotLog:
+        """Return the log from which a part is taken."""
+        return self._logs[part not in out]
+
+    def _list_reported(self, out: Coalition) -> list[tuple[str, Axis]]:
+        """Return the rates that a robot reports in addition to its poses."""
+        poses = self._get(TIMES, out).run.poses
+        names: dict[str, Axis] = {
+            "measured_speed_m_s": "speed",
+            "measured_turn_rate_rad_s": "turn_rate",
+        }
+        return [pair for pair in names.items() if getattr(poses, pair[0]) is not None]
+
+    def _find_times(self, out: Coalition) -> Times:
+        base, timed = self._get(COMMANDS, out).run, self._get(TIMES, out).run
+        return _place_times(base, timed)
+
+    def _predict(self, axis: Axis, out: Coalition, seed: int | None) -> tuple[Values, Values]:
+        """Return the distance or turn, and the rate, at each pose of the recording."""
+        parts = frozenset(name for name in out if name.endswith(MOTIONS[axis]))
+        log = self._get(COMMANDS, out)
+        key = axis, parts, COMMANDS in out, TIMES in out, seed
+        if key not in self._ways:
+            time_s = self._find_times(out) / 1e9
+            model = self._exchange(axis, parts, seed)
+            still = np.zeros(len(time_s))
+            self._ways[key] = (
+                predict_response(model, log.commands[axis], time_s)
+                if model.is_known
+                else (still, still)
+            )
+        return self._ways[key]
+
+    def _exchange(self, axis: Axis, parts: Coalition, seed: int | None) -> AxisModel:
+        """Return an axis of the second robot with some parts from the first."""
+        if seed not in self._models:
+            self._models[seed] = _draw_models(self._logs, seed)
+        first, second = (models[axis] for models in self._models[seed])
+        if not second.is_known or not first.is_known:
+            return second if second.is_known else first
+        motion = f" {MOTIONS[axis]}"
+        fields = [name for part in parts for name in list_part_fields(part.removesuffix(motion))]
+        return replace(second, **{name: getattr(first, name) for name in fields})
+
+
+def _draw_models(logs: Sequence[RobotLog], seed: int | None) -> list[dict[Axis, AxisModel]]:
+    """Return the axes of both robots, as identified or sampled from their intervals."""
+    models = [{axis: get_axis(log.model, axis) for axis in AXES} for log in logs]
+    if seed is None:
+        return models
+    number = SEEDS.index(seed)
+    rng = np.random.default_rng(number % _MIRRORED)
+    sign = 1.0 if number < _MIRRORED else -1.0
+    return [{axis: draw_model(model, rng, sign) for axis, model in one.items()} for one in models]
+
+
+def _place_times(base: Run, timed: Run) -> Times:
+    """Return times for the poses of a recording [ns], taken from those of another recording.
+
+    The first commands of both are at one time. Beyond the end of the other recording, the recording
+    keeps its own times; half a period at either end is ignored.
+    """
+    time_ns = timed.poses.time_ns
+    if timed is base or len(time_ns) < 2:
+        return base.poses.time_ns
+    period_ns = int(np.median(np.diff(time_ns)))
+    first_ns = int(base.poses.time_ns[0]) - period_ns // 2
+    last_ns = int(base.poses.time_ns[-1]) + period_ns // 2
+    time_ns = time_ns - timed.commands.time_ns[0] + base.commands.time_ns[0]
+    again_ns = int(time_ns[-1] - time_ns[0]) + period_ns
+    low, high = (int((end_ns - time_ns[0]) // again_ns) for end_ns in (first_ns, last_ns))
+    repeated = (time_ns + np.arange(low, high + 1)[:, None] * again_ns).ravel()
+    return np.asarray(repeated[(repeated >= first_ns) & (repeated <= last_ns)])
+
+
+def _integrate(ways_m: Values, turns_rad: Values, places: Run) -> Values:
+    """Return x, y [m] and heading [rad] after each step from a recorded start, shape (n, 3)."""
+    poses = np.empty((len(ways_m) + 1, 3))
+    poses[0, :2], poses[0, 2] = places.poses.xy_m[0], places.poses.heading_rad[0]
+    poses[1:, 2] = poses[0, 2] + np.cumsum(turns_rad)
+    middle_rad = poses[:-1, 2] + 0.5 * turns_rad
+    # The chord of an arc is shorter than the arc.
+    chords_m = ways_m * np.sinc(turns_rad / (2.0 * np.pi))
+    poses[1:, 0] = poses[0, 0] + np.cumsum(chords_m * np.cos(middle_rad))
+    poses[1:, 1] = poses[0, 1] + np.cumsum(chords_m * np.sin(middle_rad))
+    return poses

@@ -1,0 +1,497 @@
+"""Explanation of a difference of a metric between two runs: Shapley values of changed settings."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from turtlelog.display import join_words
+from turtlelog.errors import ExplainError
+from turtlelog.explain.causes import draws_random
+from turtlelog.explain.one_run.attribute import attribute_scenario, divide_game
+from turtlelog.explain.one_run.attribution import (
+    Attribution,
+    Contribution,
+    Resolution,
+    choose_metric,
+    find_resolution,
+)
+from turtlelog.explain.one_run.game import SEEDS, Play, Work, iterate_outcomes
+from turtlelog.explain.one_run.shapley import ORDERS, sample_game
+from turtlelog.explain.one_run.starts import (
+    find_steady_span,
+    ranges_over,
+    spread_starts,
+    subtract_values,
+    turn_start,
+)
+from turtlelog.explain.scenario_from_log.hypothesis import (
+    LONGEST_S,
+    check_recorded_scenario,
+    require_trust,
+)
+from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
+from turtlelog.explain.scenario_from_log.resimulation import find_departure
+from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
+from turtlelog.explain.two_runs.explained_difference import (
+    SEED,
+    Change,
+    DifferenceRange,
+    EffectShift,
+    ExplainedDifference,
+    Side,
+)
+from turtlelog.explain.two_runs.robot_difference import explain_robots, is_robot_log
+from turtlelog.explain.two_runs.run_changes import ChangeGame, find_changes, set_values
+from turtlelog.laws import LAWS
+from turtlelog.measure import Metric, describe_no_metric, list_metrics, measure_run
+from turtlelog.run import Run
+from turtlelog.run.loops import Cause
+from turtlelog.scenario import Scenario, flatten_scenario
+from turtlelog.simulate import declare_scenario, simulate_run
+
+MOST_EXACT: Final = 10
+"""Most groups of settings whose 1024 combinations are all simulated: 20 s for the paper's runs."""
+
+_AGREEMENT: Final = 0.1
+"""Largest difference of re-simulation and log, as a share of the difference between runs."""
+
+_SAME: Final = 1e-6
+"""Share of a value below which a difference is 0: two platforms differ by less."""
+
+_ROUNDING: Final = 1e-12
+"""Share of a value that means over equal values may leave."""
+
+
+_NAMES: Final = ("the first run", "the second run")
+"""Names of runs with equal names."""
+
+
+_NO_SAMPLES: Final = (
+    "without controller samples no scenario is known (turtlelog identify shows how a robot follows"
+    " its commands)"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Depth:
+    """Amount of simulation.
+
+    Attributes:
+        most_exact: Largest number of groups of settings for which all combinations are simulated;
+            beyond it, orders are sampled.
+        identifies: Whether to identify a scenario if the recorded one does not reproduce the run.
+        shows_effects: Whether to compare the contributions of `explain` too.
+        shows_starts: Whether to simulate the metric from 17 starts.
+    """
+
+    most_exact: int = MOST_EXACT
+    identifies: bool = True
+    shows_effects: bool = True
+    shows_starts: bool = True
+
+
+def explain_difference(
+    first: Run,
+    second: Run,
+    *,
+    metric: str | None = None,
+    trust_law: bool = False,
+    depth: Depth | None = None,
+    work: Work | None = None,
+) -> ExplainedDifference:
+    """Explain why a metric differs between two runs.
+
+    The settings in which the scenarios differ are grouped, and the second run is simulated with
+    each set of groups as in the first. A contribution is a Shapley value; the contributions add up
+    to the difference. If both runs have the same settings, the answer is their first difference.
+
+    Args:
+        first: The run from which the difference is taken.
+        second: The other run.
+        metric: Id of the metric. Default: the final position error, or without a goal the error of
+            the last loop.
+        trust_law: Whether to run the code of recorded laws that are not built in.
+        depth: Amount of simulation. Default: everything.
+        work: Settings of the simulation: processes and progress.
+
+    Raises:
+        ExplainError: If the metric does not exist for both runs.
+        ScenarioError: If a trusted recorded law does not exist or cannot run.
+    """
+    depth = depth or Depth()
+    metric = metric or choose_common_metric(first, second)
+    require_common_metric(first, second, metric)
+    unit = list_metrics(second.declaration)[metric].unit
+    if is_robot_log(first) or is_robot_log(second):
+        return explain_robots(first, second, metric, unit, work)
+    if not trust_law and (untrusted := _list_untrusted(first, second)):
+        return _name_untrusted(first, second, metric, unit, untrusted)
+    for run in (first, second):
+        require_trust(run, trust_law=trust_law)
+    found = [_stand_for(run, metric, trust_law=trust_law, depth=depth) for run in (first, second)]
+    sides = [side for side, _ in found]
+    if first.name == second.name:
+        sides = [replace(s, name=n) for s, n in zip(sides, _NAMES, strict=True)]
+    scenarios = [scenario for _, scenario in found]
+    answer = ExplainedDifference(
+        metric=metric,
+        unit=unit,
+        first=sides[0],
+        second=sides[1],
+        resolution=_find_resolution(metric, sides, scenarios),
+    )
+    one, other = scenarios
+    if one is None or other is None:
+        return _answer_without_scenario(answer, first, second, work)
+    one, other = _take_unknown(one, other, sides[0]), _take_unknown(other, one, sides[1])
+    changes = find_changes(one, other)
+    if not changes and (one.seed == other.seed or not draws_random(other)):
+        return replace(
+            answer,
+            difference=_subtract(sides),
+            has_same_settings=True,
+            departure=find_departure(first, second),
+        )
+    return _divide(answer, (one, other), changes, depth, work)
+
+
+def _answer_without_scenario(
+    found: ExplainedDifference, first: Run, second: Run, work: Work | None
+) -> ExplainedDifference:
+    """Return the explanation by the robots' models, or the first difference of two runs."""
+    is_same = _hold_same_settings(first, second)
+    if not (is_same or first.declaration.loops or second.declaration.loops):
+        robots = explain_robots(first, second, found.metric, found.unit, work)
+        if robots.contributions:
+            return robots
+    return replace(
+        found,
+        withheld=_describe_unknown([found.first, found.second]),
+        has_same_settings=is_same,
+        departure=find_departure(first, second) if is_same else None,
+    )
+
+
+def _list_untrusted(*runs: Run) -> list[str]:
+    """Return the laws in the recorded scenarios that are not built in."""
+    laws = [str(run.parameters.get("law.kind", "")) for run in runs if run.scenario_is_complete]
+    return [*dict.fromkeys(law for law in laws if law and law not in LAWS)]
+
+
+def _name_untrusted(
+    first: Run, second: Run, metric: str, unit: str, laws: Sequence[str]
+) -> ExplainedDifference:
+    """Return the settings that differ, without contributions: the code of a law may not run."""
+    sides = [_begin_side(run, measure_run(run, only=[metric])[metric]) for run in (first, second)]
+    is_same = _hold_same_settings(first, second)
+    of_first, of_second = first.parameters, second.parameters
+    keys = [key for key in {**of_first, **of_second} if key != "name"]
+    does = "runs only if its code is" if len(laws) == 1 else "run only if their code is"
+    return ExplainedDifference(
+        metric=metric,
+        unit=unit,
+        first=sides[0],
+        second=sides[1],
+        resolution=Resolution(size=0.0, reason="no run is simulated"),
+        withheld=f"{join_words(laws)} {does} trusted (--trust-law)",
+        has_same_settings=is_same,
+        departure=find_departure(first, second) if is_same else None,
+        changes=tuple(
+            Change(
+                name="law" if key == "law.kind" else key,
+                keys=(key,),
+                first=(of_first.get(key),),
+                second=(of_second.get(key),),
+            )
+            for key in keys
+            if of_first.get(key) != of_second.get(key)
+        ),
+    )
+
+
+def _begin_side(run: Run, logged: Metric) -> Side:
+    """Return the values in a run's log."""
+    return Side(
+        name=run.name,
+        as_logged=logged.value,
+        reason=logged.reason,
+        simulated_by=run.simulated_by,
+    )
+
+
+def _find_resolution(
+    metric: str, sides: Sequence[Side], scenarios: Sequence[Scenario | None]
+) -> Resolution:
+    """Return the larger resolution of two runs; 0 if no scenario is known."""
+    value = max(abs(side.as_logged or 0.0) for side in sides)
+    found = [
+        find_resolution(scenario, declare_scenario(scenario), metric, value)
+        for scenario in scenarios
+        if scenario is not None
+    ]
+    none = Resolution(size=0.0, reason="no scenario is known")
+    return max(found, key=lambda one: one.size, default=none)
+
+
+def _describe_unknown(sides: Sequence[Side]) -> str:
+    """Return the runs without a known scenario, and the reasons."""
+    names: dict[str, list[str]] = {}
+    for side in sides:
+        if side.basis is None:
+            names.setdefault(side.note, []).append(side.name)
+    return "; ".join(f"{join_words(who)}: {note}" for note, who in names.items())
+
+
+def _take_unknown(scenario: Scenario, other: Scenario, side: Side) -> Scenario:
+    """Return a scenario with another one's values for unidentified settings."""
+    values = flatten_scenario(other)
+    return set_values(scenario, {key: values.get(key) for key in side.unknown})
+
+
+def choose_common_metric(first: Run, second: Run) -> str:
+    """Return the default metric to explain: the most important one for the laws of both runs."""
+    known = list_metrics(first.declaration).keys() & list_metrics(second.declaration).keys()
+    if first.goal_xy_m is None or second.goal_xy_m is None:
+        known = {name for name in known if not name.startswith("final.")}
+    chosen = [choose_metric(run.declaration) for run in (second, first)]
+    return next((name for name in chosen if name in known), "run.path_length")
+
+
+def require_common_metric(first: Run, second: Run, metric: str) -> None:
+    """Require a metric that both runs have.
+
+    Raises:
+        ExplainError: If a run lacks the metric (with the nearest names), or if the units differ.
+    """
+    for run in (first, second):
+        known = list_metrics(run.declaration)
+        if metric not in known:
+            raise ExplainError(f"{run.name}: {describe_no_metric(metric, known)}")
+    units = [list_metrics(run.declaration)[metric].unit for run in (first, second)]
+    if units[0] != units[1]:
+        raise ExplainError(f"{metric} has the unit {units[0]} in one run, {units[1]} in the other")
+
+
+def _hold_same_settings(first: Run, second: Run) -> bool:
+    """Return whether the scenarios that two runs hold are the same but for their names."""
+    settings = [
+        {key: value for key, value in run.parameters.items() if key != "name"}
+        for run in (first, second)
+    ]
+    return first.scenario_is_complete and second.scenario_is_complete and settings[0] == settings[1]
+
+
+def _stand_for(
+    run: Run, metric: str, *, trust_law: bool, depth: Depth
+) -> tuple[Side, Scenario | None]:
+    """Return the facts about a run, and the scenario that represents it."""
+    logged = measure_run(run, only=[metric])[metric]
+    side = _begin_side(run, logged)
+    length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
+    note = "the recording does not contain its scenario"
+    if not len(run.samples):
+        return replace(side, note=_NO_SAMPLES), None
+    if run.scenario_is_complete and length_s <= LONGEST_S:
+        recorded = check_recorded_scenario(run, mark_breaks(trace_run(run)), trust_law=trust_law)
+        note = recorded.reach
+        if recorded.scenario is not None:
+            side = replace(side, basis="recorded", note=note, is_exact=True)
+            return side, recorded.scenario
+    if not depth.identifies:
+        return replace(side, note=note), None
+    identified = identify_run(run, trust_law=trust_law)
+    if identified.scenario is None:
+        return replace(side, note=next(iter(identified.notes), note).rstrip(".")), None
+    known = flatten_scenario(identified.scenario)
+    unknown = tuple(
+        key for key, one in identified.findings.items() if one.value is None and key in known
+    )
+    again = identified.resimulation
+    is_exact = again is not None and again.is_exact
+    side = replace(side, basis="identified", note=note, is_exact=is_exact, unknown=unknown)
+    return side, identified.scenario
+
+
+def _subtract(sides: Sequence[Side]) -> float | None:
+    first, second = (side.as_logged for side in sides)
+    return None if first is None or second is None else second - first
+
+
+def _divide(
+    found: ExplainedDifference,
+    scenarios: Sequence[Scenario],
+    changes: Mapping[str, Cause],
+    depth: Depth,
+    work: Work | None,
+) -> ExplainedDifference:
+    """Return the difference divided among the changes, or why it is withheld."""
+    first, second = scenarios
+    game = ChangeGame(second, found.metric, changes, first, work)
+    own = ChangeGame(first, found.metric, {}, first, work)
+    values = own.play_as_recorded().value, game.play_as_recorded().value
+    sides = [
+        replace(side, resimulated=value)
+        for side, value in zip((found.first, found.second), values, strict=True)
+    ]
+    listed = tuple(_describe_change(one, second) for one in changes.values())
+    found = replace(found, first=sides[0], second=sides[1], changes=listed)
+    if values[0] is not None and values[1] is not None:
+        found = replace(found, difference=values[1] - values[0])
+    base = Attribution(
+        metric=found.metric,
+        unit=found.unit,
+        resimulated=values[1],
+        without_all=values[0],
+        causes=tuple(changes),
+        contributions=(),
+        others=(),
+        resolution=found.resolution,
+        reason=found.second.reason or None,
+    )
+    is_exact = len(changes) <= depth.most_exact
+    divided = divide_game(base, game) if is_exact else sample_game(base, game)
+    seeds = len(SEEDS) if game.is_random else 1
+    if divided.seeds is not None:
+        seeds = divided.seeds.used
+    found = replace(
+        found,
+        seeds=seeds,
+        orders=None if is_exact else ORDERS,
+        without_value=divided.without_value,
+        with_value=divided.with_value,
+    )
+    obstacle = divided.withheld or _compare_with_logs(found)
+    if obstacle:
+        return replace(found, withheld=obstacle)
+    contributions = _list_contributions(found, divided, game, scenarios)
+    found = replace(
+        found,
+        contributions=contributions,
+        changes=(),
+        idle=tuple(k for one in listed if one.name not in divided.acting for k in one.keys),
+        together=divided.together,
+    )
+    if depth.shows_starts and not game.is_random:
+        size = found.resolution.size
+        starts = _vary_starts(scenarios, found.metric, found.difference or 0.0, size)
+        found = replace(found, starts=starts)
+    if depth.shows_effects:
+        found = replace(found, effects=_shift_effects(scenarios, found.metric, work))
+    return found
+
+
+def _describe_change(change: Cause, second: Scenario) -> Change:
+    values = flatten_scenario(second)
+    before = change.neutral
+    keys = tuple(key for key in before if before[key] != values.get(key))
+    return Change(
+        name=change.name,
+        keys=keys,
+        first=tuple(before[key] for key in keys),
+        second=tuple(values.get(key) for key in keys),
+    )
+
+
+def _list_contributions(
+    found: ExplainedDifference,
+    divided: Attribution,
+    game: ChangeGame,
+    scenarios: Sequence[Scenario],
+) -> tuple[Change, ...]:
+    """Return the contribution of each acting change, the largest first, and that of the seeds."""
+    listed = {one.name: one for one in found.changes}
+    shares = [one for one in divided.contributions if one.cause in divided.acting]
+    shares.sort(key=lambda one: -abs(one.contribution or 0.0))
+    contributions = [_complete(listed[one.cause], one) for one in shares]
+    rest = math.fsum([found.difference or 0.0, *(-(one.contribution or 0.0) for one in shares)])
+    if not game.is_random or abs(rest) <= _ROUNDING * abs(found.second.resimulated or 0.0):
+        return tuple(contributions)
+    seeds = tuple(one.seed for one in scenarios)
+    contributions.append(
+        Change(name=SEED, keys=(SEED,), first=seeds[:1], second=seeds[1:], contribution=rest)
+    )
+    return tuple(contributions)
+
+
+def _complete(change: Change, share: Contribution) -> Change:
+    return replace(
+        change,
+        contribution=share.contribution,
+        standard_error=share.standard_error,
+        undone=share.alone,
+    )
+
+
+def _compare_with_logs(found: ExplainedDifference) -> str:
+    """Return the reason why the re-simulations do not represent the logs; empty if they do."""
+    for side in (found.first, found.second):
+        if side.as_logged is None:
+            return f"{side.name} has no value: {side.reason}"
+        if side.resimulated is None:
+            return f"{side.name} has no value when it is simulated again"
+    apart = max(
+        abs((side.as_logged or 0.0) - (side.resimulated or 0.0))
+        for side in (found.first, found.second)
+    )
+    largest = max(abs(side.as_logged or 0.0) for side in (found.first, found.second))
+    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), _SAME * largest):
+        return ""
+    return "logs and re-simulations differ by more than a tenth of the difference"
+
+
+def _vary_starts(
+    scenarios: Sequence[Scenario], metric: str, difference: float, resolution: float
+) -> DifferenceRange | None:
+    """Return the range of the difference over starts within one sample's turn of the faster run."""
+    spreads = [spread_starts(one, simulate_run(one)) for one in scenarios]
+    offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
+    if not offsets_rad:
+        return None
+    values = [
+        [
+            one.value
+            for one in iterate_outcomes(
+                metric,
+                [
+                    Play(turn_start(scenario, by), is_finer=False, may_fail=True)
+                    for by in offsets_rad
+                ],
+                jobs=1,
+            )
+        ]
+        for scenario in scenarios
+    ]
+    apart = subtract_values(values[1], values[0])
+    spans = [span for one in (apart, *values) if (span := _find_span(one)) is not None]
+    if len(spans) < 3:
+        return None
+    return DifferenceRange(
+        count=len(offsets_rad),
+        within_rad=offsets_rad[-1],
+        difference=spans[0],
+        first=spans[1],
+        second=spans[2],
+        is_wide=ranges_over(apart, find_steady_span(apart, difference, resolution)),
+    )
+
+
+def _find_span(values: Sequence[float | None]) -> tuple[float, float] | None:
+    known = [value for value in values if value is not None]
+    return (min(known), max(known)) if known else None
+
+
+def _shift_effects(
+    scenarios: Sequence[Scenario], metric: str, work: Work | None
+) -> tuple[EffectShift, ...]:
+    """Return how the contributions of `explain` differ; empty if one run has none."""
+    found = [attribute_scenario(one, metric=metric, work=work) for one in scenarios]
+    if any(one.withheld for one in found):
+        return ()
+    tables = [{one.cause: one.contribution or 0.0 for one in side.contributions} for side in found]
+    shifts = [
+        EffectShift(cause=name, first=tables[0].get(name, 0.0), second=tables[1].get(name, 0.0))
+        for name in {**tables[0], **tables[1]}
+    ]
+    acting = [one for one in shifts if one.first or one.second]
+    return tuple(sorted(acting, key=lambda one: -abs(one.shift)))

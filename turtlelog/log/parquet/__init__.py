@@ -1,0 +1,1 @@
+"""Reading of Parquet files: checked before Arrow allocates memory."""

@@ -1,0 +1,1 @@
+"""Writing of messages: encoded, in chunks, into containers and other formats."""

@@ -1,0 +1,344 @@
+"""Writing of topics or MCAP records: header, chunks with indexes, summary and checksums.
+
+Every chunk contains the schemas and channels of its messages, so that it can be read alone. The
+mcap library's writer writes them once and takes messages one by one; chunks and summary are
+therefore assembled here from its records.
+"""
+
+import os
+import zlib
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from pathlib import Path, PurePath
+from struct import Struct
+from types import MappingProxyType
+from typing import BinaryIO, Final
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError
+from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.recording.topics import SCHEMAS, describe_topics
+from turtlelog.log.writing.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
+from turtlelog.version import __version__
+
+LIBRARY: Final = f"turtlelog/{__version__}"
+"""Name of the program, written to the header of each file."""
+
+_NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})
+_NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
+
+_COMPRESSION: Final = "zstd"
+_INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries
+_MEDIA_TYPES: Final = {".toml": "application/toml"}
+_THREADS: Final = min(os.cpu_count() or 1, 4)
+_AHEAD: Final = 2 * _THREADS
+"""Number of chunks that may wait to be written; each has 1 MiB unless one record is larger."""
+_FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
+
+
+def write_columns(
+    topics: Sequence[TopicColumns],
+    path: str | Path,
+    *,
+    definitions: Mapping[str, str] | None = None,
+    metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
+    attachments: Mapping[str, bytes] = _NO_FILES,
+) -> None:
+    """Write topics as an MCAP file in order of log time; equal columns give identical files.
+
+    Args:
+        topics: Topics as from `read_columns`; missing fields are 0 or empty. Messages with equal
+            times have the order of the topics.
+        path: Path of the file, which is replaced when the new file is complete.
+        definitions: The `ros2msg` text of every message type that occurs; None: the types of
+            turtlelog's recordings.
+        metadata: Metadata records by name.
+        attachments: Attached files by name.
+
+    Raises:
+        LogError: If the file cannot be written, or a column does not fit its type.
+    """
+    try:
+        channels = list(_encode_topics(topics, SCHEMAS if definitions is None else definitions))
+        with replace_when_complete(path) as temporary, temporary.open("wb") as stream:
+            file = McapFile(stream)
+            file.begin()
+            for name, entries in metadata.items():
+                file.add_metadata(name, entries)
+            for name, data in attachments.items():
+                file.add_attachment(name, data)
+            file.add_chunks(cut_chunks(channels))
+            file.finish()
+    except (LogError, UnicodeEncodeError) as err:
+        raise name_write_error(path, err) from err
+
+
+def name_write_error(path: str | Path, err: Exception) -> LogError:
+    """Return a write error with the file's name."""
+    if isinstance(err, UnicodeEncodeError):
+        return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
+    # An error of an unwritable file names the file already.
+    text = str(err)
+    return LogError(text if text.startswith(f"{path}: ") else f"{path}: {text}")
+
+
+def _encode_topics(
+    topics: Sequence[TopicColumns], definitions: Mapping[str, str]
+) -> Iterator[ChannelRecords]:
+    names = [columns.topic for columns in topics]
+    for name in names:
+        if names.count(name) > 1:
+            raise LogError(f"topic {name}: expected once, found {names.count(name)} times")
+    channels = describe_topics([(columns.topic, columns.type) for columns in topics], definitions)
+    for columns, (schema, channel) in zip(topics, channels, strict=True):
+        try:
+            yield encode_records(columns, schema, channel)
+        except LogError as err:
+            raise LogError(f"topic {columns.topic}: {err}") from err
+
+
+@dataclass(slots=True)
+class _Summary:
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    chunks: list[bytes] = field(default_factory=list)  # of the records, whose tables are large
+    spans_ns: list[tuple[int, int]] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _PackedChunk:
+    rows: ChunkRows
+    record: bytes  # record of the chunk
+    indexes: Sequence[bytes]  # records of the chunk's message indexes
+    compressed_size: int
+    uncompressed_size: int
+
+
+class McapFile:
+    """A writer of MCAP records to a new stream; each call writes complete records at once.
+
+    Attributes:
+        end: Number of bytes written so far, all in complete records.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self.end = 0
+        self._stream, self._checksum, self._summary = stream, 0, _Summary()
+
+    def begin(self, *, profile: str = "ros2", library: str = LIBRARY) -> None:
+        """Write the magic bytes and the header."""
+        header = Header(profile=profile, library=library)
+        self._write(MCAP0_MAGIC + _join_records([header]))
+
+    def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        start = self.end
+        self._write(_join_records([Metadata(name=name, metadata=dict(entries))]))
+        index = MetadataIndex(offset=start, length=self.end - start, name=name)
+        self._summary.metadata.append(index)
+
+    def add_attachment(self, name: str, data: bytes) -> None:
+        """Write an attachment, without a time."""
+        media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
+        self.add_attachment_record(
+            Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        )
+
+    def add_attachment_record(self, attachment: Attachment) -> None:
+        """Write an attachment record unchanged."""
+        start = self.end
+        self._write(_join_records([attachment]))
+        index = AttachmentIndex(
+            offset=start,
+            length=self.end - start,
+            log_time=attachment.log_time,
+            create_time=attachment.create_time,
+            data_size=len(attachment.data),
+            name=attachment.name,
+            media_type=attachment.media_type,
+        )
+        self._summary.attachments.append(index)
+
+    def describe(self, schemas: Iterable[Schema], channels: Iterable[Channel]) -> None:
+        """Write the schemas and channels that no chunk contains yet."""
+        known = self._summary
+        new_schemas = [schema for schema in schemas if schema.id not in known.schemas]
+        new_channels = [channel for channel in channels if channel.id not in known.channels]
+        self._write(_join_records([*new_schemas, *new_channels]))
+        known.schemas |= {schema.id: schema for schema in new_schemas}
+        known.channels |= {channel.id: channel for channel in new_channels}
+
+    def add_chunk(self, rows: ChunkRows) -> None:
+        """Compress messages and write them as a chunk with its message indexes."""
+        self._append(_pack_chunk(rows))
+
+    def add_chunks(self, chunks: Iterable[ChunkRows]) -> None:
+        """Write chunks in order, with the same bytes as `add_chunk`; compression uses threads."""
+        for packed in _pack_ahead(iter(chunks)):
+            self._append(packed)
+
+    def _append(self, packed: _PackedChunk) -> None:
+        rows, start = packed.rows, self.end
+        ends = np.cumsum([start + len(packed.record), *map(len, packed.indexes)]).tolist()
+        self._write(b"".join((packed.record, *packed.indexes)))
+        index = ChunkIndex(
+            chunk_length=len(packed.record),
+            chunk_start_offset=start,
+            compression=_COMPRESSION,
+            compressed_size=packed.compressed_size,
+            message_end_time=rows.end_ns,
+            message_index_length=ends[-1] - ends[0],
+            message_index_offsets=dict(zip(rows.index, ends, strict=False)),
+            message_start_time=rows.start_ns,
+            uncompressed_size=packed.uncompressed_size,
+        )
+        self._summary.chunks.append(_join_records([index]))
+        self._summary.spans_ns.append((rows.start_ns, rows.end_ns))
+        for schema, channel in rows.channels:
+            if schema is not None:
+                self._summary.schemas[schema.id] = schema
+            self._summary.channels[channel.id] = channel
+        for number, entries in rows.index.items():
+            self._summary.counts[number] = self._summary.counts.get(number, 0) + len(entries)
+
+    def finish(self) -> None:
+        """Write the end of the data, the summary and the footer."""
+        data_end = _join_records([DataEnd(data_section_crc=self._checksum)])
+        start = self.end + len(data_end)
+        # Strict checkers reject a group without records.
+        groups = [group for group in self._join_groups() if group]
+        ends = np.cumsum([start, *map(len, groups)]).tolist()
+        offsets = [
+            SummaryOffset(group_opcode=group[0], group_start=place, group_length=len(group))
+            for group, place in zip(groups, ends, strict=False)
+        ]
+        summary = b"".join((*groups, _join_records(offsets)))
+        footer = Footer(summary_start=start, summary_offset_start=ends[-1], summary_crc=0)
+        front = _join_records([footer])[:_FOOTER_FRONT]
+        footer.summary_crc = zlib.crc32(summary + front)
+        self._write(data_end + summary + _join_records([footer]) + MCAP0_MAGIC)
+
+    def cut_back(self) -> None:
+        """Remove the bytes of a failed write after the last complete record."""
+        self._stream.seek(self.end)
+        self._stream.truncate()
+
+    def _join_groups(self) -> Iterator[bytes]:
+        summary = self._summary
+        yield _join_records([schema for _, schema in sorted(summary.schemas.items())])
+        yield _join_records([channel for _, channel in sorted(summary.channels.items())])
+        yield _join_records([_count_records(summary)])
+        yield b"".join(summary.chunks)
+        yield _join_records(summary.attachments)
+        yield _join_records(summary.metadata)
+
+    def _write(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            # A stream without a buffer may write fewer bytes than it is given.
+            rest = rest[self._stream.write(rest) :]
+        self.end += len(data)
+        self._checksum = zlib.crc32(data, self._checksum)
+
+
+def _pack_ahead(chunks: Iterator[ChunkRows]) -> Iterator[_PackedChunk]:
+    """Yield packed chunks in order; several chunks are packed on threads, a few at a time.
+
+    zstd and the checksum release the interpreter lock.
+    """
+    few = list(islice(chunks, 2))
+    if len(few) < 2:
+        yield from map(_pack_chunk, few)
+        return
+    waiting: deque[Future[_PackedChunk]] = deque()
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            for rows in chain(few, chunks):
+                if len(waiting) >= _AHEAD:
+                    yield waiting.popleft().result()
+                waiting.append(pool.submit(_pack_chunk, rows))
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _pack_chunk(rows: ChunkRows) -> _PackedChunk:
+    described = [record for pair in rows.channels for record in pair if record is not None]
+    # Each record is built once: ten thousand channels may share a schema.
+    built = {id(record): record for record in described}
+    records = {number: _join_records([record]) for number, record in built.items()}
+    front = b"".join([records[id(record)] for record in described])
+    data = b"".join((front, rows.records))
+    chunk = Chunk(
+        compression=_COMPRESSION,
+        data=zstandard.ZstdCompressor().compress(data),
+        message_start_time=rows.start_ns,
+        message_end_time=rows.end_ns,
+        uncompressed_crc=zlib.crc32(data),
+        uncompressed_size=len(data),
+    )
+    return _PackedChunk(
+        rows=rows,
+        record=_join_records([chunk]),
+        indexes=[_format_index(*entries, len(front)) for entries in rows.index.items()],
+        compressed_size=len(chunk.data),
+        uncompressed_size=len(data),
+    )
+
+
+def _count_records(summary: _Summary) -> Statistics:
+    return Statistics(
+        attachment_count=len(summary.attachments),
+        channel_count=len(summary.channels),
+        channel_message_counts=dict(sorted(summary.counts.items())),
+        chunk_count=len(summary.chunks),
+        message_count=sum(summary.counts.values()),
+        message_end_time=max((end for _, end in summary.spans_ns), default=0),
+        message_start_time=min((start for start, _ in summary.spans_ns), default=0),
+        metadata_count=len(summary.metadata),
+        schema_count=len(summary.schemas),
+    )
+
+
+def _join_records(records: Sequence[McapRecord]) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+def _format_index(channel: int, entries: NDArray[np.uint64], front: int) -> bytes:
+    moved = (entries + np.array([0, front], np.uint64)).astype("<u8").tobytes()
+    return _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(moved), channel, len(moved)) + moved

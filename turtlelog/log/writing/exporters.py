@@ -1,0 +1,212 @@
+"""Export of runs for other programs: rosbag2 folders, CSV, Parquet, TUM trajectories."""
+
+import csv
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError
+from turtlelog.escapes import guard_cell
+from turtlelog.files.urls import make_path
+from turtlelog.libraries import load_library
+from turtlelog.log.complete_files import create_folder, replace_when_complete
+from turtlelog.log.file_info import survey_file
+from turtlelog.log.parquet.parquet_file import MOST_ROWS
+from turtlelog.log.recording.run_writer import write_recording
+from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
+from turtlelog.run import TABLES, Run, tabulate_run
+from turtlelog.run.tables import iterate_arrow
+
+_LONGEST_NAME: Final = 255  # bytes; the limit of file systems
+
+_DEFAULT_TABLE: Final = "poses"
+
+_ROWS: Final = 4096
+"""Rows converted to Python values at once, which take five times as many bytes."""
+
+_ROWS_GROUPED: Final = 2**16
+"""Rows of a Parquet file encoded at once; each takes 160 bytes during encoding."""
+
+_Write = Callable[[Run, str, Path], None]
+
+
+def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) -> tuple[Path, ...]:
+    """Write a run as a rosbag2 folder, which `ros2 bag` and programs based on it can open.
+
+    The folder contains one recording, written by `write_recording` and named like the first file of
+    a ROS 2 bag. `turtlelog` reads the folder back as the same run.
+
+    Args:
+        run: Run to write.
+        path: Path of the folder.
+        shares_poses: As in `write_recording`.
+
+    Raises:
+        LogError: If the folder exists or cannot be written, or a recording cannot store the run.
+    """
+    path = make_path(path)
+    name = f"{path.resolve().name}_0.mcap"
+    if len(name.encode(errors="replace")) > _LONGEST_NAME:
+        raise LogError(f"{path}: expected a shorter name")
+    if not name.isprintable():
+        # The bag's metadata.yaml contains the name, in UTF-8 and on one line.
+        raise LogError(f"{path}: expected a name of printable characters, found {name!a}")
+    with create_folder(path) as folder:
+        try:
+            write_recording(run, folder / name, shares_poses=shares_poses)
+        except LogError as err:
+            # The name of the temporary folder is removed: users do not know it.
+            raise LogError(f"{path}: {str(err).removeprefix(f'{folder / name}: ')}") from err
+        text = describe_bag([folder / name])
+        (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
+    return path / name, path / METADATA_FILE
+
+
+def describe_bag(files: Sequence[Path], compression: str = "") -> str:
+    """Return the metadata.yaml text of a bag of complete MCAP files.
+
+    Args:
+        files: Files in order of time.
+        compression: As in `format_bag_metadata`.
+    """
+    topics: dict[tuple[str, str], BagTopic] = {}
+    parts = []
+    for file in files:
+        with file.open("rb") as stream:
+            survey = survey_file(stream)
+        schemas = survey.catalogue.schemas
+        for number, channel in sorted(survey.catalogue.channels.items()):
+            schema = schemas.get(channel.schema_id)
+            topic = BagTopic(
+                name=channel.topic,
+                type=schema.name if schema else "",
+                type_hash=channel.metadata.get("topic_type_hash", ""),
+                count=survey.counts.get(number, 0),
+            )
+            known = topics.setdefault((topic.name, topic.type), topic)
+            if known is not topic:
+                topics[topic.name, topic.type] = replace(known, count=known.count + topic.count)
+        start_ns, end_ns = survey.span_ns or (0, 0)
+        count = sum(survey.counts.values())
+        parts.append(
+            BagPart(name=file.name, start_ns=start_ns, duration_ns=end_ns - start_ns, count=count)
+        )
+    return format_bag_metadata(parts, [*topics.values()], compression=compression)
+
+
+def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
+    """Write the tables of a run as CSV and return the files; numbers can be read back exactly.
+
+    Args:
+        run: Run to write.
+        path: A name that ends in .csv is one file, which replaces an existing file; any other name
+            is a new folder with one file per table.
+        table: Table to write (`poses`, `commands`, `samples`, `events`). Default: `poses` for a
+            file, all tables for a folder.
+
+    Raises:
+        LogError: If the path cannot be written, a folder exists, or there is no such table.
+    """
+    return _export(run, make_path(path), ".csv", table, _write_csv)
+
+
+def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
+    """Write the tables of a run as Parquet, as `export_csv` does, and return the files.
+
+    Columns keep their types. The metadata contain the units of the columns, and the name, goal,
+    scenario and declaration of the run.
+
+    Raises:
+        LogError: If the path cannot be written, a folder exists, or there is no such table.
+    """
+    return _export(run, make_path(path), ".parquet", table, _write_parquet)
+
+
+def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
+    """Write the poses of a run as a TUM trajectory, replacing the file, and return the file.
+
+    One line per pose, for programs such as evo: time [s], x y z [m], and the quaternion x y z w of
+    the heading. Position and time can be read back exactly, the heading to about 1e-15 rad.
+
+    Raises:
+        LogError: If the file cannot be written.
+    """
+    path = make_path(path)
+    with (
+        replace_when_complete(path) as temporary,
+        temporary.open("w", encoding="ascii", newline="\n") as stream,
+    ):
+        stream.writelines(_format_tum(run))
+    return (path,)
+
+
+def _format_tum(run: Run) -> Iterator[str]:
+    poses = run.poses
+    half_rad = poses.heading_rad / 2.0
+    columns = (poses.time_ns, *poses.xy_m.T, np.sin(half_rad), np.cos(half_rad))
+    for time_ns, x, y, qz, qw in _list_rows(columns):
+        sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 1_000_000_000)
+        yield f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
+
+
+def _list_rows(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of columns of equal length as Python values, a few in memory."""
+    for first in range(0, len(columns[0]), _ROWS):
+        parts = (column[first : first + _ROWS].tolist() for column in columns)
+        yield from zip(*parts, strict=True)
+
+
+def _export(
+    run: Run, path: Path, suffix: str, table: str | None, write: _Write
+) -> tuple[Path, ...]:
+    if table is not None and table not in TABLES:
+        raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")
+    if path.suffix.lower() == suffix:
+        with replace_when_complete(path) as temporary, _name_place(path):
+            write(run, table or _DEFAULT_TABLE, temporary)
+        return (path,)
+    names = tuple(TABLES) if table is None else (table,)
+    with create_folder(path) as folder, _name_place(path):
+        for name in names:
+            write(run, name, folder / f"{name}{suffix}")
+    return tuple(path / f"{name}{suffix}" for name in names)
+
+
+@contextmanager
+def _name_place(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except UnicodeEncodeError as err:
+        raise LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}") from err
+
+
+def _write_csv(run: Run, table: str, path: Path) -> None:
+    columns = tabulate_run(run, table)
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        # One line end on every platform: equal runs give identical files.
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(map(guard_cell, row) for row in _list_rows([*columns.values()]))
+
+
+def _write_parquet(run: Run, table: str, path: Path) -> None:
+    parquet = load_library("pyarrow.parquet")
+    parts = iterate_arrow(run, table, _ROWS_GROUPED)
+    first = next(parts)
+    # Readers accept a larger table only if the file has enough bytes, so it is not compressed.
+    is_packed = len(tabulate_run(run, table)["time_ns"]) <= MOST_ROWS
+    compression = "zstd" if is_packed else "none"
+    with (
+        path.open("wb") as stream,
+        parquet.ParquetWriter(
+            stream, first.schema, compression=compression, use_dictionary=is_packed
+        ) as writer,
+    ):
+        for part in chain([first], parts):
+            writer.write_table(part)

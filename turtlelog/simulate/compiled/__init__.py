@@ -1,0 +1,1 @@
+"""The loop compiled by numba, from the same sources as in Python."""

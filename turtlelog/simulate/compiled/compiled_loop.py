@@ -1,0 +1,271 @@
+"""A loop compiled for a law and a plant, with all effects, from the same sources as in Python.
+
+Numba stores it on disk. Its name contains a stamp of all sources; older versions of the same parts
+are removed.
+"""
+
+from dataclasses import dataclass, field, make_dataclass
+from functools import cache, lru_cache, partial
+from types import FunctionType
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.effects import EFFECTS
+from turtlelog.laws import LawPart
+from turtlelog.parts import PlantPart
+from turtlelog.run.path_pieces import PathPiece
+from turtlelog.simulate import loop
+from turtlelog.simulate.assemble import Function, Parts, bind_parts, bind_states, bind_step
+from turtlelog.simulate.class_law import is_built_in
+from turtlelog.simulate.compiled import compiled_entry
+from turtlelog.simulate.compiled.compiled_loops import remove_others
+from turtlelog.simulate.compiled.twins import (
+    TwinError,
+    Twins,
+    as_record,
+    build_dtype,
+    describe_numba_error,
+    stamp_functions,
+)
+from turtlelog.simulate.rows import EventRow, SampleRow, TickRow
+from turtlelog.simulate.settings import Shape, find_law_numbers, find_shape
+from turtlelog.simulate.streams import build_events
+
+
+class Rows(NamedTuple):
+    """The arrays of a loop, by their names in `loop`.
+
+    Attributes:
+        ticks: Rows of `TICK`.
+        samples: Rows of `SAMPLE`.
+        states: The law's states for each row of `samples`.
+        events: Rows of `EVENT`.
+        waiting: Rows of the plant's `Waiting`.
+        table: Table of the law, shape (n, k).
+        pieces: Pieces of the path, rows of `PIECE`.
+        drawn_ticks: Random numbers of each tick.
+        drawn_samples: Random numbers of each sample.
+        new: A row of each kind with its defaults, shape (1,).
+    """
+
+    ticks: NDArray[Any]
+    samples: NDArray[Any]
+    states: NDArray[Any]
+    events: NDArray[Any]
+    waiting: NDArray[Any]
+    table: NDArray[np.float64]
+    pieces: NDArray[Any]
+    drawn_ticks: NDArray[Any]
+    drawn_samples: NDArray[Any]
+    new: NDArray[Any]
+
+
+PIECE: Final = np.dtype([(name, np.float64) for name in PathPiece._fields if name != "number"])
+"""Record type of a `PathPiece`."""
+
+EVENTS_PERTICK: Final = 7
+"""Largest number of events in a tick: one of each kind, and a second one of dropped commands, which
+are reported with or without a time."""
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """The types of a loop's records.
+
+    Attributes:
+        shape: The dataclasses from which they are derived.
+        settings: Record of the settings.
+        state: Record of the state.
+        states: Record of the law's states in a sample.
+        waiting: Record of a command that waits for the plant.
+        new: A row of each kind with its defaults, shape (1,).
+    """
+
+    shape: Shape
+    settings: np.dtype[Any]
+    state: np.dtype[Any]
+    states: np.dtype[Any]
+    waiting: np.dtype[Any]
+    new: NDArray[Any]
+
+    def allocate(self, ticks: int, samples: int) -> Rows:
+        """Return arrays for the given numbers of rows; unused rows take no memory."""
+        return Rows(
+            ticks=np.empty(ticks, TICK),
+            samples=np.empty(samples, SAMPLE),
+            states=np.empty(samples, self.states),
+            events=np.empty(EVENTS_PERTICK * ticks, EVENT),
+            waiting=np.empty(2 * samples, self.waiting),
+            table=np.empty((0, 0)),
+            pieces=np.empty(0, PIECE),
+            drawn_ticks=np.zeros(ticks, _OFTICKS),
+            drawn_samples=np.zeros(samples, _OFSAMPLES),
+            new=self.new,
+        )
+
+
+@dataclass(slots=True)
+class _Nothing:
+    """A row for a kind that a loop lacks."""
+
+
+TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
+_OFTICKS, _OFSAMPLES = (build_dtype(build_events(ticks=ticks)) for ticks in (True, False))
+
+
+_STEPS: Final[dict[str, Function]] = {
+    "MOVE_PLANT": loop.move_plant,
+    "ANSWER": loop.answer,
+    "FINISH_TICK": loop.finish_tick,
+}
+"""Steps that the outermost function calls."""
+
+
+@lru_cache(maxsize=64)
+def find_kinds(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Kinds:
+    """Return the types of the records of a loop."""
+    state: Any = law.State
+    shape = find_shape(state, find_law_numbers(law), plant, states)
+    rows: dict[str, type[Any]] = {
+        "tick": TickRow,
+        "sample": SampleRow,
+        "event": EventRow,
+        "states": shape.States,
+        "waiting": plant.Waiting or _Nothing,
+    }
+    fields = [(name, kind, field(default_factory=kind)) for name, kind in rows.items()]
+    return Kinds(
+        shape=shape,
+        settings=build_dtype(shape.Settings),
+        state=build_dtype(shape.State),
+        states=build_dtype(shape.States),
+        waiting=build_dtype(rows["waiting"]),
+        new=as_record(make_dataclass("New", fields, slots=True)()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledLoop:
+    """A compiled loop.
+
+    Attributes:
+        law: Law for which it is compiled.
+        plant: Plant for which it is compiled.
+        states: States that the law declares.
+        kinds: The types of its records.
+        run: Function of settings, state and rows.
+        is_new: Whether it was missing in the cache.
+    """
+
+    law: LawPart
+    plant: PlantPart
+    states: tuple[str, ...]
+    kinds: Kinds
+    run: Any
+    is_new: bool
+
+
+@cache
+def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kinds, Parts, str]:
+    kinds = find_kinds(law, plant, states)
+    parts = bind_parts(plant, bind_step(law.step), bind_states(states), EFFECTS)
+    from importlib.metadata import version
+
+    stamp = stamp_functions(
+        [*_STEPS.values(), *parts, compiled_entry.run_loop, compiled_entry.run_rows],
+        *(kinds.settings, kinds.state, kinds.new.dtype, PIECE, _OFTICKS, _OFSAMPLES),
+        *(version("numba"), np.__version__),
+    )
+    return kinds, parts, stamp
+
+
+def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoop:
+    """Return the compiled loop of a law and a plant, from numba's cache if it is there.
+
+    Args:
+        law: Law that is a part.
+        plant: Plant of the loop.
+        states: States that the law declares.
+
+    Raises:
+        TwinError: If numba cannot compile the law or a function that it calls.
+    """
+    from numba import typeof, types
+    from numba.core.errors import NumbaError
+
+    kinds, parts, stamp = _bind(law, plant, states)
+    twins = Twins()
+    scope = {
+        **{name: twins.compile(step) for name, step in _STEPS.items()},
+        "PARTS": Parts(*map(twins.compile, parts)),
+        "STAMP": int(stamp[:12], 16),
+    }
+    signature = types.int64(*map(typeof, _list_examples(kinds)))
+    name = name_loop(law, plant, states)
+    try:
+        run = compile_entry(compiled_entry.run_loop, name, scope, signature)
+    except NumbaError as err:
+        raise TwinError(describe_numba_error(str(err))) from err
+    return CompiledLoop(law, plant, states, kinds, run, not run.stats.cache_hits)
+
+
+def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
+    """Return a compiled function that simulates rows by a loop and measures them.
+
+    Args:
+        loop: Loop that simulates them.
+        measure: Compiled function that measures a row.
+        measures: Type of this function.
+    """
+    from numba import typeof, types
+
+    settings, states, rows = map(typeof, _list_examples(loop.kinds))
+    facts, _, _, line, loops, memory, (asked, values, reasons) = measures.args
+    signature = types.int64(
+        types.FunctionType(types.int64(settings, states, rows)),
+        types.FunctionType(measures),
+        types.Tuple([settings, states, line]),
+        rows,
+        types.Tuple([facts, loops, memory]),
+        types.Tuple([asked, values.copy(ndim=2), reasons.copy(ndim=2)]),
+    )
+    stamp = name_loop(loop.law, loop.plant, loop.states).rpartition("_")[2]
+    timeout = loop.law.stops.index("timeout") + 1 if "timeout" in loop.law.stops else 0
+    scope = {"STAMP": int(stamp[:12], 16), "TIMEOUT": timeout}
+    name = f"rows_{name_loop(loop.law, loop.plant, loop.states)}"
+    made = compile_entry(compiled_entry.run_rows, name, scope, signature)
+    return partial(made, loop.run, measure)
+
+
+def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
+    return np.empty(1, kinds.settings), np.empty(1, kinds.state), kinds.allocate(1, 1)
+
+
+def compile_entry(entry: Any, name: str, scope: dict[str, Any], signature: Any) -> Any:
+    """Return an entry function compiled under a name, by which numba's cache finds it.
+
+    Older versions in the cache are removed.
+    """
+    from numba import njit
+
+    scope = {**scope, "__name__": entry.__module__}
+    bound = FunctionType(entry.__code__, scope, entry.__name__)
+    bound.__qualname__, bound.__module__ = name, entry.__module__
+    made = njit(signature, nogil=True, cache=True, error_model="numpy", _nrt=False)(bound)
+    if not made.stats.cache_hits:
+        remove_others(entry.__module__, name.rpartition("_")[0], name)
+    return made
+
+
+def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
+    """Return the name of a loop in numba's cache.
+
+    Raises:
+        TwinError: If the law uses something that cannot be compiled.
+    """
+    stamp = _bind(law, plant, states)[2]
+    # A user law may have the name of a built-in one, whose loop must stay in the cache.
+    owner = "" if is_built_in(law) else "own_"
+    return f"{owner}{law.name}_{plant.name}_{stamp}".replace("-", "_")

@@ -1,0 +1,1 @@
+"""Simulation and measurement of many scenarios in compiled code, without trajectories."""

@@ -1,0 +1,277 @@
+"""Conversion of varied keys to the arrays of the compiled loop."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.arithmetic import to_float32
+from turtlelog.errors import TurtlelogError
+from turtlelog.laws import LawPart, find_law
+from turtlelog.laws.sequential import SequentialNumbers
+from turtlelog.measure.measure_settings import SETTLING_BAND
+from turtlelog.parts import Plant, PlantPart
+from turtlelog.plants.kinds import PLANTS
+from turtlelog.run import CUT_SHORT
+from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.class_law import is_built_in
+from turtlelog.simulate.compiled.compiled_loop import find_kinds
+from turtlelog.simulate.compiled.compiled_run import build_tables
+from turtlelog.simulate.compiled.twins import as_record
+from turtlelog.simulate.many import find_loop
+from turtlelog.simulate.settings import bound_rows, build_settings
+from turtlelog.simulate.streams import list_streams
+from turtlelog.sweep.batch.batch_columns import LINE, build_loops
+from turtlelog.sweep.plan import build_row_scenario
+
+_OF_LAW: Final = (
+    *("law.kp_linear", "law.kp_angular", "law.ki_linear", "law.ki_angular"),
+    *("law.kd_linear", "law.kd_angular"),
+    *("law.heading_tolerance_rad", "law.position_tolerance_m", "law.pause_ticks", "law.timeout_s"),
+    *("law.settled_within_m", "law.settled_for_s", "law.standstill_samples"),
+    *("law.standstill_below", "law.derivative_filter_s", "law.tracking_time_s"),
+)
+_OF_PLANT: Final = (
+    *("plant.speed_gain", "plant.turn_gain", "plant.speed_lag_s", "plant.turn_lag_s"),
+)
+
+FREE_KEYS: Final = frozenset({*_OF_LAW, *_OF_PLANT, "seed"})
+"""Keys whose values can be validated one by one. No rule combines them with another key, each may
+be any number between two bounds, and each is a number of the loop by itself. Other keys are
+validated in combination."""
+
+
+_NOT_COMPARED: Final = (dict, list, tuple)
+"""Types of values that are rarely equal: rows with a schedule, or points, of their own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PreparedRows:
+    """Rows as arrays for the compiled loop.
+
+    Attributes:
+        rows: Row numbers, shape (n,).
+        others: Rows that the loop cannot simulate.
+        settings: Settings, shape (n,).
+        starts: Start states, shape (n,).
+        states: States that the loop changes, shape (n,).
+        lines: Lines from start to goal, shape (n,).
+        table: Table of the law, shared by all rows.
+        seeds: Seeds, shape (n,).
+        streams: Names of the random streams that any row needs.
+        ticks: Largest possible number of ticks of a row.
+        samples: Largest possible number of samples of a row.
+    """
+
+    rows: NDArray[np.int64]
+    others: list[int]
+    settings: NDArray[Any]
+    starts: NDArray[Any]
+    states: NDArray[Any]
+    lines: NDArray[Any]
+    table: NDArray[np.float64]
+    seeds: NDArray[Any]
+    streams: frozenset[str]
+    ticks: int
+    samples: int
+
+    def begin(self) -> None:
+        """Reset the states to the start states."""
+        self.states[:] = self.starts
+
+    def take(self, places: NDArray[np.int64]) -> "PreparedRows":
+        """Return some of the rows."""
+        names = ("rows", "settings", "starts", "states", "lines", "seeds")
+        return replace(self, **{name: getattr(self, name)[places] for name in names})
+
+
+Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
+"""Key of a compiled loop: a law, a plant, and the declared states of the law."""
+
+
+def find_column_kind(scenario: Scenario) -> Kind | None:
+    """Return the kind of compiled loop for rows of a scenario; None if there is none.
+
+    Its law must have a goal and a heading loop, supported references, and an ordinary end.
+    """
+    law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
+    if not isinstance(law, LawPart):
+        return None
+    is_known = declaration.uses_goal and scenario.path is None
+    is_known = is_known and any(loop.signal == "heading" for loop in declaration.loops)
+    if not is_known or build_loops(declaration) is None or CUT_SHORT & {*law.stops}:
+        return None
+    return law, PLANTS[scenario.plant.kind], declaration.states
+
+
+def is_free(law: LawPart) -> bool:
+    """Return whether the values of `FREE_KEYS` can be validated one by one."""
+    return law.Numbers is SequentialNumbers and is_built_in(law)
+
+
+class _Case:
+    """A combination of the keys that are validated together."""
+
+    def __init__(self, scenario: Scenario, plant: Plant, kind: Kind) -> None:
+        law, part, _ = kind
+        declaration = declare_scenario(scenario)
+        _, settings, start = build_settings(scenario, law, declaration, plant)
+        kinds = find_kinds(*kind)
+        self.settings = as_record(settings, kinds.settings)
+        self.state, self.seed = as_record(start, kinds.state), scenario.seed
+        self.table = build_tables(scenario)[0]
+        self.streams = list_streams(scenario)
+        self.ticks, self.samples = bound_rows(scenario, plant)
+        x_m, y_m = part.read(start.plant)[:2]
+        exact = scenario.loop.pose_precision == "float64"
+        start_xy_m = (x_m, y_m) if exact else (to_float32(x_m), to_float32(y_m))
+        line = find_line(start_xy_m, (scenario.goal.x_m, scenario.goal.y_m))
+        heading_rad = math.nan if scenario.goal.heading_rad is None else scenario.goal.heading_rad
+        goal = scenario.goal.x_m, scenario.goal.y_m, heading_rad
+        self.line = (*line.values(), *goal, SETTLING_BAND)
+
+
+def prepare_rows(
+    base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int], plant: Plant | None
+) -> PreparedRows:
+    """Return rows as arrays; rows that the loop of `base` cannot simulate are listed separately.
+
+    Args:
+        base: Scenario with a resolved law.
+        columns: Values of each varied key, one per row.
+        rows: Row numbers.
+        plant: Plant whose clock is used; None: each row uses its own plant.
+    """
+    kind = find_column_kind(base)
+    may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns
+    free = [key for key in columns if key in FREE_KEYS] if may_be_free else []
+    joint = [key for key in columns if key not in free]
+    cases: dict[tuple[Any, ...], _Case | None] = {}
+    own = {key: _judge_column(base, key, [columns[key][row] for row in rows]) for key in free}
+    taken: list[int] = []
+    others: list[int] = []
+    found: list[_Case] = []
+    for place, row in enumerate(rows):
+        key = tuple((type(columns[name][row]), columns[name][row]) for name in joint)
+        if any(kind in _NOT_COMPARED for kind, _ in key):
+            others.append(row)
+            continue
+        if key not in cases:
+            cases[key] = _judge_case(
+                base, kind, dict(zip(joint, (v for _, v in key), strict=True)), plant
+            )
+        case = cases[key]
+        # The memory of the loop holds one table.
+        has_other = case is not None and bool(found) and not same_table(case, found[0])
+        if case is None or has_other or any(column[place] is None for column in own.values()):
+            others.append(row)
+        else:
+            taken.append(place)
+            found.append(case)
+    values = {key: [column[place] for place in taken] for key, column in own.items()}
+    return _gather([rows[place] for place in taken], others, found, values)
+
+
+def same_table(case: _Case, other: _Case) -> bool:
+    """Return whether the laws of two cases have the same table."""
+    return case is other or np.array_equal(case.table, other.table, equal_nan=True)
+
+
+_NONE: Final = np.empty(0)
+
+
+def _gather(
+    taken: list[int], others: list[int], cases: list[_Case], free: Mapping[str, Sequence[Any]]
+) -> PreparedRows:
+    unique = [*dict.fromkeys(cases)]
+    numbers = {case: number for number, case in enumerate(unique)}
+    of_case = np.array([numbers[case] for case in cases], np.int64)
+    settings = np.concatenate([case.settings for case in unique] or [_NONE])[of_case]
+    seeds: NDArray[Any] = np.array([case.seed for case in unique], object)[of_case]
+    for key, column in free.items() if cases else ():
+        if key == "seed":
+            seeds = np.array(column, object)
+        else:
+            table, name = key.split(".")
+            settings[table][name] = column
+    lines = np.array([case.line for case in unique], LINE)[of_case]
+    starts = np.concatenate([case.state for case in unique] or [_NONE])[of_case]
+    return PreparedRows(
+        rows=np.array(taken, np.int64),
+        others=others,
+        settings=settings,
+        starts=starts,
+        states=starts.copy(),
+        lines=lines,
+        table=cases[0].table if cases else np.empty((0, 0)),
+        seeds=seeds,
+        streams=frozenset[str]().union(*(case.streams for case in unique)),
+        ticks=max((case.ticks for case in unique), default=1),
+        samples=max((case.samples for case in unique), default=1),
+    )
+
+
+def _judge_case(
+    base: Scenario, kind: Kind | None, changes: Mapping[str, Any], plant: Plant | None
+) -> _Case | None:
+    """Return a combination; None if it is no valid scenario or has no compiled loop."""
+    try:
+        scenario = resolve_scenario(build_row_scenario(base, [*changes], [*changes.values()], 0))
+    except TurtlelogError:
+        return None
+    clock = scenario.plant.facts if plant is None else plant
+    if kind is None or find_column_kind(scenario) != kind or find_loop(scenario, clock) is None:
+        return None
+    if declare_scenario(scenario).loops != declare_scenario(base).loops:
+        return None
+    return _Case(scenario, clock, kind)
+
+
+def is_batched(scenario: Scenario, plant: Plant) -> bool:
+    """Return whether the batch covers a scenario."""
+    return find_column_kind(scenario) is not None and find_loop(scenario, plant) is not None
+
+
+def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[Any]:
+    """Return the values of a free key as a scenario stores them; None if a value is invalid."""
+    if {*map(type, column)} in ({int}, {float}):
+        least, most = min(column), max(column)
+        found = _judge_value(base, key, least), _judge_value(base, key, most)
+        # The valid values of a free key form an interval, so values between valid ones are valid.
+        if None not in found and all(least <= value <= most for value in column):
+            return [*map(type(found[0]), column)]
+    known: dict[Any, Any] = {}
+    for value in column:
+        if (type(value), value) not in known:
+            known[type(value), value] = _judge_value(base, key, value)
+    return [known[type(value), value] for value in column]
+
+
+def _judge_value(base: Scenario, key: str, value: Any) -> Any:
+    try:
+        scenario = resolve_scenario(build_row_scenario(base, [key], [value], 0))
+    except TurtlelogError:
+        return None
+    if key == "seed":
+        return scenario.seed
+    table, name = key.split(".")
+    return getattr(scenario.plant if table == "plant" else scenario.law.parameters, name)
+
+
+def find_line(start_xy_m: tuple[float, float], goal_xy_m: tuple[float, float]) -> dict[str, float]:
+    """Return the line from start to goal as in `Run`, and as used for projecting signals."""
+    x_m, y_m = start_xy_m
+    ahead_m, left_m = goal_xy_m[0] - x_m, goal_xy_m[1] - y_m
+    bearing_rad = math.atan2(left_m, ahead_m)
+    return {
+        "x_m": x_m,
+        "y_m": y_m,
+        "cos": float(np.cos(bearing_rad)),
+        "sin": float(np.sin(bearing_rad)),
+        "length_m": float(np.hypot(ahead_m, left_m)),
+        "bearing_rad": bearing_rad,
+    }

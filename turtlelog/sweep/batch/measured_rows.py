@@ -1,0 +1,412 @@
+"""Simulation and measurement of varied scenarios in compiled code, without trajectories.
+
+Laws and metrics that are not compiled, and rows that fail, are computed as single runs. In both
+cases a row has the numbers of a single run, bit for bit.
+"""
+
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import SimulationError, SweepError, TurtlelogError
+from turtlelog.laws import find_law
+from turtlelog.measure import measure_run
+from turtlelog.parts import Plant
+from turtlelog.processes import count_cores
+from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate.class_law import is_built_in
+from turtlelog.simulate.compiled.compiled_loops import CompiledLoops, import_beside, is_kept
+from turtlelog.simulate.compiled.compiled_run import CompiledRunner, draw_streams, name_stop
+from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
+from turtlelog.sweep.batch.batch_columns import (
+    FACTS,
+    FIRST_POSE,
+    OK,
+    STATUS_OF,
+    STATUSES,
+    TOO_LARGE,
+    allocate_memory,
+    build_loops,
+    count_columns,
+    find_column,
+    is_angle,
+    is_covered,
+    name_measurement,
+    type_measurement,
+)
+from turtlelog.sweep.batch.batch_kernel import NO_PHASE
+from turtlelog.sweep.batch.batch_rows import (
+    Kind,
+    PreparedRows,
+    find_column_kind,
+    find_line,
+    prepare_rows,
+)
+from turtlelog.sweep.plan import build_row_scenario
+
+_MEASURING: Final = "turtlelog.sweep.batch.batch_entry"
+_MEASURING_S: Final = 5.0
+"""Additional time for compiling the measurement with the loop instead of the loop alone [s]."""
+
+_NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
+
+_STRETCH: Final = 32
+"""Rows in one call: enough for a negligible overhead, few enough that all cores finish together."""
+
+
+_COMPARED: Final[set[CompiledLoops]] = set()
+"""Compiled loops of user laws that this process has compared with plain runs."""
+
+
+class Batch(NamedTuple):
+    """A compiled loop with the functions that simulate and measure rows."""
+
+    loop: Any
+    run_rows: Any
+
+
+@cache
+def _find_batch(kind: Kind) -> CompiledLoops:
+    return CompiledLoops(
+        partial(_load, kind),
+        partial(_is_kept, kind),
+        cost_s=COST_S,
+        first_s=FIRST_S + _MEASURING_S,
+        beside=(_MEASURING,),
+    )
+
+
+def _load(kind: Kind) -> Batch:
+    from turtlelog.simulate.compiled.compiled_loop import compile_loop, compile_rows
+
+    loop = compile_loop(*kind)
+    measurement = import_beside(_MEASURING)
+    return Batch(loop, compile_rows(loop, measurement.MEASURE, type_measurement()))
+
+
+def _is_kept(kind: Kind) -> bool:
+    from turtlelog.simulate.compiled.compiled_loop import name_loop
+
+    try:
+        name = name_loop(*kind)
+    except TypeError:  # not compilable; the compilation reports it
+        return False
+    is_measured = is_kept(_MEASURING, name_measurement())
+    return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
+
+
+def find_batch(base: Scenario) -> CompiledLoops | None:
+    """Return the compiled code for rows that vary keys of a scenario; None if its law has none."""
+    try:
+        kind = find_column_kind(resolve_scenario(base))
+    except TurtlelogError:  # it may lack values that the rows give it
+        return None
+    return None if kind is None else _find_batch(kind)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredRows:
+    """Results of rows, in their order.
+
+    Attributes:
+        values: Values by metric, NaN if there is no value, shape (n,) each.
+        statuses: Indices into `STATUSES` by metric, shape (n,) each; -1 for rows that failed.
+        stop_reasons: Stop reason of each row; None for rows that failed.
+        failed: Reason of each failure; None for rows that did not fail.
+        samples: Number of samples of each row, shape (n,).
+        compiled: Number of rows simulated and measured by the compiled loop.
+        interpreted: Number of rows computed as single runs.
+        notes: Notes on the compiled code of a user's law, one line each.
+    """
+
+    values: Mapping[str, NDArray[np.float64]]
+    statuses: Mapping[str, NDArray[np.int8]]
+    stop_reasons: list[str | None]
+    failed: list[str | None]
+    samples: NDArray[np.int64]
+    compiled: int = 0
+    interpreted: int = 0
+    notes: tuple[str, ...] = ()
+
+
+def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
+    base: Scenario,
+    columns: Mapping[str, Sequence[Any]],
+    metrics: Sequence[str],
+    *,
+    plant: Plant | None = None,
+    threads: int | None = None,
+    first: int = 0,
+    ahead: int = 0,
+    step_budget_s: float = STEP_BUDGET_S,
+) -> MeasuredRows:
+    """Simulate rows that vary a scenario and return their metrics.
+
+    Args:
+        base: Scenario that the rows vary; its law may run.
+        columns: Values of each varied key, one per row.
+        metrics: Metric ids, no patterns.
+        plant: Plant whose clock is used; None: each row uses its own plant.
+        threads: Number of threads; None: one per core.
+        first: Number of the first row, which its scenario's name contains.
+        ahead: Approximate number of rows still to be done by this process, which decides whether
+            compiled loops are worth loading.
+        step_budget_s: Longest computing time of the law per step [s].
+
+    Raises:
+        SweepError: If columns have different lengths, or there are none.
+        MeasureError: If an id names no metric.
+    """
+    counts = {len(column) for column in columns.values()}
+    if len(counts) != 1:
+        raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
+    work = _Work(base, columns, metrics, plant, first, step_budget_s)
+    rest: Sequence[int] = range(work.count)
+    batch = find_batch(base) if all(map(is_covered, metrics)) else None
+    if batch is not None:
+        kernel = batch.find()
+        if kernel is None and work.count:
+            work.measure_alone(0)
+            rest = range(1, work.count)
+            rows = max(work.count, ahead)
+            kernel = batch.expect(int(work.result.samples[0]) * rows, find_saving(base))
+        if kernel is not None:
+            threads = count_cores() if threads is None else threads
+            rest = work.run_compiled(batch, kernel, rest, threads)
+        if batch.problem is not None:
+            work.notes.append(f"law {base.law.kind} runs plain: {batch.problem}")
+    for row in rest:
+        work.measure_alone(row)
+    return work.finish()
+
+
+class _Cells(NamedTuple):
+    """Results of rows from the compiled code, in the columns of `batch_columns`.
+
+    Attributes:
+        values: Values, NaN if none was entered, shape (n, columns).
+        reasons: Numbers of the reasons for missing values, shape (n, columns).
+    """
+
+    values: NDArray[np.float64]
+    reasons: NDArray[np.int16]
+
+
+class _Work:
+    """The state of rows while the batch computes them."""
+
+    def __init__(
+        self,
+        base: Scenario,
+        columns: Mapping[str, Sequence[Any]],
+        metrics: Sequence[str],
+        plant: Plant | None,
+        first: int,
+        step_budget_s: float,
+    ) -> None:
+        self.count = count = len(next(iter(columns.values())))
+        self._base, self._columns, self._metrics = base, columns, tuple(metrics)
+        self._plant, self._first, self._step_budget_s = plant, first, step_budget_s
+        self._is_own = False
+        self.notes: list[str] = []
+        self._compiled = 0
+        self._local = threading.local()
+        self.result = MeasuredRows(
+            values={name: np.full(count, np.nan) for name in metrics},
+            statuses={name: np.full(count, -1, np.int8) for name in metrics},
+            stop_reasons=[None] * count,
+            failed=[None] * count,
+            samples=np.zeros(count, np.int64),
+        )
+
+    def finish(self) -> MeasuredRows:
+        """Return the results with the number of compiled rows."""
+        result = self.result
+        return MeasuredRows(
+            values=result.values,
+            statuses=result.statuses,
+            stop_reasons=result.stop_reasons,
+            failed=result.failed,
+            samples=result.samples,
+            compiled=self._compiled,
+            interpreted=self.count - self._compiled,
+            notes=tuple(self.notes),
+        )
+
+    def measure_alone(self, row: int) -> None:
+        """Simulate and measure a row as a single run."""
+        result = self.result
+        try:
+            scenario = self._build_scenario(row)
+            run = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+        except TurtlelogError as err:
+            if isinstance(err, SimulationError) and err.run is not None:
+                result.samples[row] = len(err.run.samples)
+            result.failed[row] = str(err)
+            return
+        result.stop_reasons[row], result.samples[row] = run.stop_reason, len(run.samples)
+        for name, metric in measure_run(run, only=self._metrics).items():
+            result.statuses[name][row] = STATUSES.index(metric.status)
+            if metric.value is not None:
+                result.values[name][row] = metric.value
+
+    def _build_scenario(self, row: int) -> Scenario:
+        keys, values = tuple(self._columns), [column[row] for column in self._columns.values()]
+        scenario = build_row_scenario(self._base, keys, values, self._first + row)
+        return resolve_scenario(scenario)
+
+    def run_compiled(
+        self, batch: CompiledLoops, kernel: Batch, rows: Sequence[int], threads: int
+    ) -> Sequence[int]:
+        """Simulate and measure compiled rows; return the rows that are not compiled."""
+        self._is_own = not is_built_in(kernel.loop.law)
+        try:
+            if self._is_own and rows and batch not in _COMPARED:
+                _COMPARED.add(batch)
+                self._compare(kernel, rows[0])
+            return self._run_compiled(kernel, rows, threads)
+        except StepBudgetError as err:
+            batch.give_up(f"when compiled, one step {err}")
+            return rows
+
+    def _compare(self, kernel: Batch, row: int) -> None:
+        """Note how much a row of a user's law differs between compiled and ordinary code."""
+        try:
+            scenario = self._build_scenario(row)
+            plain = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+        except TurtlelogError:  # the row has the reason
+            return
+        plant = scenario.plant.facts if self._plant is None else self._plant
+        runner = CompiledRunner(self._step_budget_s)
+        compiled = runner.simulate(kernel.loop, scenario, plant)
+        if compiled is not None:
+            self.notes += describe_difference(scenario.law.kind, plain, compiled)
+
+    def _run_compiled(self, kernel: Batch, rows: Sequence[int], threads: int) -> list[int]:
+        base = resolve_scenario(self._base)
+        self._declaration = declare_scenario(base)
+        self._places = {name: find_column(name, self._declaration) for name in self._metrics}
+        prepared = prepare_rows(base, self._columns, rows, self._plant)
+        cells = self._run_all(kernel, prepared, threads)
+        # The line from start to goal is known in advance, unless a disturbance moves the waiting
+        # robot.
+        moved = self._correct_lines(prepared, cells)
+        if len(moved):
+            again = prepared.take(moved)
+            part = self._run_all(kernel, again, threads)
+            cells.values[moved], cells.reasons[moved] = part
+            prepared.states[moved] = again.states
+        now = prepared.states["now"] if len(prepared.rows) else _NO_ROWS
+        good = (now["failure"] == 0) & (now["samples"] > 0)
+        self._enter(prepared, cells, np.flatnonzero(good))
+        self._compiled += int(good.sum())
+        return sorted([*prepared.others, *prepared.rows[~good].tolist()])
+
+    def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
+        """Simulate and measure prepared rows from their start states, which overwrite `states`."""
+        loops = build_loops(self._declaration)
+        assert loops is not None
+        shape = len(prepared.rows), count_columns(len(loops))
+        cells = _Cells(np.full(shape, np.nan), np.zeros(shape, np.int16))
+        prepared.begin()
+        asked = np.zeros(shape[1], np.bool_)
+        asked[[place for place in self._places.values() if place is not None]] = True
+        order = np.argsort(prepared.seeds, kind="stable")
+        cuts = np.flatnonzero(np.diff(prepared.seeds[order])) + 1
+        stretches = [
+            group[first : first + _STRETCH]
+            for group in np.split(order, cuts)
+            for first in range(0, len(group), _STRETCH)
+        ]
+
+        def run(stretch: NDArray[np.int64]) -> None:
+            rows, memory = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
+            part = asked, cells.values[stretch], cells.reasons[stretch]
+            begun = prepared.settings[stretch], prepared.states[stretch], prepared.lines[stretch]
+            told = np.zeros(1, FACTS), loops, memory
+            self._call(partial(kernel.run_rows, begun, rows, told, part), begun[1])
+            _, cells.values[stretch], cells.reasons[stretch] = part
+            _, prepared.states[stretch], _ = begun
+
+        if threads == 1 or len(stretches) == 1:
+            for stretch in stretches:
+                run(stretch)
+            return cells
+        with ThreadPoolExecutor(threads, thread_name_prefix="batch") as pool:
+            for _ in pool.map(run, stretches):
+                pass
+        return cells
+
+    def _call(self, run: Callable[[], Any], states: NDArray[Any]) -> None:
+        """Call compiled code; with a user's law it may never return."""
+        if not self._is_own:
+            run()
+            return
+        local = self._local
+        kept = {name: vars(local).pop(name) for name in ("rows", "memory", "seed")}
+        if not hasattr(local, "watched"):
+            local.watched = WatchedCode(self._step_budget_s)
+        local.watched.call(run, lambda: int(states["now"]["samples"].sum()))
+        vars(local).update(kept)
+
+    def _find_memory(self, kernel: Batch, prepared: PreparedRows, seed: int) -> tuple[Any, Any]:
+        """Return this thread's arrays for the loop, with random numbers, and for measuring."""
+        local = self._local
+        ticks, samples = prepared.ticks, prepared.samples
+        if (
+            not hasattr(local, "rows")
+            or len(local.rows.ticks) < ticks
+            or (len(local.rows.samples) < samples)
+        ):
+            local.rows = kernel.loop.kinds.allocate(ticks, samples)._replace(table=prepared.table)
+            local.memory = allocate_memory(ticks, samples, len(self._declaration.loops))
+            local.seed = None
+        if local.seed != seed:
+            draw_streams(local.rows, prepared.streams, seed, ticks, samples)
+            local.seed = seed
+        return local.rows, local.memory
+
+    def _correct_lines(self, prepared: PreparedRows, cells: _Cells) -> NDArray[np.int64]:
+        """Set the line from the first pose that was read; return the rows whose line changed."""
+        read = cells.values[:, FIRST_POSE]
+        lines = prepared.lines
+        other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
+        other &= ~np.isnan(read[:, 0])
+        moved = np.flatnonzero(other)
+        for row in moved.tolist():
+            settings = prepared.settings[row]
+            goal = float(settings["goal"]["x_m"]), float(settings["goal"]["y_m"])
+            found = find_line((float(read[row, 0]), float(read[row, 1])), goal)
+            for name, value in found.items():
+                lines[name][row] = value
+        return moved
+
+    def _enter(self, prepared: PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:
+        """Enter the metrics of rows that the compiled loop has simulated."""
+        result, rows = self.result, prepared.rows[good]
+        if not len(rows):
+            return
+        now, law = prepared.states["now"], find_law(self._base.law.kind)
+        result.samples[rows] = now["samples"][good]
+        for row, reason in zip(rows, now["stop"][good].tolist(), strict=True):
+            result.stop_reasons[row] = name_stop(law, reason)
+        for name in self._metrics:
+            place = self._places[name]
+            if place is None:
+                result.statuses[name][rows] = STATUS_OF[NO_PHASE]
+                continue
+            column, status = cells.values[good, place], STATUS_OF[cells.reasons[good, place]]
+            if is_angle(name, self._declaration):
+                column *= math.degrees(1.0)
+            status[(status == OK) & ~np.isfinite(column)] = TOO_LARGE
+            result.values[name][rows] = np.where(status == OK, column, np.nan)
+            result.statuses[name][rows] = status

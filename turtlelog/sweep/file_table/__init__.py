@@ -1,0 +1,1 @@
+"""One table with the metrics of many recordings."""

@@ -1,0 +1,308 @@
+"""One table with the metrics of many recordings; unchanged recordings are not read again."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from turtlelog.compare import order_ids
+from turtlelog.errors import LibraryError, LogError, TurtlelogError
+from turtlelog.files.urls import make_path
+from turtlelog.log import ReadChoice, read_as_chosen
+from turtlelog.log.error_boundary import open_file
+from turtlelog.measure import MeasureSettings, measure_run
+from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
+from turtlelog.sweep.file_table.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
+from turtlelog.sweep.file_table.find_recordings import FoundRecording, list_contents
+from turtlelog.sweep.table.kept_parts import KeptParts
+from turtlelog.sweep.table.result_table import (
+    has_result_file,
+    open_result_table,
+    read_result_facts,
+    write_result_table,
+)
+from turtlelog.sweep.table.row_columns import Cell, Key, Row, gather_rows
+from turtlelog.version import __version__
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+
+_CHUNK_FILES: Final = 16
+_CHUNK_BYTES: Final = 2**24
+"""Size of a chunk of files [bytes]: read in about a tenth of a second, which an interruption
+loses."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingTable:
+    """Kind and columns of the table to write.
+
+    Attributes:
+        kind: See `ResultTable`.
+        facts: Settings on which rows depend, apart from the content of files, as texts.
+        work: Function that returns the rows of a file, at least one; it can be pickled. For a file
+            that cannot be read it returns a row of `ERROR`; errors that it raises end the work.
+        order: Function that returns the keys of columns, without those of `HEAD`, from the existing
+            keys and those with a cell that is not None.
+    """
+
+    kind: str
+    facts: Mapping[str, str]
+    work: Callable[[str], Sequence[Row]]
+    order: Order
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TabulatedFiles:
+    """Table of recordings, and what was read.
+
+    Attributes:
+        output: Path of the table.
+        files: Number of files in the table.
+        read: Number of files that were read.
+        failed: Number of files that cannot be read; the column `error` gives the reason.
+        errors: Label and reason of the first of them.
+    """
+
+    output: Path
+    files: int
+    read: int
+    failed: int
+    errors: tuple[tuple[str, str], ...]
+
+
+def describe_former(output: Path, table: RecordingTable) -> str | None:
+    """Return the reason why an existing table cannot be reused; None if it can or does not exist.
+
+    Raises:
+        LogError: If the file is no such table and must not be replaced.
+        LibraryError: If pyarrow is not installed.
+    """
+    if not has_result_file(output):
+        return None
+    found = read_result_facts(output)
+    if found is None or found["kind"] != table.kind:
+        other = "another Parquet file" if found is None else f"a table of {found['kind']}"
+        raise LogError(f"{output}: expected a table of {table.kind} or a new name, found {other}")
+    if found["version"] != __version__:
+        return f"turtlelog {found['version'][:40]} wrote it"
+    others = [name for name, text in table.facts.items() if found.get(name) != text]
+    return f"it was made with another choice of {' and '.join(others)}" if others else None
+
+
+def tabulate_recordings(
+    found: Sequence[FoundRecording],
+    output: Path,
+    table: RecordingTable,
+    *,
+    jobs: "int | Executor | None" = 1,
+    file_s: float = FILE_S,
+    watch: Callable[[Iterator[Any], int], Iterator[Any]] = lambda results, _: results,
+) -> TabulatedFiles:
+    """Write the rows of recordings as a Parquet table, in their order; read only new recordings.
+
+    Rows are copied from the existing table if a recording's size and modification time are
+    unchanged, and also if only its content is unchanged. Results of an interrupted call are used.
+
+    Args:
+        found: The recordings.
+        output: Path of the table, which is replaced when the new table is complete.
+        table: Kind and columns of the table.
+        jobs: Number of processes, or an executor; None: the number that is fastest.
+        file_s: Time per file, apart from that for its bytes [s], to choose the number of processes.
+        watch: Receives the results of chunks as they come, and the number of files in each.
+
+    Raises:
+        LogError: If the existing file is no such table, or the table cannot be written.
+        SweepError: If another command is writing the table, or the disk is full.
+        LibraryError: If pyarrow is not installed.
+    """
+    output = make_path(output)
+    former = None
+    if describe_former(output, table) is None and has_result_file(output):
+        former = open_result_table(output, kind=table.kind)
+    facts = {**table.facts, "kind": table.kind, "version": __version__}
+    kept = KeptParts(output, facts, ReadFiles)
+    is_complete = False
+    try:
+        rows = FileRows(kept, former)
+        chunks = list(_cut(found, _list_tasks(found, rows)))
+        if jobs is None:
+            jobs = choose_jobs([one.path for chunk in chunks for one, _ in chunk], file_s=file_s)
+        work = partial(_read_chunk, work=table.work)
+        results = map_in_processes(work, chunks, jobs, name=_name_chunk)
+        for chunk in watch(results, sum(map(len, chunks))):
+            rows.add(chunk)
+        made = rows.assemble([one.label for one in found], table.kind, table.facts, table.order)
+        write_result_table(made.table, output)
+        is_complete = True
+    finally:
+        kept.close(is_complete=is_complete or not kept.places)
+    return TabulatedFiles(
+        output=output, files=len(found), read=rows.read, failed=made.failed, errors=made.errors
+    )
+
+
+_Task = tuple[FoundRecording, str | None]
+"""A recording, and the known hash of its content."""
+
+
+def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Task]:
+    """Yield the recordings to be checked, with the known hash of their content."""
+    for one in found:
+        known = rows.find(one.label)
+        if known is None or known.sha256 is None:
+            yield one, None
+        elif (known.size, known.mtime_ns) != (one.size, one.mtime_ns):
+            yield one, known.sha256
+
+
+def _cut(found: Sequence[FoundRecording], tasks: Iterator[_Task]) -> Iterator[list[_Task]]:
+    """Yield chunks of work: a few large files, or more small ones."""
+    most = max(1, min(_CHUNK_FILES, len(found) // _CHUNK_FILES))
+    chunk: list[_Task] = []
+    for task in tasks:
+        chunk.append(task)
+        if len(chunk) == most or sum(one.size for one, _ in chunk) > _CHUNK_BYTES:
+            yield chunk
+            chunk = []
+    if chunk:
+        yield chunk
+
+
+def _name_chunk(chunk: Sequence[_Task]) -> str:
+    more = f" and {len(chunk) - 1} more" if len(chunk) > 1 else ""
+    return f"{chunk[0][0].label}{more}"
+
+
+def _read_chunk(chunk: Sequence[_Task], *, work: Callable[[str], Sequence[Row]]) -> ReadFiles:
+    files: dict[str, FileState] = {}
+    rows: list[Row] = []
+    for one, known in chunk:
+        sha256, found = _read_one(one, known, work)
+        files[one.label] = FileState(one.size, one.mtime_ns, sha256, len(rows), len(found))
+        rows += found
+    columns = [(*key, cells) for key, cells in gather_rows(rows).items()]
+    return ReadFiles(files, len(rows), columns)
+
+
+def _read_one(
+    one: FoundRecording, known: str | None, work: Callable[[str], Sequence[Row]]
+) -> tuple[str | None, Sequence[Row]]:
+    """Return the hash and the rows of a file; no rows if its content is known."""
+    # The hash is computed first: if a file changes during reading, the hash is that of the former
+    # content, and the next call reads the file again.
+    try:
+        sha256 = hash_recording(Path(one.path))
+    except (OSError, LogError):
+        sha256 = None  # it may become readable without a change
+    if sha256 is not None and sha256 == known:
+        return sha256, []
+    try:
+        rows = work(one.path)
+    except LibraryError as err:
+        return None, [{ERROR: str(err)}]  # the library may be installed later
+    return sha256, rows or [{}]
+
+
+_HASHED_BYTES: Final = 2**20
+
+
+def hash_recording(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the names and contents of a bag's files.
+
+    Raises:
+        OSError: If a file cannot be read.
+        LogError: If a file is a pipe or a device.
+    """
+    files, whole = list_contents(path), hashlib.sha256()
+    if files == [path]:
+        with open_file(path) as stream:
+            while piece := stream.read(_HASHED_BYTES):
+                whole.update(piece)
+        return whole.hexdigest()
+    for file in files:
+        whole.update(f"{file.name!r} {hash_recording(file)}\n".encode())
+    return whole.hexdigest()
+
+
+_TEXTS = (Key("name"), Key("source"), Key("stop_reason"), Key("notes"))
+_STATUS = ".status"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _MeasureFile:
+    settings: MeasureSettings
+    only: tuple[str, ...] | None
+    topics: ReadChoice
+
+    def __call__(self, path: str) -> list[Row]:
+        try:
+            run = read_as_chosen(path, self.topics)
+        except LibraryError:
+            raise
+        except TurtlelogError as err:
+            return [{ERROR: str(err).removeprefix(f"{path}: ")}]
+        notes = "; ".join(f"{name}: {text}" for name, text in run.notes.items())
+        row: dict[Key, Cell] = dict(
+            zip(_TEXTS, (run.name, run.source, run.stop_reason, notes or None), strict=True)
+        )
+        for name, metric in measure_run(run, self.settings, only=self.only).items():
+            row[Key(name, "real", metric.unit)] = metric.value
+            row[Key(f"{name}{_STATUS}")] = metric.status.value
+        return [row]
+
+
+def plan_metric_table(
+    settings: MeasureSettings | None = None,
+    *,
+    only: Sequence[str] | None = None,
+    topics: ReadChoice | None = None,
+) -> RecordingTable:
+    """Return the `RecordingTable` for a table with one row of metrics per file.
+
+    Args:
+        settings: See `measure_run`.
+        only: Metric ids and patterns; None: every metric.
+        topics: Topics to read from third-party files.
+    """
+    settings, topics = settings or MeasureSettings(), topics or ReadChoice()
+    chosen = None if only is None else tuple(only)
+    return RecordingTable(
+        kind="metrics",
+        facts={
+            "metrics": "all" if chosen is None else ",".join(chosen),
+            "settings": describe_values(settings),
+            "reading": describe_values(topics),
+        },
+        work=_MeasureFile(settings=settings, only=chosen, topics=topics),
+        order=_order,
+    )
+
+
+def _order(keys: Set[Key], used: Set[Key]) -> list[Key]:
+    """Return the text columns, then value and status of each metric that a run has."""
+    ids = {key.name.removesuffix(_STATUS) for key in used if key.name.endswith(_STATUS)}
+    values = {
+        name: sorted(key for key in keys if key.name == name and key.type == "real") for name in ids
+    }
+    chosen = [*_TEXTS]
+    for name in order_ids(sorted(ids)):
+        chosen += [*values[name], Key(f"{name}{_STATUS}")]
+    return chosen
+
+
+def describe_values(values: Any) -> str:
+    """Return settings as JSON, the same text for the same settings."""
+
+    def describe(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return dict(value)
+        return value.tolist() if hasattr(value, "tolist") else repr(value)
+
+    return msgspec.json.encode(values, enc_hook=describe, order="deterministic").decode()

@@ -1,0 +1,301 @@
+"""The partial file next to a table: the results of an interrupted command, locked by one process.
+
+It begins with the facts of the table and grows part by part. Each part has a length and a checksum:
+an incomplete last part is ignored.
+"""
+
+import hashlib
+import os
+import struct
+import sys
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import BinaryIO, Final, Generic, TypeVar
+
+import msgspec
+
+from turtlelog.errors import SweepError
+from turtlelog.files.urls import RemotePath
+from turtlelog.sweep.table.result_table import has_result_file, read_result_facts
+
+T = TypeVar("T")
+U = TypeVar("U")
+
+_MAGIC: Final = b"turtlelog sweep 1\n"
+_FRAME: Final = struct.Struct("<II")
+"""Length and checksum of the compressed data that follow."""
+
+_MOST_BYTES: Final = 2**30
+"""Largest length of a part [bytes]; a larger one is damage."""
+
+_SMALL_PART: Final = 2**23
+_MOST_PACKED: Final = 2
+"""Largest ratio of unpacked to packed size of a large part. A list takes eight bytes for each byte:
+a file of 10 MB takes 160 MB. Data with a larger ratio are not packed."""
+
+
+def name_partial(output: Path) -> Path:
+    """Return the path of the partial file: next to a table, or in the working folder.
+
+    Objects behind URLs cannot grow, so their partial files are in the working folder; the file name
+    distinguishes tables of the same name.
+    """
+    if not isinstance(output, RemotePath):
+        return output.with_name(f"{output.name}.partial")
+    told = hashlib.sha256(output.url.encode()).hexdigest()[:8]
+    return Path(f"{output.name}.{told}.partial")
+
+
+def has_results(output: Path, facts: Mapping[str, str]) -> bool:
+    """Return whether the results of this sweep already exist.
+
+    Raises:
+        SweepError: If the file contains something else.
+        LogError: If it cannot be read.
+    """
+    if not has_result_file(output):
+        return False
+    found = read_result_facts(output)
+    if found is None or found["kind"] != "sweep":
+        raise SweepError(f"{output}: expected a new name, found a file that no sweep wrote")
+    require_same(facts, output, found, what="the results")
+    return True
+
+
+def require_same(
+    facts: Mapping[str, str], path: Path, found: Mapping[str, str], *, what: str = "what is done"
+) -> None:
+    """Refuse a file of another sweep.
+
+    Args:
+        facts: Facts of this sweep.
+        path: The file.
+        found: Facts in the file.
+        what: Content of the file, for the message.
+
+    Raises:
+        SweepError: If the facts differ.
+    """
+    others = [name for name, text in facts.items() if found.get(name) != text]
+    if others:
+        named = " and ".join(_NAMES.get(name, name) for name in others)
+        raise SweepError(
+            f"{path}: expected a new name, found {what} of a sweep with another {named}"
+        )
+
+
+_NAMES: Final = {
+    "base": "base scenario",
+    "plan": "plan",
+    "metrics": "choice of metrics",
+    "records": "choice of recordings",
+    "law_code": "code of the law",
+    "version": "version of turtlelog",
+}
+
+
+class KeptParts(Generic[T]):
+    """The partial file of a table, locked while it is open.
+
+    Attributes:
+        path: Path of the file.
+        places: Start of each part in the file [bytes].
+        was_begun: Whether the file existed, for the same table.
+    """
+
+    def __init__(
+        self,
+        output: Path,
+        facts: Mapping[str, str],
+        kind: type[T],
+        *,
+        require: Callable[[Path, Mapping[str, str]], None] | None = None,
+    ) -> None:
+        """Open the file, or create it.
+
+        Args:
+            output: Path of the table.
+            facts: Facts of the table.
+            kind: Type of a part.
+            require: Function called with the file's facts if they differ, which raises an error;
+                None: such a file is replaced.
+
+        Raises:
+            SweepError: If another process writes to it, or it cannot be written.
+        """
+        self.path, self._output = name_partial(output), output
+        self.places: list[int] = []
+        self.was_begun = False
+        self._decoder = msgspec.msgpack.Decoder(kind)
+        try:
+            self._stream = self._open()
+            try:
+                self._begin(dict(facts), require)
+            except BaseException:
+                self._stream.close()
+                raise
+        except OSError as err:
+            raise self._describe(err) from err
+
+    def _open(self) -> BinaryIO:
+        """Return the locked file; open again if another command removed it meanwhile."""
+        while True:
+            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | _BINARY, 0o666)
+            stream = os.fdopen(descriptor, "r+b", buffering=0)
+            if not _lock(stream):
+                stream.close()
+                raise SweepError(
+                    f"{self._output}: another command is writing it; choose another name or wait"
+                )
+            if self.path.exists() and os.path.samestat(os.fstat(descriptor), self.path.stat()):
+                return stream
+            stream.close()
+
+    def _begin(
+        self, facts: dict[str, str], require: Callable[[Path, Mapping[str, str]], None] | None
+    ) -> None:
+        head = self._stream.read(len(_MAGIC))
+        # A truncated head belongs to nobody; a file with other content must not be replaced.
+        if not _MAGIC.startswith(head):
+            raise SweepError(
+                f"{self.path}: is in the way, and not left by an interrupted command;"
+                " delete or rename it"
+            )
+        parts = self._iterate_parts() if head == _MAGIC else iter(())
+        packed = next(parts, (0, b""))[1]
+        if packed:
+            found = self._decode(packed, msgspec.msgpack.Decoder(dict[str, str]))
+            if found != facts and require is not None:
+                require(self.path, found)
+            self.was_begun = found == facts
+        if self.was_begun:
+            end = self._stream.tell()
+            for place, packed in parts:
+                self.places.append(place)
+                end = place + _FRAME.size + len(packed)
+            self._stream.truncate(end)
+        else:
+            self._stream.truncate(0)
+            self._append(_MAGIC + _frame(msgspec.msgpack.encode(facts)))
+
+    def _iterate_parts(self) -> Iterator[tuple[int, bytes]]:
+        """Yield complete packed parts, up to the first truncated or damaged one."""
+        while True:
+            place = self._stream.tell()
+            frame = self._stream.read(_FRAME.size)
+            if len(frame) < _FRAME.size:
+                return
+            length, checksum = _FRAME.unpack(frame)
+            packed = self._stream.read(length) if length < _MOST_BYTES else b""
+            if len(packed) < length or zlib.crc32(packed) != checksum:
+                return
+            yield place, packed
+
+    def read(self, place: int) -> T:
+        """Return the part that begins at a place.
+
+        Raises:
+            SweepError: If the part can no longer be read, or is not a part of this table.
+        """
+        try:
+            self._stream.seek(place)
+            packed = next(self._iterate_parts())[1]
+        except OSError as err:
+            raise self._describe(err) from err
+        except StopIteration as err:
+            raise SweepError(f"{self.path}: expected what was kept, found it damaged") from err
+        return self._decode(packed, self._decoder)
+
+    def _decode(self, packed: bytes, decoder: msgspec.msgpack.Decoder[U]) -> U:
+        most = _count_most(packed)
+        unpacking = zlib.decompressobj()
+        try:
+            data = unpacking.decompress(packed, most + 1)
+            if len(data) <= most and unpacking.eof:
+                return decoder.decode(data)
+        except (zlib.error, msgspec.DecodeError, RecursionError):
+            pass
+        raise SweepError(
+            f"{self.path}: a part of it is none that this command wrote, or is damaged. Delete the"
+            " file, then type the same command again"
+        )
+
+    def add(self, part: T) -> int:
+        """Append a part and return its start in the file.
+
+        Raises:
+            SweepError: If the disk is full or no longer available.
+        """
+        try:
+            self.places.append(self._append(_frame(msgspec.msgpack.encode(part))))
+        except OSError as err:
+            raise self._describe(err) from err
+        return self.places[-1]
+
+    def _append(self, data: bytes) -> int:
+        place, rest = self._stream.seek(0, os.SEEK_END), memoryview(data)
+        while rest:
+            rest = rest[self._stream.write(rest) :]
+        return place
+
+    def _describe(self, err: OSError) -> SweepError:
+        return SweepError(
+            f"{self.path}: expected room for what is done, found: {err.strerror or err}; the same"
+            " command goes on from there"
+        )
+
+    def close(self, *, is_complete: bool = False) -> None:
+        """Close the file; remove it if the table is complete."""
+        # Under the lock if the system allows it: after its release the name may belong to another
+        # file.
+        if is_complete and sys.platform != "win32":
+            self.path.unlink(missing_ok=True)
+        self._stream.close()
+        if is_complete and sys.platform == "win32":
+            self.path.unlink(missing_ok=True)
+
+
+def _frame(data: bytes) -> bytes:
+    packed = zlib.compress(data, 1)
+    if len(data) > _count_most(packed):
+        packed = zlib.compress(data, 0)
+    return _FRAME.pack(len(packed), zlib.crc32(packed)) + packed
+
+
+def _count_most(packed: bytes) -> int:
+    """Return the largest size of an unpacked part [bytes]."""
+    return max(_SMALL_PART, _MOST_PACKED * len(packed))
+
+
+_BINARY: Final = getattr(os, "O_BINARY", 0)
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _FAR: Final = 2**40
+    """Offset of the lock, beyond any file, so that it does not hinder readers."""
+
+    def _lock(stream: BinaryIO) -> bool:
+        """Lock the file; return False if another process has locked it."""
+        stream.seek(_FAR)
+        try:
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            stream.seek(0)
+        return True
+
+else:
+    import fcntl
+
+    def _lock(stream: BinaryIO) -> bool:
+        """Return whether nobody else has locked the file; True where it cannot be locked."""
+        try:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            return True
+        return True

@@ -1,0 +1,386 @@
+"""Tables of results in Parquet files: columns with units, and facts about the table."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from turtlelog.errors import LogError, SweepError
+from turtlelog.files.urls import is_there
+from turtlelog.libraries import load_library
+from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.error_boundary import name_file
+from turtlelog.log.parquet.parquet_file import ParquetFile, list_cells
+from turtlelog.version import __version__
+
+ColumnType = Literal["whole", "real", "text", "truth"]
+"""Type of the cells of a column, besides null: int64, float64, text or boolean."""
+
+FORMAT: Final = "1"
+"""Version of the file metadata; readers refuse newer versions."""
+
+ROW: Final = "row"
+"""Name of the column with row numbers."""
+
+_PREFIX: Final = "turtlelog."
+"""Prefix of turtlelog's names in the file metadata, beside those of Arrow and pandas."""
+
+_MOST_GROUPED: Final = 131_072
+_CELLS_GROUPED: Final = 2**19
+"""Number of cells in a row group: 1 MB of a number column and 4 MB of all columns, about the memory
+for writing and reading. A million files with all metrics have 500 groups, whose footer has 20 MB.
+Groups do not depend on how rows reach the writer, so equal tables are equal files."""
+
+_WHOLE: Final = range(-(2**63), 2**63)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResultColumn:
+    """A named column.
+
+    Attributes:
+        name: Name of the column: a dotted scenario key, or a metric id.
+        type: Type of its cells.
+        cells: Cells, one per row; None for a missing value.
+        unit: Unit of its numbers; None for texts, counts and numbers used as names.
+    """
+
+    name: str
+    type: ColumnType
+    cells: Sequence[Any]
+    unit: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResultTable:
+    """Columns of equal length, and facts about the table.
+
+    Attributes:
+        kind: Command that wrote the table, such as `sweep`; readers refuse other kinds.
+        columns: Columns in order, with unique names.
+        facts: Texts by name, without the reserved names `kind`, `format` and `version`.
+        version: Version of turtlelog that wrote the table.
+    """
+
+    kind: str
+    columns: tuple[ResultColumn, ...]
+    facts: Mapping[str, str] = field(default_factory=dict)
+    version: str = __version__
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows."""
+        return len(self.columns[0].cells) if self.columns else 0
+
+    def find(self, name: str) -> ResultColumn | None:
+        """Return the column with a name; None if there is none."""
+        return next((column for column in self.columns if column.name == name), None)
+
+
+def choose_type(values: Iterable[Any]) -> ColumnType:
+    """Return the type that stores values without loss; text if kinds are mixed."""
+    kinds = {_find_type(value) for value in values if value is not None}
+    if kinds == {"whole", "real"}:
+        return "real"
+    return kinds.pop() if len(kinds) == 1 else "text"
+
+
+def _find_type(value: Any) -> ColumnType:
+    if isinstance(value, bool):
+        return "truth"
+    if isinstance(value, int):
+        return "whole" if value in _WHOLE else "text"
+    return "real" if isinstance(value, float) else "text"
+
+
+def write_result_table(table: ResultTable, path: str | Path) -> None:
+    """Write a table as a Parquet file, which gets its name when it is complete.
+
+    Raises:
+        LogError: If the file cannot be written, for example on a full disk.
+        LibraryError: If pyarrow is not installed.
+    """
+    parquet, schema = load_library("pyarrow.parquet"), _build_schema(table)
+    with (
+        replace_when_complete(path) as temporary,
+        temporary.open("wb") as stream,
+        parquet.ParquetWriter(stream, schema, compression="zstd") as writer,
+    ):
+        for rows in cut_groups(table.row_count, len(table.columns)):
+            arrays = [
+                _build_array(column, rows, kind)
+                for column, kind in zip(table.columns, schema.types, strict=True)
+            ]
+            writer.write_table(load_library("pyarrow").table(arrays, schema=schema))
+
+
+def build_result_arrow(table: ResultTable) -> Any:
+    """Return a table as the `pyarrow.Table` that its file contains."""
+    schema, rows = _build_schema(table), slice(None)
+    arrays = [
+        _build_array(column, rows, kind)
+        for column, kind in zip(table.columns, schema.types, strict=True)
+    ]
+    return load_library("pyarrow").table(arrays, schema=schema)
+
+
+def cut_groups(row_count: int, column_count: int) -> Iterator[slice]:
+    """Yield the row groups in which a table is written, and should be computed."""
+    size = min(_MOST_GROUPED, max(1, _CELLS_GROUPED // max(1, column_count)))
+    for first in range(0, row_count, size):
+        yield slice(first, min(first + size, row_count))
+
+
+def _build_schema(table: ResultTable) -> Any:
+    pa = load_library("pyarrow")
+    kinds = {"whole": pa.int64(), "real": pa.float64(), "text": pa.string(), "truth": pa.bool_()}
+    fields = [
+        pa.field(
+            column.name,
+            kinds[column.type],
+            metadata=None if column.unit is None else {"unit": column.unit},
+        )
+        for column in table.columns
+    ]
+    own = {"kind": table.kind, "format": FORMAT, "version": table.version}
+    texts = {f"{_PREFIX}{name}": text for name, text in {**table.facts, **own}.items()}
+    return pa.schema(fields, metadata=dict(sorted(texts.items())))
+
+
+def _build_array(column: ResultColumn, rows: slice, kind: Any) -> Any:
+    cells = column.cells[rows]
+    if hasattr(cells, "__arrow_array__"):
+        return load_library("pyarrow").array(cells, kind)
+    if column.type == "text":
+        cells = [cell if cell is None or isinstance(cell, str) else str(cell) for cell in cells]
+    elif column.type == "real" and isinstance(cells, list | tuple):
+        cells = [None if cell is None else float(cell) for cell in cells]
+    return load_library("pyarrow").array(cells, kind)
+
+
+def has_result_file(path: Path) -> bool:
+    """Return whether a file, or an object behind a URL, already exists.
+
+    Raises:
+        LogError: If this cannot be determined, or the bucket does not exist.
+    """
+    with name_file(path, expected="a place that can be looked at"):
+        return is_there(path)
+
+
+def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
+    """Return the `kind`, the `version` and the facts of the table in a file.
+
+    None if the Parquet file is not a result table of turtlelog.
+
+    Raises:
+        LogError: If the file is not a Parquet file, is truncated, or is from a newer turtlelog.
+        LibraryError: If pyarrow is not installed.
+    """
+    with _name_table(path):
+        return _read_facts(ParquetFile(path).schema.metadata)
+
+
+def read_result_table(
+    path: str | Path, *, kind: str, columns: Sequence[str] | None = None
+) -> ResultTable:
+    """Return a table that `write_result_table` wrote.
+
+    Args:
+        path: The file.
+        kind: Kind of the expected table, such as `sweep`.
+        columns: Names of the columns to read; None: all.
+
+    Raises:
+        LogError: If the file cannot be read, is not a Parquet file, is truncated, or contains
+            another table.
+        LibraryError: If pyarrow is not installed.
+    """
+    return open_result_table(path, kind=kind).load(columns)
+
+
+def list_values(column: ResultColumn) -> list[Any]:
+    """Return Arrow cells as Python values."""
+    return list_cells(column.cells)
+
+
+def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
+    """Return row numbers: those in the column `row` if they are unique, otherwise 0, 1, 2 ...
+
+    Tables filtered or sorted by other programs keep their row numbers.
+
+    Args:
+        cells: Cells of the column `row`; None if it is missing.
+        count: Number of rows.
+    """
+    if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
+        return range(count)
+    return cells
+
+
+def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
+    """Return a table whose row groups are read one by one.
+
+    Raises:
+        LogError: As for `read_result_table`.
+        LibraryError: If pyarrow is not installed.
+    """
+    stored = StoredTable(path)
+    if stored.kind != kind:
+        other = f"a table of {stored.kind}" if stored.kind else "another Parquet file"
+        if not stored.kind and {ROW, "failed"} <= {*stored.names}:
+            other = "its columns without its metadata, which pandas and polars do not keep"
+        raise LogError(f"{path}: expected a table of {kind}, found {other}")
+    return stored
+
+
+class StoredTable:
+    """A table in a file. The file is open only during reads, so it may be replaced meanwhile.
+
+    Attributes:
+        kind: See `ResultTable`; empty if the file is no such table.
+        facts: As in `ResultTable`.
+        version: See `ResultTable`.
+        names: Names of the columns.
+        group_rows: Number of rows in each group.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Read the facts of the table; errors are as in `read_result_table`."""
+        self._path = path
+        with _name_table(path):
+            self._file = ParquetFile(path)
+            facts = dict(_read_facts(self._file.schema.metadata) or {})
+        self.kind, self.version = facts.pop("kind", ""), facts.pop("version", "")
+        facts.pop("format", None)
+        self.facts: Mapping[str, str] = facts
+        self.names: Sequence[str] = self._file.schema.names
+        self.group_rows = self._file.group_rows
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows."""
+        return self._file.row_count
+
+    def read(
+        self, columns: Sequence[str] | None = None, group: int | None = None
+    ) -> list[ResultColumn]:
+        """Return columns with Arrow arrays as cells.
+
+        Args:
+            columns: Names of the columns to read; None: all.
+            group: Index of a row group; None: all.
+
+        Raises:
+            LogError: As for `read_result_table`.
+        """
+        with _name_table(self._path):
+            return list(_iterate_columns(self._file.read(columns, group)))
+
+    def load(self, columns: Sequence[str] | None = None) -> ResultTable:
+        """Return the table with Python values as cells.
+
+        Args:
+            columns: Names of the columns to read; None: all.
+
+        Raises:
+            LogError: As for `read_result_table`.
+        """
+        found = [replace(one, cells=list_values(one)) for one in self.read(columns)]
+        return ResultTable(
+            kind=self.kind, columns=tuple(found), facts=self.facts, version=self.version
+        )
+
+    def read_row(self, row: int, names: Sequence[str]) -> list[Any]:
+        """Return the cells of columns in a row as Python values.
+
+        Raises:
+            KeyError: If a column does not exist.
+            LogError: As for `read`.
+        """
+        group = 0
+        while row >= self.group_rows[group]:
+            row, group = row - self.group_rows[group], group + 1
+        found = {one.name: list_values(one)[row] for one in self.read(names, group)}
+        return [found[name] for name in names]
+
+    def find_row(self, number: int) -> int:
+        """Return the position of the row with a number in the column `row`.
+
+        Raises:
+            SweepError: If there is no such row.
+            LogError: As for `read`.
+        """
+        has_numbers = ROW in self.names
+        if 0 <= number < self.row_count and (
+            not has_numbers or self.read_row(number, [ROW]) == [number]
+        ):
+            return number
+        cells = None
+        if has_numbers:
+            cells = [cell for one in self.iterate(ROW) for cell in one.to_pylist()]
+        numbers = list_row_numbers(cells, self.row_count)
+        if number in numbers:
+            return numbers.index(number)
+        if not numbers:
+            raise SweepError(f"{self._path}: the table has no rows")
+        ends = f"{min(numbers)} to {max(numbers)}"
+        raise SweepError(f"{self._path}: expected a row from {ends}, found {number}")
+
+    def iterate(self, name: str) -> Iterator[Any]:
+        """Yield the cells of a column group by group, as Arrow arrays."""
+        for group in range(len(self.group_rows)):
+            for column in self.read([name], group):
+                yield column.cells
+
+    def count_values(self, name: str) -> int:
+        """Return the number of cells with a value, without reading the cells."""
+        place, groups = self.names.index(name), range(len(self.group_rows))
+        chunks = (self._file.metadata.row_group(group).column(place) for group in groups)
+        return sum(chunk.statistics.num_values for chunk in chunks)
+
+
+def _name_table(path: str | Path) -> AbstractContextManager[None]:
+    return name_file(path, expected="a complete Parquet file")
+
+
+def _read_facts(metadata: Mapping[bytes, bytes] | None) -> Mapping[str, str] | None:
+    texts = {key.decode(): text.decode() for key, text in (metadata or {}).items()}
+    facts = {
+        key.removeprefix(_PREFIX): text for key, text in texts.items() if key.startswith(_PREFIX)
+    }
+    if not {"kind", "format", "version"} <= facts.keys():
+        return None
+    if facts["format"] != FORMAT:
+        raise LogError(
+            f"expected a table of format {FORMAT}, found format {facts['format'][:20]} of turtlelog"
+            f" {facts['version'][:20]}: a newer one reads it"
+        )
+    return facts
+
+
+_TYPES: Final[Mapping[str, ColumnType]] = {
+    **dict.fromkeys(("int64", "int32", "int16", "int8", "uint32", "uint16", "uint8"), "whole"),
+    **dict.fromkeys(("double", "float", "halffloat"), "real"),
+    "bool": "truth",
+    **dict.fromkeys(("string", "large_string", "string_view", "null"), "text"),
+}
+"""Column types by Arrow's names of types, including types that other programs write."""
+
+
+def _iterate_columns(table: Any) -> Iterator[ResultColumn]:
+    pa = load_library("pyarrow")
+    text = pa.dictionary(pa.int32(), pa.string())
+    stored = {"whole": pa.int64(), "real": pa.float64(), "truth": pa.bool_(), "text": text}
+    for one, cells in zip(table.schema, table.columns, strict=True):
+        kind = _TYPES.get(str(getattr(one.type, "value_type", one.type)))
+        if kind is None or pa.types.is_nested(one.type):
+            raise LogError(f"{one.name}: expected numbers, texts or truths, found {one.type}")
+        unit = (one.metadata or {}).get(b"unit")
+        yield ResultColumn(
+            name=one.name,
+            type=kind,
+            cells=cells if one.type == stored[kind] else cells.cast(stored[kind]),
+            unit=None if unit is None else unit.decode(),
+        )

@@ -1,0 +1,388 @@
+"""The table of a sweep prepared for charts: axes with places for its rows, and metrics."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
+from turtlelog.files.text_files import parse_toml
+from turtlelog.log.error_boundary import name_file
+from turtlelog.log.parquet.parquet_file import list_cells
+from turtlelog.run.loops import ControlLoop
+from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario
+from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.table.result_table import (
+    ROW,
+    ResultColumn,
+    StoredTable,
+    list_row_numbers,
+    list_values,
+    open_result_table,
+)
+from turtlelog.sweep.table.sweep_table import STATUS
+
+Values = NDArray[np.float64]
+
+SEED: Final = "seed"
+"""Key whose values are repetitions of runs, not compared."""
+
+_FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
+"""Most requested metrics of maps, by the last part of their id, in this order."""
+
+_LARGEST: Final = 1e150
+"""Largest value on an axis: squares of differences of larger values overflow."""
+
+_BEYOND: Final = "beyond 1e150"
+
+_USUAL_METRICS: Final = 4
+"""Default number of panels: two rows of two, each as wide as a column of a paper."""
+
+MOST_METRICS: Final = 12
+"""Largest number of panels in one picture: with more, text would be higher than the cells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptAxis:
+    """One axis of a sweep: a key, or keys that vary together.
+
+    Attributes:
+        keys: Dotted keys; the first gives the axis its numbers.
+        values: Values at each place, one per key: numbers ascending, words in row order.
+        places: Place of each row, shape (n,).
+        unit: Unit of the numbers; None if they have none.
+        is_number: Whether all places have finite numbers; otherwise they are equally spaced.
+    """
+
+    keys: tuple[str, ...]
+    values: tuple[tuple[Any, ...], ...]
+    places: NDArray[np.int64]
+    unit: str | None
+    is_number: bool
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def name(self) -> str:
+        """The name of the axis: its keys."""
+        return ", ".join(self.keys)
+
+    @property
+    def label(self) -> str:
+        """The label of the axis, with the unit."""
+        rest = f" (with {', '.join(self.keys[1:])})" if self.keys[1:] else ""
+        return f"{self.keys[0]}{f' [{self.unit}]' if self.unit else ''}{rest}"
+
+    @property
+    def numbers(self) -> Values:
+        """Coordinates of the places; 0, 1, 2 ... for words."""
+        if self.is_number:
+            return np.array([value[0] for value in self.values], dtype=np.float64)
+        return np.arange(len(self.values), dtype=np.float64)
+
+    def tell_place(self, place: int) -> str:
+        """Return the values of a place in words."""
+        return ", ".join(format_key_value(value) for value in self.values[place])
+
+    def tell_row(self, row: int) -> str:
+        """Return keys and values of a row, as in `law.kp_linear = 4`."""
+        values = self.values[self.places[row]]
+        pairs = zip(self.keys, values, strict=True)
+        return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptMetric:
+    """A metric of every row.
+
+    Attributes:
+        name: Id of the metric.
+        unit: Unit of its values.
+        values: Value of each row, NaN if there is none, shape (n,).
+        reasons: Reason for a missing value, per row; None if there is a value.
+    """
+
+    name: str
+    unit: str
+    values: Values
+    reasons: Sequence[str | None]
+
+    @property
+    def is_verdict(self) -> bool:
+        """Whether its values are verdicts, 0 or 1 by definition, instead of quantities."""
+        return self.name.rpartition(".")[2] == _FIRST[0]
+
+    @property
+    def loop(self) -> str:
+        """The possible loop of the metric: the part of the id before the point."""
+        return self.name.rpartition(".")[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptResults:
+    """The rows of a sweep.
+
+    Attributes:
+        path: Path of the table.
+        axes: Axes in the order of the plan.
+        metrics: The requested metrics.
+        others: Ids of all other metrics.
+        is_sampled: Whether rows were sampled at random, so that few share a place.
+        failed: Number of rows without a run.
+        row_count: Number of rows.
+        row_numbers: Row number of each row, as used by `run --from`.
+        base: Scenario that the rows vary.
+    """
+
+    path: Path | str
+    axes: tuple[SweptAxis, ...]
+    metrics: tuple[SweptMetric, ...]
+    others: tuple[str, ...]
+    is_sampled: bool
+    failed: int
+    row_count: int
+    row_numbers: Sequence[int]
+    base: Scenario
+    _known: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def find_axis(self, key: str) -> SweptAxis | None:
+        """Return the axis of a key; None if the key does not vary."""
+        return next((axis for axis in self.axes if key in axis.keys), None)
+
+    def find_base_value(self, key: str) -> Any:
+        """Return the value of a key in the base scenario; None if it has no value."""
+        if not self._known:
+            self._known.update(flatten_scenario(self.base))
+        return self._known.get(key)
+
+    def build_scenario(self, row: int) -> Scenario:
+        """Return the scenario of a row; no code is loaded, and its law is not trusted.
+
+        Raises:
+            ScenarioError: If its values are not a valid scenario.
+        """
+        changes = [
+            (key, value)
+            for axis in self.axes
+            for key, value in zip(axis.keys, axis.values[axis.places[row]], strict=True)
+        ]
+        keys, values = [key for key, _ in changes], [value for _, value in changes]
+        return build_row_scenario(
+            self.base,
+            keys,
+            values,
+            self.row_numbers[row],
+            source=f"{self.path}",
+            trust_law=False,
+        )
+
+    def tell_row(self, row: int) -> str:
+        """Return the values of all varied keys in a row, in words."""
+        return ", ".join(axis.tell_row(row) for axis in self.axes)
+
+
+def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:
+    """Return the rows of a table by `turtlelog sweep`, prepared for charts.
+
+    Args:
+        path: Path of the table.
+        patterns: Metric ids or patterns; None: up to four metrics, common ones first.
+
+    Raises:
+        LogError: If the file is not a table of a sweep, or has no rows.
+        SweepError: If a metric does not exist, or the patterns match too many metrics.
+        LibraryError: If pyarrow is not installed.
+    """
+    stored = open_result_table(path, kind="sweep")
+    axes, is_sampled, base = _parse_facts(path, stored)
+    known = [name for name in stored.names if f"{name}{STATUS}" in stored.names]
+    asked = known if patterns is None else _match(path, patterns, known)
+    wanted = [*(key for keys in axes for key in keys), *asked]
+    wanted += [*(f"{name}{STATUS}" for name in asked), "failed"]
+    wanted += [ROW] if ROW in stored.names else []
+    columns = {one.name: one for one in stored.read(list(dict.fromkeys(wanted)))}
+    count = stored.row_count
+    if not count:
+        raise LogError(f"{path}: the table has no rows")
+    has_failed = _find_failed(columns.get("failed"), count)
+    with name_file(path, expected="a table of a sweep"):
+        metrics = [_build_metric(columns, name, has_failed) for name in asked]
+    if patterns is None:
+        metrics = _choose_usual(metrics)
+    shown = [metric.name for metric in metrics]
+    results = SweptResults(
+        path=path,
+        axes=tuple(_build_axis([columns[key] for key in keys]) for keys in axes),
+        metrics=tuple(metrics),
+        others=tuple(name for name in known if name not in shown),
+        is_sampled=is_sampled,
+        failed=int(has_failed.sum()),
+        row_count=count,
+        row_numbers=_list_row_numbers(columns.get(ROW), count),
+        base=base,
+    )
+    units = {loop.gain: loop.gain_unit for loop in list_declared_loops(results)}
+    axes_with_units = (
+        replace(axis, unit=axis.unit or units.get(axis.keys[0])) for axis in results.axes
+    )
+    return replace(results, axes=tuple(axes_with_units))
+
+
+def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
+    """Return the loops that the first row's law declares; empty if its code is not loaded."""
+    try:
+        return declare_scenario(resolve_scenario(results.build_scenario(0))).loops
+    except TurtlelogError:
+        return ()
+
+
+def format_key_value(value: Any) -> str:
+    """Return a key's value as text."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _parse_facts(
+    path: str | Path, stored: StoredTable
+) -> tuple[list[tuple[str, ...]], bool, Scenario]:
+    """Return the keys of each axis, whether rows were sampled at random, and the base scenario."""
+    try:
+        plan, tables = json.loads(stored.facts["plan"]), parse_toml(stored.facts["base"])
+        axes = [*((key,) for key in plan["grid"]), *([tuple(plan["zip"])] if plan["zip"] else [])]
+        is_sampled = plan["sample"] is not None
+    except (KeyError, TypeError, ValueError, RecursionError) as err:
+        raise LogError(f"{path}: not a table of turtlelog sweep: it has no plan") from err
+    missing = [key for keys in axes for key in keys if key not in stored.names]
+    if missing:
+        raise LogError(f"{path}: expected a column of every key that varies, found no {missing[0]}")
+    try:
+        return axes, is_sampled, build_scenario(tables, source=f"{path}")
+    except TurtlelogError as err:
+        raise LogError(f"{path}: expected the base scenario of a sweep, found: {err}") from err
+
+
+def _match(path: str | Path, patterns: Sequence[str], known: Sequence[str]) -> list[str]:
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        own = [name for name in known if name == pattern or fnmatchcase(name, pattern)]
+        if not own:
+            raise SweepError(f"{path}: {describe_unknown('metric', pattern, known)}")
+        found |= dict.fromkeys(own)
+    if len(found) > MOST_METRICS:
+        raise SweepError(f"--metric: expected at most {MOST_METRICS} metrics, found {len(found)}")
+    return [*found]
+
+
+def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
+    """Return the most common metrics, varying ones first; otherwise the first metrics."""
+    valued = [metric for metric in metrics if np.isfinite(metric.values).any()]
+
+    def rank(metric: SweptMetric) -> tuple[bool, int]:
+        last = metric.name.rpartition(".")[2]
+        known = metric.values[np.isfinite(metric.values)]
+        is_constant = not len(known) or bool(known.min() == known.max())
+        return is_constant, _FIRST.index(last) if last in _FIRST else len(_FIRST)
+
+    return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
+
+
+def _find_failed(column: ResultColumn | None, count: int) -> NDArray[np.bool_]:
+    """Return which rows failed and have no run."""
+    if column is None:
+        return np.zeros(count, dtype=bool)
+    cells: Any = column.cells
+    return np.asarray(cells.is_valid().to_numpy(), dtype=bool)
+
+
+def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
+    if column is None:
+        return range(count)
+    cells: Any = column.cells
+    is_whole = column.type == "whole" and not cells.null_count
+    if is_whole and np.array_equal(cells.to_numpy(), np.arange(count)):
+        return range(count)
+    return list_row_numbers(list_values(column), count)
+
+
+def _build_metric(
+    columns: Mapping[str, ResultColumn], name: str, has_failed: NDArray[np.bool_]
+) -> SweptMetric:
+    column, statuses = columns.get(name), columns.get(f"{name}{STATUS}")
+    if column is None or statuses is None or column.type != "real":
+        raise LogError(f"{name}: no column of numbers with statuses")
+    cells: Any = column.cells
+    codes: Any = statuses.cells
+    values = np.array(cells.to_numpy(), np.float64)
+    reasons: list[str | None] = [None] * len(values)
+    with np.errstate(invalid="ignore"):
+        is_drawn = np.abs(values) <= _LARGEST
+    without = np.flatnonzero(~is_drawn)
+    told = list_cells(codes.take(without)) if len(without) else []
+    for row, status in zip(without.tolist(), told, strict=True):
+        has_value = not math.isnan(values[row])
+        why = _BEYOND if has_value else _tell_status(status)
+        reasons[row] = "failed" if has_failed[row] else why
+    values[~is_drawn] = math.nan
+    return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)
+
+
+def _tell_status(status: str | None) -> str:
+    if status is None:
+        return "no such loop"
+    return "not a number" if status == "ok" else status.replace("_", " ")
+
+
+def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
+    found, places = _list_distinct(columns[0])
+    distinct = [(value,) for value in found]
+    for column in columns[1:]:
+        others, theirs = _list_distinct(column)
+        pairs = places * len(others) + theirs
+        rows, places = _number_by_first_row(pairs)
+        both = (divmod(pair, len(others)) for pair in pairs[rows].tolist())
+        distinct = [(*distinct[one], others[other]) for one, other in both]
+    is_number = columns[0].type in {"whole", "real"} and all(
+        value[0] is not None and math.isfinite(value[0]) for value in distinct
+    )
+    is_number = is_number and len({value[0] for value in distinct}) == len(distinct)
+    if is_number:
+        order = sorted(range(len(distinct)), key=lambda place: distinct[place][0])
+        distinct, places = [distinct[place] for place in order], np.argsort(order)[places]
+    return SweptAxis(
+        keys=tuple(column.name for column in columns),
+        values=tuple(distinct),
+        places=places,
+        unit=columns[0].unit,
+        is_number=is_number,
+    )
+
+
+def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
+    """Return the distinct values of a column in row order, and the index of each row's value.
+
+    Only distinct cells are converted to Python values, as there may be a million rows.
+    """
+    cells: Any = column.cells
+    if column.type == "real":
+        numbers = (cells.fill_null(math.nan) if cells.null_count else cells).to_numpy()
+        rows, places = _number_by_first_row(numbers)
+        return [None if math.isnan(one) else one for one in numbers[rows].tolist()], places
+    plain = cells.cast("string") if column.type == "text" else cells
+    encoded = plain.combine_chunks().dictionary_encode(null_encoding="encode")
+    return encoded.dictionary.to_pylist(), encoded.indices.to_numpy().astype(np.int64)
+
+
+def _number_by_first_row(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first row of each distinct cell, ascending, and the index for every cell."""
+    _, first, inverse = np.unique(cells, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return first[order], np.argsort(order)[inverse]

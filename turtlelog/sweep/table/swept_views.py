@@ -1,0 +1,323 @@
+"""Views of a sweep for charts: two axes, fixed values of the others, the values of cells."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import SweepError, suggest_names
+from turtlelog.measure import find_metric_kind
+from turtlelog.sweep.table.swept_results import (
+    SEED,
+    SweptAxis,
+    SweptMetric,
+    SweptResults,
+    format_key_value,
+)
+
+Values = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptView:
+    """Rows of a sweep over one or two axes.
+
+    Attributes:
+        results: Sweep that the rows belong to.
+        x: Horizontal axis.
+        y: Vertical axis; None if one axis is shown.
+        held: Fixed places of the axes that are not shown.
+        seeds: Number of seeds that a cell averages; 1 if runs are not repeated.
+        rows: Shown rows, ascending.
+        notes: Choices made for the caller, in sentences.
+    """
+
+    results: SweptResults
+    x: SweptAxis
+    y: SweptAxis | None
+    held: Mapping[SweptAxis, int]
+    seeds: int
+    rows: Places
+    notes: tuple[str, ...]
+
+    @property
+    def axes(self) -> tuple[SweptAxis, ...]:
+        """The one or two axes."""
+        return (self.x,) if self.y is None else (self.x, self.y)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of places of y and of x."""
+        return (1 if self.y is None else len(self.y), len(self.x))
+
+    @property
+    def cells(self) -> Places:
+        """The index of each shown row's cell, counted along x first."""
+        beside = 0 if self.y is None else self.y.places[self.rows] * len(self.x)
+        return np.asarray(self.x.places[self.rows] + beside, dtype=np.int64)
+
+    def find_first_rows(self) -> Places:
+        """Return the first row of each cell, -1 for empty cells, shape as `shape`."""
+        found = np.full(self.shape[0] * self.shape[1], -1, dtype=np.int64)
+        found[self.cells[::-1]] = self.rows[::-1]
+        return found.reshape(self.shape)
+
+    def tell_held(self) -> str:
+        """Return the fixed values as text, as in `loop.transport_delay_ticks = 4`."""
+        return ", ".join(
+            f"{key} = {format_key_value(value)}"
+            for axis, place in self.held.items()
+            for key, value in zip(axis.keys, axis.values[place], strict=True)
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweptCells:
+    """A metric in the cells of a view.
+
+    Attributes:
+        values: Means over the rows with a value, NaN if there is none, shape as that of the view.
+        least: Smallest value.
+        most: Largest value.
+        counts: Number of rows with a value.
+        reasons: Reason for a missing value, by cell index; without cells that have no row.
+    """
+
+    values: Values
+    least: Values
+    most: Values
+    counts: Places
+    reasons: Mapping[int, str]
+
+
+def choose_view(
+    results: SweptResults,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    at: Mapping[str, Any] | None = None,
+    gains: Sequence[str] = (),
+    most_axes: int = 2,
+) -> SweptView:
+    """Return the rows to be shown in a chart with one or two axes.
+
+    Args:
+        results: Results of a sweep.
+        x: Key of the horizontal axis; None: chosen automatically.
+        y: Key of the vertical axis; None: chosen automatically.
+        at: Values of fixed keys.
+        gains: Keys that get the vertical axis if shown with another key.
+        most_axes: Largest number of axes, 1 or 2.
+
+    Raises:
+        SweepError: If a key does not vary, or a value does not occur.
+    """
+    held = _hold(results, at or {})
+    asked = [
+        None if key is None else _require_axis(results, key, option)
+        for key, option in ((x, "--x"), (y, "--y"))
+    ]
+    for one, option in zip(asked, ("--x", "--y"), strict=True):
+        if one is not None and one in held:
+            raise SweepError(f"{option}: expected a key that --at does not hold, found {one.name}")
+    if asked[0] is not None and asked[0] is asked[1]:
+        raise SweepError(f"--y: expected another key than --x, found {asked[0].name}")
+    shown = _choose_axes(results, asked, held, gains, most_axes)
+    return _hold_others(results, shown, held)
+
+
+def _require_axis(results: SweptResults, key: str, option: str) -> SweptAxis:
+    found = results.find_axis(key)
+    if found is None:
+        near = suggest_names(key, [key for axis in results.axes for key in axis.keys])
+        raise SweepError(f"{option}: expected a key that varies ({near}), found {key}")
+    return found
+
+
+def _hold(results: SweptResults, at: Mapping[str, Any]) -> dict[SweptAxis, int]:
+    """Return the fixed places of axes for given values."""
+    held: dict[SweptAxis, int] = {}
+    for key, value in at.items():
+        axis = _require_axis(results, key, "--at")
+        column = axis.keys.index(key)
+        values = [one[column] for one in axis.values]
+        if value not in values:
+            near = _suggest_near(value, values)
+            raise SweepError(f"--at: expected a value of {key}, as {near}, found {value}")
+        wanted = [(axis.keys.index(other), at[other]) for other in axis.keys if other in at]
+        places = [
+            place
+            for place, one in enumerate(axis.values)
+            if all(one[column] == wish for column, wish in wanted)
+        ]
+        if not places:
+            raise SweepError(f"--at: no row has these values of {axis.name}")
+        held[axis] = places[0]
+    return held
+
+
+def _suggest_near(value: Any, values: Sequence[Any]) -> str:
+    """Return the values nearest to a number, or the first words."""
+    is_number = isinstance(value, int | float) and all(isinstance(v, int | float) for v in values)
+    listed = sorted(values, key=lambda one: abs(one - value)) if is_number else values
+    return " or ".join(format_key_value(one) for one in dict.fromkeys(listed[:3]))
+
+
+def _choose_axes(
+    results: SweptResults,
+    asked: Sequence[SweptAxis | None],
+    held: Mapping[SweptAxis, int],
+    gains: Sequence[str],
+    most: int,
+) -> list[SweptAxis]:
+    """Return the x axis, and the y axis if there is one."""
+    first, second = asked
+    given = [axis for axis in asked if axis is not None]
+    free = [
+        axis for axis in results.axes if axis not in held and axis not in given and len(axis) > 1
+    ]
+    free = [axis for axis in free if axis.keys != (SEED,)] or ([] if given else free)
+    if not free and not given:
+        free = [axis for axis in results.axes if axis not in held] or [results.axes[0]]
+    most = 2 if second is not None else most
+    # Texts have few places: they are fixed rather than a range of numbers.
+    ranked = sorted(free, key=lambda axis: not axis.is_number)
+    added = ranked[: max(most - len(given), 0)]
+    if second is not None:
+        if first is None and not added:
+            raise SweepError(f"--y: expected a second key that varies, found {second.name} alone")
+        return [first or added[0], second]
+    if first is not None:
+        return [first, *added]
+    added.sort(key=results.axes.index)
+    if len(added) == 2 and is_gain(added[0], gains) and not is_gain(added[1], gains):
+        added.reverse()
+    return added
+
+
+def is_gain(axis: SweptAxis, gains: Sequence[str]) -> bool:
+    """Return whether all keys of an axis are gains."""
+    return set(axis.keys) <= set(gains)
+
+
+def _hold_others(
+    results: SweptResults, shown: Sequence[SweptAxis], held: Mapping[SweptAxis, int]
+) -> SweptView:
+    notes, held, seeds = [], dict(held), 1
+    for axis in results.axes:
+        if axis in shown or axis in held:
+            continue
+        if results.is_sampled:
+            continue
+        if axis.keys == (SEED,):
+            seeds = len(axis)
+        else:
+            held[axis], how = find_usual_place(results, axis)
+            if len(axis) > 1:
+                notes.append(
+                    f"{axis.tell_row(_find_row(axis, held[axis]))} ({how}); --at holds another"
+                )
+    chosen = np.ones(results.row_count, dtype=bool)
+    for axis, place in held.items():
+        chosen &= axis.places == place
+    rows = np.flatnonzero(chosen)
+    if not len(rows):
+        raise SweepError("--at: no row has all these values")
+    return SweptView(
+        results=results,
+        x=shown[0],
+        y=shown[1] if len(shown) > 1 else None,
+        held=held,
+        seeds=seeds,
+        rows=rows,
+        notes=tuple(notes),
+    )
+
+
+def find_usual_place(results: SweptResults, axis: SweptAxis) -> tuple[int, str]:
+    """Return the fixed place of an axis and the reason: the base's values, otherwise the middle."""
+    base = tuple(results.find_base_value(key) for key in axis.keys)
+    if base in axis.values:
+        return axis.values.index(base), "as in the base"
+    return (len(axis) - 1) // 2, "the middle of its values"
+
+
+def _find_row(axis: SweptAxis, place: int) -> int:
+    return int(np.flatnonzero(axis.places == place)[0])
+
+
+def fill_cells(view: SweptView, metric: SweptMetric) -> SweptCells:
+    """Return the values of a metric in the cells of a view."""
+    count = view.shape[0] * view.shape[1]
+    cells, values = view.cells, metric.values[view.rows]
+    has_value = np.isfinite(values)
+    counts = np.bincount(cells[has_value], minlength=count)
+    least, most = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(least, cells[has_value], values[has_value])
+    np.maximum.at(most, cells[has_value], values[has_value])
+    scale = np.maximum(np.abs(values[has_value]).max(initial=0.0), 1.0)
+    sums = np.bincount(cells[has_value], weights=values[has_value] / scale, minlength=count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = np.where(counts == 1, least, sums / counts * scale)
+    is_empty = counts == 0
+    for array in (means, least, most):
+        array[is_empty] = np.nan
+    reasons = {
+        int(cell): metric.reasons[row] or "no value"
+        for cell, row in zip(cells[::-1].tolist(), view.rows[::-1].tolist(), strict=True)
+        if is_empty[cell]
+    }
+    return SweptCells(
+        values=means.reshape(view.shape),
+        least=least.reshape(view.shape),
+        most=most.reshape(view.shape),
+        counts=counts.reshape(view.shape),
+        reasons=reasons,
+    )
+
+
+def require_values(view: SweptView) -> None:
+    """Refuse metrics without a value in any shown row.
+
+    Raises:
+        SweepError: If no metric has a value.
+    """
+    metrics, path = view.results.metrics, view.results.path
+    if view.results.failed == view.results.row_count:
+        raise SweepError(f"{path}: all rows failed")
+    if not metrics:
+        raise SweepError(f"{path}: the table has no metric")
+    if any(np.isfinite(metric.values[view.rows]).any() for metric in metrics):
+        return
+    reasons = dict.fromkeys(str(one.reasons[row]) for one in metrics for row in view.rows.tolist())
+    names = ", ".join(metric.name for metric in metrics)
+    raise SweepError(f"{path}: expected a row with a value of {names}, found {', '.join(reasons)}")
+
+
+def list_shown_values(view: SweptView, metric: SweptMetric) -> tuple[Places, Values]:
+    """Return the shown rows and their values; for means over seeds, the first row of each."""
+    if view.seeds == 1:
+        return view.rows, metric.values[view.rows]
+    first = view.find_first_rows()
+    return first[first >= 0], fill_cells(view, metric).values[first >= 0]
+
+
+def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
+    """Return the shown rows with the best value; empty if no direction is better.
+
+    With seeds, it is the first row of each best mean; only means over the largest number of seeds
+    count.
+    """
+    kind, (rows, values) = find_metric_kind(metric.name), list_shown_values(view, metric)
+    if kind is None or kind.better is None or metric.is_verdict or not np.isfinite(values).any():
+        return []
+    if view.seeds > 1:
+        counts = fill_cells(view, metric).counts[view.find_first_rows() >= 0]
+        values = np.where(counts == counts.max(), values, np.nan)
+    if kind.floor is not None:
+        values = np.maximum(values, kind.floor)
+    best = np.nanmin(values) if kind.better == "lower" else np.nanmax(values)
+    return [int(row) for row in rows[values == best]]
