@@ -341,14 +341,15 @@ class TrajectoryAnswer:
 
     Attributes:
         file: File as typed.
-        name: Name of the trajectory. space: `plane` if x, y and heading were compared, `space` if
-            positions and rotations were.
+        name: Name of the trajectory.
+        space: `plane` if x, y and heading were compared, `space` if positions and rotations were.
         align: `none`, `origin`, `se2`, `se3`, `sim2` or `sim3`.
         rotation: Rotation matrix of the alignment, row by row.
         translation_m: Translation of the alignment [m].
         scale: Scale of the alignment; 1 unless it is fitted.
         associated: Number of compared pairs of poses.
-        poses: Number of poses of the trajectory. reference_poses: Number of poses of the reference.
+        poses: Number of poses of the trajectory.
+        reference_poses: Number of poses of the reference.
         rmse_before_m: RMSE of the positions without alignment.
         errors: ATE of positions and rotations, then the RPE of each length.
         notes: Notes, in sentences.

@@ -76,7 +76,12 @@ class LawOptions(ScenarioOptions):
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowOptions:
-    """A table's row instead of SCENARIO."""
+    """A row of a table instead of SCENARIO.
+
+    Attributes:
+        table: Run the scenario of a row of this table, which `turtlelog sweep` wrote.
+        row: Number of that row, as in the column `row`.
+    """
 
     table: Annotated[Place | None, Parameter(name="--from", metavar="FILE")] = None
     row: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None

@@ -85,8 +85,8 @@ class AxisModel:
         total_delay_s: Sum of dead time and time constant, which is known better than either [s].
         lag_product_s2: Product of both time constants for second order [s^2].
         rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], if the motion shows one.
-            limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or
-            within its loop, so that the rate itself is a ramp; empty if there is none.
+        limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
+            its loop, so that the rate itself is a ramp; empty if there is none.
         bound: Largest rate [m/s] or [rad/s], if commands exceed it.
         bound_acts: Limited quantity: the command, which the low-pass then follows, or the rate,
             which follows larger commands until it reaches the limit; empty if there is none.

@@ -77,7 +77,19 @@ def draw_figure(
     page: Page | None = None,
     kinds: Mapping[str, FigureKind] | None = None,
 ) -> Figure:
-    """Return one drawn figure, which a notebook shows; several panels use the whole text width."""
+    """Return one drawn figure, which a notebook shows; several panels use the whole text width.
+
+    Runs are drawn in the order of their gains.
+
+    Args:
+        name: Name from `FIGURES`.
+        runs: Run or runs to draw.
+        page: Page format.
+        kinds: Figures that replace those of `FIGURES`, by name.
+
+    Raises:
+        ShowError: If there is no such figure, or the runs lack the data.
+    """
     runs = [runs] if isinstance(runs, Run) else [*runs]
     kind, page = _find_kind(name, runs, kinds), page or Page()
     is_alone = name == "plane" and has_one_plane(runs)

@@ -87,6 +87,16 @@ def write_comparison_rrd(
 
     On the timeline of a later phase, such as `translate_time`, time zero is the start of that
     phase.
+
+    Args:
+        runs: Runs, at least one; each has one colour in every view, in the order of
+            `order_by_gain`.
+        path: The .rrd file; replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs; None: those of `document_runs`.
+        size: See `write_run_rrd`.
+
+    Raises:
+        ShowError: If there is no run, or the file cannot be written.
     """
     if not runs:
         raise ShowError(f"{path}: a comparison needs at least one run")

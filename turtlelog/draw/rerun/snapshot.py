@@ -118,7 +118,15 @@ class Camera:
 
 @contextmanager
 def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
-    """Start a headless viewer for any number of pictures, and end it after the block."""
+    """Start a headless viewer for any number of pictures, and end it after the block.
+
+    Args:
+        size: Width and height of the window [pixels].
+        zoom: Scale of letters and lines, in steps of 0.1; at least 1.
+
+    Raises:
+        ShowError: If the viewer cannot start.
+    """
     port = find_free_port()
     width, height = size
     options = ["--headless", "--port", str(port), "--hide-welcome-screen"]

@@ -126,7 +126,11 @@ class _Schema:
         self._name, self._root, self._left = name, root, _MOST_PARTS
 
     def list_fields(self, schema: Any, path: tuple[str, ...]) -> Iterator[JsonField]:
-        """Yield the fields of messages, including those of nested objects."""
+        """Yield the fields of messages, including those of nested objects.
+
+        Raises:
+            LogError: If a type contains itself, or there are too many parts.
+        """
         schema = self._resolve(schema)
         properties = schema.get("properties")
         if not isinstance(properties, dict):
