@@ -39,8 +39,8 @@ class AttributionStep:
         end: End of the bar.
         name: Label beside the bar, in a word or two.
         text: Size in words, with its part of the logged value.
-        color: Colour: the total has that of the run, the remainder that of the ghost without all
-            causes.
+        color: Colour: that of the run for the total, that of the ghost without all causes for the
+            remainder.
     """
 
     kind: Literal["total", "contribution", "left"]
@@ -139,7 +139,7 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
     own.
 
     Returns:
-        No steps if the contributions are withheld; the attribution gives the reason.
+        The steps; empty if the contributions are withheld, for a reason in the attribution.
     """
     left = found.without_all
     total = found.resimulated if found.as_logged is None else found.as_logged
@@ -280,7 +280,7 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
     Between them is each change with its contribution, the largest first.
 
     Returns:
-        No steps if the contributions are withheld; the answer gives the reason.
+        The steps; empty if the contributions are withheld, for a reason in the answer.
     """
     first, second = found.first.resimulated, found.second.resimulated
     if not found.contributions or first is None or second is None:

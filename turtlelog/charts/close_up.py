@@ -1,4 +1,4 @@
-"""The close-up of the goal: where each run ends, its distance to the goal, and rings for scale."""
+"""The close-up of the goal: ends of the runs with their distances, and rings for scale."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from turtlelog.run import Run
 ARRIVED_M: Final = 1.0
 """A run that ends further from the goal than this has not arrived [m].
 
-The paper's runs miss by 1 to 107 mm on a path of 5.7 m; a close-up with 1 m or more to each side
+The paper's runs miss by 1 to 107 mm on a path of 5.7 m. A close-up with 1 m or more to each side
 would look like the plane."""
 
 _ROOM: Final = 1.25
@@ -41,7 +41,7 @@ _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Upward offsets of text from its dot, best first [lines]."""
 
 _ANGLES_RAD: Final = np.radians([90.0, -90.0, 60.0, 120.0, -60.0, -120.0, 45.0, 135.0])
-"""Angles for the names of the rings, best first [rad]: one above another they need least room."""
+"""Angles for the names of the rings, best first [rad]: names above each other need least room."""
 
 _RING_POINTS: Final = 97
 """Points of a ring: one per 4 degrees."""
@@ -110,8 +110,8 @@ class Lettering:
         gap: Distance between a dot and its text.
         reach: Distance from the goal to the left and right border of the picture, which may be
             wide.
-        most_told: Number of ends that can have text; of more ends, the furthest has text, and if
-            runs have names the last run, which has the highest gain.
+        most_told: Number of ends that can all have text. If there are more, only the furthest has
+            text, and the last run (highest gain) if runs have names.
     """
 
     letter: float
@@ -188,8 +188,8 @@ def format_length(length_m: float) -> str:
 def list_miss_labels(close_up: CloseUp, lettering: Lettering) -> tuple[Label, ...]:
     """Return the distance of each end from the goal, beside it; crowded ends share their text.
 
-    Of too many ends only the furthest has text, and the last run if runs have names; rings show the
-    distances of the others.
+    If there are too many ends, only the furthest has text, and the last run if runs have names;
+    rings show the distances of the others.
     """
     if len(close_up.ends) > lettering.most_told:
         furthest, last = close_up.ends[-1], max(close_up.ends, key=lambda end: end.run)

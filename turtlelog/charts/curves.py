@@ -1,6 +1,6 @@
 """The curves of a run for screen and print, their levels and their moving references.
 
-Headings are in degrees. Of long curves, rows are chosen that give the same picture.
+Headings are in degrees. Long curves are thinned to rows that give the same picture.
 """
 
 from collections.abc import Callable, Sequence
@@ -185,8 +185,9 @@ def list_loops(run: Run, signal: str) -> list[ControlLoop]:
 def list_levels(run: Run, signal: str) -> list[Level]:
     """Return the constant references of a signal.
 
-    They are the references of its declared loops, and for `x`, `y` and the along-track coordinate
-    the goal. If the loops of a run are unknown, it is the goal's bearing from the start.
+    The levels are the references of its declared loops, and the goal for `x`, `y` and the
+    along-track coordinate. If the loops of a run are unknown, it is the goal's bearing from the
+    start.
     """
     if signal in ("x", "y"):
         goal = run.goal_xy_m

@@ -1,6 +1,6 @@
 """The meaning of each colour, dash and marker in all pictures.
 
-A run has a colour, and in print a marker; a loop of its law has a dash; other curves have a colour
+A run has a colour, and in print a marker. A loop of its law has a dash. Other curves have a colour
 and a dash by their kind.
 """
 

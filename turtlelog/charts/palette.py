@@ -34,7 +34,7 @@ _OF_CAUSES: Final[tuple[Color, ...]] = (
     (212, 100, 100),
 )
 """Colours of causes, furthest in CIELAB from those of runs and from each other, also for red-green
-blind readers. They are visible on white and on black."""
+blind readers. All are visible on white and on black."""
 
 _RAMP: Final[tuple[Color, ...]] = (
     (38, 69, 247),
@@ -151,7 +151,7 @@ def choose_shades(count: int) -> tuple[Color, ...]:
 def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
     """Return a colour for each cause, in the given order; none is that of a run.
 
-    There are six, as many as the causes of an attribution; for more they repeat.
+    There are six colours, one for each cause of an attribution; for more causes they repeat.
     """
     return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
@@ -180,7 +180,7 @@ _BY_ORDER: Final = (
 def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
     """Return colours of the phase bars in declared order; `pause` and `done` have their own.
 
-    They are dark enough for the viewer's white letters, and are used nowhere else.
+    The colours are dark enough for the viewer's white letters, and are used nowhere else.
     """
     own = [name for name in names if name not in _OF_EVERY_LAW]
     by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)} | dict(

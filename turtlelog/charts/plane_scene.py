@@ -129,7 +129,7 @@ OUTLINE_LABEL: Final = "90 % of the ends of a gain"
 MEDIAN_LABEL: Final = "median end"
 
 _LEAST_RUNS: Final = 10
-"""Smallest number of ends of a gain that have an outline: of fewer, nine tenths are all."""
+"""Smallest number of ends of a gain with an outline: of fewer ends, nine tenths are all."""
 
 _INSIDE: Final = 0.9
 

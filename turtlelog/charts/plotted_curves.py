@@ -221,9 +221,10 @@ class StateGroup:
 def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
     """Return the states of laws in groups: of the turn rate, of the speed, then all others.
 
-    A state belongs to the loops whose names are words in it (`integral_rotate`), or whose gains end
-    in its last word (`integral_angular` beside `law.kp_angular`); if these loops have the same
-    command, it belongs to this command. Other states have a view each while there are few views.
+    A state belongs to a loop if the loop's name is a word in it (`integral_rotate`), or if the
+    loop's gain ends in its last word (`integral_angular` with `law.kp_angular`). If all its loops
+    have the same command, the state belongs to this command. Other states have a view each while
+    there are few views.
     """
     of_command: dict[str, dict[str, None]] = {command: {} for command in COMMAND_WORDS}
     others: dict[str, None] = {}

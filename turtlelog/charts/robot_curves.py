@@ -112,8 +112,8 @@ def is_turtlesim(run: Run) -> bool:
 def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
     """Return the speed of a run between some of its poses [m/s], shape (n - 1,).
 
-    For runs without samples it is the speed that the robot reports, because the times of their
-    poses jitter; outliers are clipped to the largest of the other values.
+    For runs without samples it is the reported speed, because the times of their poses jitter.
+    Outliers are clipped to the largest of the other values.
     """
     poses = run.poses
     way_m, time_ns = np.diff(poses.xy_m[rows], axis=0), poses.time_ns[rows]

@@ -112,7 +112,7 @@ def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     Poses are linearly interpolated; before the first and after the last the robot is at rest.
 
     Args:
-        run: With at least one pose.
+        run: Run with at least one pose.
         zero_ns: Zero of the timeline, in the run's time [ns].
         time_s: Times [s], shape (n,).
     """

@@ -74,7 +74,7 @@ def _read_away(run: Run) -> Iterator[Curve]:
 
 
 def _read_lost(run: Run, signal: str) -> Iterator[Curve]:
-    """Yield the poses that a controller did not receive, if what it read is shown."""
+    """Yield the poses that a controller did not receive, if its sensed poses are shown."""
     curve = read_curve(run, signal)
     if curve is not None and read_sensed(run, signal) is not None and run.poses.dropped_out.any():
         yield select_curve_rows(curve, np.flatnonzero(run.poses.dropped_out))

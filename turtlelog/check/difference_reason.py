@@ -45,7 +45,7 @@ def explain_failures(
 ) -> list[CheckResult]:
     """Return results; one failed result gets the reason why the run differs from its reference.
 
-    It is the check of the most important metric, otherwise the first that names a metric.
+    This result is that of the most important metric, otherwise the first that names a metric.
 
     Args:
         run: Run that was judged.

@@ -122,7 +122,7 @@ def describe_clock(run: Run) -> str:
 
 
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
-    """Return lines: the signals at the poses around a time; `>` marks the pose that holds at it.
+    """Return lines: the signals at the poses around a time; `>` marks the pose at that time.
 
     A command published between two poses has a line of its own. For a run without poses the lines
     are its commands.
@@ -224,8 +224,8 @@ class ArtifactWriter:
     def write(self, run: Run, result: CheckResult, *, prefix: str = "") -> Artifacts:
         """Write a .rrd that opens at the violation, its picture, and the recording around it.
 
-        If a violation has no time, they show the end of the run, and the recording is whole. A run
-        without poses has nothing to show, and a note says so.
+        If a violation has no time, the files show the end of the run, and the recording is
+        complete. A run without poses has nothing to show, which is noted.
 
         Args:
             run: Run that failed.

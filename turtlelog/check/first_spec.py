@@ -36,7 +36,7 @@ _OF_RUN: Final = (
 _SHARE: Final = 0.1
 """Smallest margin of a bound as a share of the value, which includes the scatter of repeated runs.
 
-It is a first guess, marked as observed, until a user decides on the bound."""
+The margin is a first guess, marked as observed, until a user decides on the bound."""
 
 _MOST: Final = 0.2
 """Largest margin: two digits are readable, but round up by as much as 21 %; then there are

@@ -59,8 +59,8 @@ class FormulaResult:
         formula: Text of the formula.
         holds: The verdict; None if it is unknown.
         margin: Robustness: the change of every number that the verdict withstands, in the unit of
-            the deciding comparison; positive if it holds. inf or -inf if no comparison with a
-            distance decides; None if it is unknown.
+            the deciding comparison; positive if the formula holds. inf or -inf if no comparison
+            with a distance decides; None if it is unknown.
         margin_s: Time of the margin [s]; None if it is unknown.
         decided_by: The comparison that gives the margin at this time.
         value: Left side of that comparison; None if it is not a number.

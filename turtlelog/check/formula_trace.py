@@ -69,9 +69,9 @@ def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
 def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
     """Return the time span in which a formula over these names is judged on a whole run [ns].
 
-    It starts at time zero. In a run without samples, commands have no value before the first is
-    published: formulas that name them are judged from then on, and formulas that name no other
-    signal on all commands.
+    The span starts at time zero. In a run without samples, commands have no value before the first
+    is published. Formulas with commands are judged from then on; formulas with commands alone are
+    judged on all commands.
     """
     signals = [name for name in names if name in list_signals(run.declaration)]
     commanded = [name for name in signals if name in COMMANDED]
@@ -176,8 +176,8 @@ def read_signals(run: Run, names: Sequence[str]) -> Signals:
     """Return the values of names in a run; unknown names are left out.
 
     Names are searched among the signals and states, the metrics and the parameters, in this order.
-    A signal begins at the run's time zero at the latest; the phase is text; a signal that the run
-    lacks and a metric without a value are None.
+    A signal begins at the run's time zero at the latest, and the phase is text. Signals that the
+    run lacks, and metrics without a value, are None.
     """
     columns = list_signals(run.declaration)
     ids = [name for name in names if name not in columns and find_kind(run, name) is not None]

@@ -1,9 +1,9 @@
 """Robustness of a formula at every time: its distance from the opposite verdict.
 
-The margin of `a <= b` is b - a, of `a == b` -|a - b|; `and` takes the minimum, `or` the maximum,
-`not` the negative; texts and truth values have a margin of inf or -inf. Signals hold each value
-until the next. After the end of a settled trace they hold the last value forever; after any other
-end they are unknown.
+The margin of `a <= b` is b - a, that of `a == b` is -|a - b|. `and` takes the minimum, `or` the
+maximum, `not` the negative. Texts and truth values have a margin of inf or -inf. Signals keep each
+value until the next. After the end of a settled trace they keep the last value forever; after any
+other end they are unknown.
 """
 
 import functools
@@ -100,13 +100,13 @@ class Part(Protocol):
     def find_violation(self) -> int | None:
         """Return the first time at which it is violated [ns], if it is required at the beginning.
 
-        For `always` this is the first time in its window at which its body fails; for `eventually`,
-        the end of its window; for `until`, the end of its window or the first time at which its
-        left side fails, whichever comes first; for `and`, the first of its parts; for `or`, the
-        last of its parts; for `implies`, that of the right side; for anything else, the beginning.
-        `not always` is an `eventually not`, and `not eventually` an `always not`. A window that
-        reaches beyond the trace's end is cut there; if it begins beyond the end, no time of the
-        trace violates it: None.
+        For `always` this is the first time in its window at which its body fails. For `eventually`
+        it is the end of its window; for `until`, that end or the first failure of its left side,
+        whichever is earlier. For `and` it is the first time of its parts, for `or` the last, and
+        for `implies` that of the right side. For anything else it is the beginning. `not always` is
+        an `eventually not`, and `not eventually` an `always not`. A window that reaches beyond the
+        trace's end is cut there; if it begins beyond the end, no time of the trace violates it:
+        None.
         """
 
 

@@ -245,7 +245,7 @@ class _Rows:
         return int(np.where(self.outside, self.excess, -np.inf).argmax())
 
     def find(self, time_s: float) -> int:
-        """Return the row that holds at a time; the last one of those at one time."""
+        """Return the row that is valid at a time; the last one of rows with equal times."""
         time_ns = self.curve.start_ns + round(time_s * 1e9)
         return max(int(np.searchsorted(self.curve.time_ns, time_ns, side="right")) - 1, 0)
 

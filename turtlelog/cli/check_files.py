@@ -42,7 +42,7 @@ _FILE_S: Final = 5e-3
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportOptions(WorkOptions):
-    """What to write beside the answer, and where to find it.
+    """Files to write beside the answer.
 
     Attributes:
         junit: Write JUnit XML to this .xml file, with each metric as a property.

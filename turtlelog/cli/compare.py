@@ -116,7 +116,7 @@ class ChoiceOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawingOptions:
-    """Pictures of what is compared.
+    """Pictures of the comparison.
 
     Attributes:
         plot: Write a figure to this .pdf, .png or .svg file: paths, errors and rates of a robot and

@@ -46,11 +46,11 @@ _TableName = Literal["poses", "commands", "samples", "events"]
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableOptions:
-    """Which tables, and how a log is read.
+    """Options for formats and tables, and for reading logs.
 
     Attributes:
-        to: Format, if the name of OUT does not tell: for a folder rosbag2 (default) or one file per
-            table (csv, parquet); tum writes a trajectory under any name.
+        to: Format, if the name of OUT does not show it: for a folder rosbag2 (default) or one file
+            per table (csv, parquet); tum writes a trajectory under any name.
         table: Table to write. Default: the poses to a file, all tables to a folder.
         sort: Sort the rows of a paper's log by time, drop exact duplicates, and report how many.
             Default: reject such a log.

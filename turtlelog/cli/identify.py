@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenOptions:
-    """What to write beside the answer.
+    """Files to write beside the answer.
 
     Attributes:
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.

@@ -46,11 +46,11 @@ _FILE_S: Final = 2e-3
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InfoOptions:
-    """What else is read and printed.
+    """Further data to read and print.
 
     Attributes:
         topics: List the topics.
-        parameters: List what is known of the scenario, and the versions that simulated it.
+        parameters: List the known values of the scenario, and the versions that simulated it.
         clock: Read the poses of large bags, too.
     """
 

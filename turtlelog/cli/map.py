@@ -27,15 +27,15 @@ Kind = Literal["map", "curves", "tornado"]
 @Parameter(name="*", group=Group("Tables of sweeps", sort_key=2))
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewOptions:
-    """What is shown of the table of a sweep.
+    """View of a sweep's table.
 
     Attributes:
-        kind: A map over two keys (curves where one varies), curves over one key, with a line for
-            each value of a second, or how far each key moves each metric (tornado). Default: map.
+        kind: Maps over two keys (curves if only one varies), curves over one key with a line for
+            each value of a second, or the change of each metric along each key (tornado). Default:
+            map.
         x: Key at the bottom.
         y: Key at the side.
-        at: Hold a key that varies at a value, as in loop.transport_delay_ticks=4; may stand several
-            times.
+        at: Fix a varied key at a value. Example: loop.transport_delay_ticks=4. Can be repeated.
     """
 
     kind: Kind | None = None

@@ -142,7 +142,7 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
 
 
 _FIRST: Final = ("final.position_error", "run.duration")
-"""Metrics of which the first available is in the first line, for many metrics of several runs."""
+"""Metrics for the first line of many metrics of several runs: the first available one."""
 
 
 def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:

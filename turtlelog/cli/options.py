@@ -303,7 +303,7 @@ def name_as_typed(file: Path, run: "Run") -> "Iterator[None]":
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkOptions:
-    """Where work is done.
+    """Options for the processes that do the work.
 
     Attributes:
         jobs: Number of processes. Default: one per core if that is faster.

@@ -299,7 +299,7 @@ def _show_cell(cell: Any) -> Any:
 
 @contextmanager
 def _spool() -> Iterator[IO[str]]:
-    """Yield a stream whose text goes to stdout at the end of the block."""
+    """Yield a stream whose text is printed at the end of the block."""
     with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8", newline="") as spool:
         yield spool
         spool.seek(0)

@@ -90,7 +90,7 @@ class PlanOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepTableOptions:
-    """What is written.
+    """Options for the written files.
 
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.

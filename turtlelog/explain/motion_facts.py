@@ -1,4 +1,4 @@
-"""What poses and commands show of a recording without a controller's samples."""
+"""Facts from the poses and commands of a recording without a controller's samples."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -103,7 +103,7 @@ class MotionFacts:
 
 
 def read_motion_facts(run: Run) -> MotionFacts:
-    """Return what the poses and commands of a run show, with or without samples."""
+    """Return facts from the poses and commands of a run, with or without samples."""
     is_turtlesim = find_plant(run).name != LAGGED and moves_as_turtlesim(run)
     replay, refused = None, ""
     if is_turtlesim:

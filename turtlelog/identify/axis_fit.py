@@ -196,7 +196,7 @@ def _finish(model: StepModel, parameters: Values) -> AxisFit:
 def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
     """Return the misfit of a prediction of the rest of the steps by a fit to the first part.
 
-    It is twice the negative log-likelihood, with the noise of the first part.
+    The misfit is twice the negative log-likelihood, with the noise of the first part.
     """
     model = StepModel(first, fit.model.structure)
     whitening, _ = _learn_noise(model, fit.parameters)
@@ -376,9 +376,9 @@ def _sum_softly(white: Values) -> float:
 def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
     """Return the covariance, and its excess over that of normal noise for the time constant.
 
-    It is the larger of the model covariance and a sandwich estimate.
+    The covariance is the larger of the model covariance and a sandwich estimate.
 
-    The sandwich estimate allows for correlated neighbours; if a few steps carry all information it
+    The sandwich estimate allows for correlated neighbours. If a few steps carry all information, it
     is too small, but the model covariance is not.
     """
     bent = 1.0 + (white / _SOFT) ** 2
@@ -402,7 +402,7 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
 def _invert(matrix: Values) -> Values:
     """Return the inverse of a matrix of squares, independent of the units of its rows.
 
-    It is large, not 0, in a direction in which the matrix has no information.
+    The inverse is large, not 0, in a direction in which the matrix has no information.
     """
     size = np.maximum(np.sqrt(np.diag(matrix)), _UNSEEN)
     scale = np.outer(size, size)

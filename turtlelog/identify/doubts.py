@@ -42,8 +42,8 @@ _CURVE: Final = 4.0
 robots that the model explains, one exceeds 3; most others exceed 10."""
 
 _IN_TURNS: Final = 0.1
-"""Smallest negative correlation of the nearest residuals that matters. If slip is underestimated,
-correlations are 0.01 or 0.02, significant in a long log but harmless."""
+"""Smallest negative correlation of the nearest residuals that matters. The lower bound of the
+assumed slip alone causes 0.01 or 0.02, which is significant in a long log but harmless."""
 
 _NEIGHBOURS_S: Final = 0.5
 """Largest time between neighbours [s]: the length of a usual robot's step response."""
@@ -106,10 +106,10 @@ def _list_parts(structure: Structure) -> list[str]:
 def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     """Return an axis with intervals that cover the differing values of parts of the motion.
 
-    Small and large commands, positive and negative, rising and falling ones, both halves of the
-    log, and commands with and without the other axis give one set of values if the model explains
-    the motion. If the residual is a curve, they count as different sooner, and all intervals grow
-    by the correlation of neighbours.
+    If the model explains the motion, all parts give one set of values: small and large commands,
+    positive and negative, rising and falling ones, both halves of the log, and commands with and
+    without the other axis. If the residual is a curve, they count as different sooner, and all
+    intervals grow by the correlation of neighbours.
     """
     excess = _measure_curve(fit)
     is_curve = excess > _CURVE

@@ -66,7 +66,7 @@ class HeldInput:
     way: Values
 
     def place(self, time_s: Values) -> Places:
-        """Return the command that holds at each time; before the first command, the first."""
+        """Return the command that is held at each time; before the first command, the first."""
         held = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
         since_s = time_s - self.time_s[held]
         slope = self.slope[held]
@@ -205,7 +205,7 @@ class LaggedResponse:
         ]
 
     def place(self, time_s: Values) -> Places:
-        """Return the command that holds at times minus the dead time [s]."""
+        """Return the command that is held at each time minus the dead time [s]."""
         return self._commands.place(time_s)
 
     def evaluate(self, places: Places) -> tuple[Values, Values]:
@@ -236,8 +236,8 @@ def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
 def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
     """Return the initial difference between the rate of a first-order lag and each command.
 
-    It decays by a factor until the next command, which adds its own: a linear recurrence, solved by
-    doubling.
+    Each difference decays by a factor until the next command, which adds its own. This is a linear
+    recurrence, solved by doubling.
     """
     fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
     fading[0] = 0.0

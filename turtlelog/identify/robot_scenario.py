@@ -116,7 +116,7 @@ def _wrap(note: str) -> list[str]:
 def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotScenario:
     """Return a scenario whose plant follows commands as the robot does.
 
-    An axis that is never commanded is assumed to follow at once, and a note says so.
+    An axis that is never commanded is assumed to follow at once, with a note.
 
     Args:
         model: Model of the robot.

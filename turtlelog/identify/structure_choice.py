@@ -1,9 +1,8 @@
 """Structures beyond one time constant: a second one, limits of acceleration or speed, a deadband.
 
-More parameters always reduce the residual. Therefore another structure must reduce it clearly,
-change the robot's response by more than is negligible, and, fitted to the first part of the log
-only, predict the rest better than the simpler one. Structures that the log cannot distinguish are
-rivals.
+More parameters always reduce the residual. Therefore another structure must reduce it clearly, and
+change the robot's response noticeably. Fitted to the first part of the log only, it must predict
+the rest better than the simpler one. Structures that the log cannot distinguish are rivals.
 """
 
 from collections.abc import Iterator, Sequence

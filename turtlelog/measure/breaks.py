@@ -3,7 +3,7 @@
 For turtlesim, whose poses contain the applied command, a replay through its plant shows more.
 
 Between two poses a robot moves about as far as just before and just after. A correction of its pose
-adds a step that neither neighbour has: the excess. This holds at any speed.
+adds a step that neither neighbour has: the excess. This is true at any speed.
 """
 
 from collections.abc import Sequence
@@ -116,10 +116,10 @@ def find_gaps(run: Run) -> tuple[PoseGap, ...]:
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     """Return the steps from pose to pose that the robot cannot have driven.
 
-    A step is a jump if it is far beyond the greatest rate of the robot (two steps if a pose
-    strays); if it is single and neither neighbour is similar, as in `find_outliers`; if it is
-    single and opposite to the five steps on either side; or if it is single and exceeds the motion
-    of these five (`_find_excess_steps`).
+    A step far beyond the greatest rate of the robot is a jump; a stray pose makes two such steps. A
+    single step is also a jump if neither neighbour is similar, as in `find_outliers`, or if it is
+    opposite to the five steps on either side. The same is true if it exceeds the motion of these
+    five (`_find_excess_steps`).
     """
     poses = run.poses
     if _has_courses(run):  # a course turns with the positions, and is not independent

@@ -89,9 +89,9 @@ class DeadTime:
         rows: Steps compared.
         is_exact: Whether the dead time explains every step to the rounding of the poses.
         changes: Changes of the dead time within the segment, in order.
-        whiteness: With noise, mean square of the changes of the residuals divided by twice their
-            mean square: 1 for noise, near 0 for a curve. 1 if every step is explained, or if only
-            rounding remains.
+        whiteness: Mean square of the changes of the residuals divided by twice their mean square: 1
+            for noise, near 0 for a curve. Also 1 if every step is explained, or if only rounding
+            remains.
         least_ticks: The smallest dead time that, with a time constant, explains the motion as well.
             Noise hides which of the two it is; equal to `ticks` if the plant is known to have no
             time constant.
@@ -358,9 +358,9 @@ def model_run_loops(
 ) -> tuple[LoopModel, ...]:
     """Return the loops of a run as `theory` models them, one per declared loop.
 
-    Gains and plant come from the scenario, period and dead time from the samples and poses. For a
-    robot with a time constant, or a law triggered by a timer, the timing comes from the scenario,
-    because a time constant looks like dead time.
+    Gains and plant come from the scenario, period and dead time from the samples and poses. Because
+    a time constant looks like dead time, the timing comes from the scenario for a robot with a time
+    constant, or a law triggered by a timer.
 
     Args:
         run: Any run.

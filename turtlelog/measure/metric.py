@@ -138,10 +138,11 @@ class Numeric(ABC):
 class Metric(Numeric):
     """Metric of a run: a number with a unit, or the reason why there is none.
 
-    It computes, sorts, formats and compares as the float `value`. A metric without a value raises
-    MissingValueError when it is used as a number, also by `!=`, so that no test passes by mistake.
-    `==` compares value and unit of two metrics, or status and reason if both lack a value; it never
-    raises. `hash` is that of the value. `bool` raises, because a metric of 0 is not a failure.
+    A metric computes, sorts, formats and compares as the float `value`. A metric without a value
+    raises MissingValueError when it is used as a number, also by `!=`, so that no test passes by
+    mistake. `==` compares value and unit of two metrics, or status and reason if both lack a value;
+    it never raises. `hash` is that of the value. `bool` raises, because a metric of 0 is not a
+    failure.
 
     Attributes:
         id: `<phase, final or run>.<metric>`.
@@ -407,8 +408,8 @@ Result = Found | Missing
 Outcome = tuple[float, float, int]
 """Result of a metric as numbers, from functions that run plain and compiled.
 
-Either the value, its time from the first sample [s] (NaN if it has none), and `FOUND`; or two
-numbers for the text of a reason, and the number of the reason."""
+With a value: the value, its time from the first sample [s] (NaN if it has none), and `FOUND`.
+Without a value: two numbers for the text of a reason, and the number of the reason."""
 
 REASONS: Final[list[Missing]] = [Missing(status=Status.OK, reason="")]
 """Reasons for missing values, by number."""

@@ -238,7 +238,8 @@ def curve_metric(
 ) -> Callable[[_OfCurve], _OfCurve]:
     """Enter a function of numbers as a metric of every loop to which it applies.
 
-    It runs in ordinary Python and compiled. Its curve parameters are fields of `Response`.
+    The function runs in ordinary Python and compiled. Its curve parameters are fields of
+    `Response`.
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
@@ -274,7 +275,8 @@ def course_metric(
 ) -> Callable[[_OfCourse], _OfCourse]:
     """Enter a function of numbers by its id, as a metric of the whole run or of its end.
 
-    It runs in ordinary Python and compiled. Its course parameters are fields of `RunContext`.
+    The function runs in ordinary Python and compiled. Its course parameters are fields of
+    `RunContext`.
     """
 
     def enter(numbers: _OfCourse) -> _OfCourse:

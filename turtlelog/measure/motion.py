@@ -1,4 +1,4 @@
-"""The motion of each plant step, the command behind it, and the error cumulated over steps."""
+"""The motion of each plant step, its command, and the error cumulated over steps."""
 
 import math
 from dataclasses import dataclass

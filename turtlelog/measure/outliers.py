@@ -78,10 +78,9 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     """Return the rows of single values that are outliers of a measured signal, in order.
 
     The deviation of a value is its distance to the nearer of its two neighbours, if it is on the
-    same side of both; steps, ramps, limits and anything that lasts two rows have none. A value is
-    an outlier if nothing else in the signal comes near its deviation, its neighbours agree, and
-    they are close in time. The first and last rows are never outliers, because they have one
-    neighbour.
+    same side of both. Steps, ramps, limits and anything that lasts two rows have no deviation. A
+    value is an outlier if no other value deviates nearly as far, its neighbours agree, and they are
+    close in time. The first and last rows are never outliers, because they have one neighbour.
 
     Args:
         time_ns: Time [ns], shape (n,), not decreasing.

@@ -139,10 +139,10 @@ class HeldCommands:
     """The published commands of one axis, at least one, under zero-order hold.
 
     Attributes:
-        time_s: Time from which each value holds, from time zero of the run [s], shape (n,); equal
+        time_s: Time from which each value is held, from time zero of the run [s], shape (n,); equal
             successive values are merged, and at equal times the last value is used.
         values: Rate [m/s or rad/s], shape (n,).
-        end_s: Time when the last command was published [s]; how long it holds is unknown.
+        end_s: Time when the last command was published [s]; the duration of its hold is unknown.
         before: Value assumed before the first command: 0 if the robot stood still, otherwise the
             first value.
     """
@@ -188,7 +188,7 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommand
         return None
     values = commands.speed_m_s if axis == "speed" else commands.turn_rate_rad_s
     time_s = (commands.time_ns - run.start_ns) / 1e9
-    # Of commands at equal times, the last is held.
+    # If commands have equal times, the last is held.
     is_last = np.append(np.diff(time_s) > 0.0, True)
     time_s, values = time_s[is_last], values[is_last]
     if run.poses.speed_m_s is not None:  # of turtlesim, or of a simulation

@@ -198,7 +198,7 @@ def find_swing_ends(
 ) -> tuple[int, int]:
     """Return the last rows of the last two completed half-oscillations ("swings"); -1 if none.
 
-    A swing is a segment of rows further than a width from the reference, on one side; segments less
+    A swing is a segment of rows further than a width from the reference, on one side. Segments less
     than a given time apart are one swing. A swing at the end of the recording is not completed.
     """
     error = values - reference

@@ -63,8 +63,8 @@ class Response:
     """Response of the controlled signal of a loop to its reference.
 
     With a constant reference, `values` are the signal itself. With a moving reference, they are the
-    initial reference minus the error: the signal that a constant reference would have given. They
-    reach `reference` when the error is 0.
+    initial reference minus the error: the signal that a constant reference would have given. The
+    values reach `reference` when the error is 0.
 
     Attributes:
         loop: Loop of the response.

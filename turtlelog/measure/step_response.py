@@ -11,7 +11,8 @@ and 0 if a sample is at the crossing.
 The definitions are those of step-response analysis (K. Ogata, Modern Control Engineering, 5th ed.,
 section 5-3; D. E. Seborg et al., Process Dynamics and Control, 3rd ed., section 5.3.1), with the
 step leading from any initial value to any reference. All take `values` of shape (n,), n >= 1, and
-`time_s` of the same shape, not decreasing. A step downwards gives what its mirror image gives.
+`time_s` of the same shape, not decreasing. A step downwards gives the same results as its mirror
+image.
 
 Integrals are exact for the line through the samples; the time of a change of sign is interpolated.
 IAE, ISE and ITAE are those of D. Graham and R. C. Lathrop, "The synthesis of 'optimum' transient
@@ -134,9 +135,9 @@ def find_swing_period(time_s: Values, values: Values, reference: float, half_wid
     """Return the period of the oscillation around the reference, from its last two swings [s].
 
     A swing is a segment of rows further than `_SWING` times the band's half-width from the
-    reference, on one side; segments less than `SHORTEST_HOLD_S` apart are one. The ends of two
-    successive swings are half a period apart if the swings are on opposite sides, and one period if
-    they are on one side. 0 if fewer than two swings are completed.
+    reference, on one side. Segments less than `SHORTEST_HOLD_S` apart are one swing. The ends of
+    two successive swings are half a period apart on opposite sides, and one period on the same
+    side. The result is 0 if fewer than two swings are completed.
     """
     width = _SWING * half_width
     before, last = find_swing_ends(time_s, values, reference, width, SHORTEST_HOLD_S)

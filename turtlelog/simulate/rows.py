@@ -33,7 +33,7 @@ class Scene:
 
     Attributes:
         period_ns: Step of the plant's clock [ns].
-        period_s: Likewise [s].
+        period_s: The same step [s].
         tick_ns: Period of the plant's own steps, for which laws block [ns].
         block: The same period in the loop's unit: nanoseconds if poses travel, otherwise steps of
             the clock.

@@ -1,6 +1,6 @@
 """Notes on a scenario before it is run.
 
-They name gains that are unstable in theory, and settings that are not used.
+The notes name gains that are unstable in theory, and settings that are not used.
 """
 
 from collections.abc import Collection, Iterator, Mapping

@@ -197,7 +197,7 @@ class StepBudget:
         self._worker: _Worker[Any] | None = None
 
     def __call__(self, *question: Any) -> Any:
-        """Return the law's decision, or raise what the law raises.
+        """Return the law's decision, or raise the law's exception.
 
         Raises:
             StepBudgetError: If it took longer; the text continues after the number of the sample.

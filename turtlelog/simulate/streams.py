@@ -96,7 +96,7 @@ class DrawnEvents:
 class DrawnRows:
     """The random numbers of a stream by number of the event.
 
-    They are generated for every event, used or not.
+    Numbers are generated for every event, used or not.
     """
 
     __slots__ = ("_draw", "_first", "_kind", "_rows", "_width")

@@ -1,10 +1,10 @@
 """The sensitivity of a metric to each key of a sweep: ranges in a grid, ranks in a sample.
 
-For a grid, it is the metric along each key with the other keys fixed. For a sample, it is
-Spearman's rank correlation of each key with the metric (C. Spearman, American Journal of Psychology
-15 (1904) 72-101), and the share of the variance of the metric's ranks explained by a linear
-regression on the ranks of all keys (R. L. Iman and W. J. Conover, Technometrics 21 (1979) 499-509):
-the rest is due to interactions, non-monotonic dependence and noise.
+In a grid, the sensitivity is the metric along each key with the other keys fixed. In a sample, it
+is Spearman's rank correlation of each key with the metric (C. Spearman, American Journal of
+Psychology 15 (1904) 72-101), and the share of the variance of the metric's ranks explained by a
+linear regression on the ranks of all keys (R. L. Iman and W. J. Conover, Technometrics 21 (1979)
+499-509): the rest is due to interactions, non-monotonic dependence and noise.
 """
 
 import math

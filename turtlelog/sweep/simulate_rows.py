@@ -175,7 +175,7 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
         return {}
     try:
         scenario = resolve_scenario(base)
-    except TurtlelogError:  # it may lack values that the rows give it
+    except TurtlelogError:  # the rows may supply missing values
         return {}
     if not is_batched(scenario, scenario.plant.facts):
         return {}

@@ -152,7 +152,7 @@ def draw_attribution(
         figure.set_size_inches(width, 0.82 * width + low)
         seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
         if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
-            # The square above the bars is laid out first; it takes 0.1 points from the names'
+            # The square above the bars is laid out first, and takes 0.1 points from the names'
             # width.
             engine.set(w_pad=0.1)
         room_inch = 0.72 * width

@@ -156,7 +156,7 @@ class LoopGains:
         name: Name of the loop.
         gains: Kp of each run [1/s]; NaN if unknown.
         limits: Limits from theory, one for each timing, in order of dead time.
-        step: Size of the step and limit of the command, in rad or m and per second; None if runs
+        step: Size of the step [rad or m] and limit of the command [rad/s or m/s]. None if runs
             differ in them, or theory does not know the loop.
     """
 

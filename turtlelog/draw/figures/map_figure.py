@@ -118,7 +118,7 @@ def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis along a side; of many texts only every second, third ...
+    """Write the values of an axis along a side; if there are many, every second, third ...
 
     A few numbers are written at their positions; more numbers get a scale.
     """

@@ -64,7 +64,7 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
 
 
 def _find_lack_of_locus(run: Run) -> str:
-    """Return what a root locus lacks: either an ideal or a sampled loop is sufficient.
+    """Return the data that a root locus lacks; an ideal or a sampled loop is sufficient.
 
     For a loop that is not proportional, the result is the reason why theory has no model.
     """

@@ -260,8 +260,8 @@ def write_figure(figure: Figure, path: Path, page: Page) -> Path:
 def _drop_unused_tables() -> Iterator[None]:
     """Leave out font tables that no PDF uses: reducing them takes most of the writing time.
 
-    matplotlib has no option for these tables. It opens fonts by a public function of fontTools,
-    which leaves them out in this thread for the time of the block. If matplotlib opened fonts in
+    matplotlib has no option for these tables. Fonts are opened by a public function of fontTools,
+    which leaves the tables out in this thread during the block. If matplotlib opened fonts in
     another way, writing would take longer, and the figures would look the same.
     """
     usual, ours = subset.load_font, get_ident()

@@ -213,7 +213,7 @@ def draw_key(
         across = (xy[:, 0] > corner[0]) & (xy[:, 0] < corner[0] + width)
         return int((across & (xy[:, 1] > corner[1] - height) & (xy[:, 1] < corner[1])).sum())
 
-    # Of equally empty places the first is used: the lower left.
+    # If several places are equally empty, the first is used: the lower left.
     left, top = min(((x, y) for y in tops for x in lefts), key=count_hidden)
     ys = top - _KEY_LINE * (np.arange(len(rows)) + 1.0)
     samples = [[(left, y), (left + _KEY_SAMPLE, y)] for y in ys]

@@ -26,8 +26,8 @@ CHUNK_ROWS: Final = 65_536
 MOST_ROWS: Final = 2**18
 """Largest number of rows of a table that are all drawn, and approximate number for longer tables.
 
-It is a hundred for each pixel of a wide screen. A million samples in full took four times as many
-bytes."""
+The number is a hundred for each pixel of a wide screen. A million samples in full took four times
+as many bytes."""
 
 TRACE_ROWS: Final = 2**16
 """Approximate number of poses of a trace in the plane."""

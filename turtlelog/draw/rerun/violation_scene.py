@@ -90,9 +90,9 @@ def write_violation_rrd(
 ) -> None:
     """Write a recording of one run that opens at a time and marks this time.
 
-    The violated signal is at the top with its band, in red where it is outside; its first and its
-    worst violation have labels with value and time. The cursor is at the first in every plot; the
-    plane has a mark at the turtle's position, and the list of events a line.
+    The violated signal is at the top with its band, and red outside the band. Its first and worst
+    violations have labels with value and time. The cursor is at the first in every plot; the plane
+    has a mark at the turtle's position, and the list of events a line.
 
     Args:
         run: Run to show.

@@ -33,7 +33,7 @@ _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
-    """Return sentences: the value, its causes, what they depend on, and what else changes it."""
+    """Return sentences: the value, its causes, their dependences, and other causes of change."""
     parts = [write_part(found, one) for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
     return (write_value(found), *causes, *write_reasons(found))

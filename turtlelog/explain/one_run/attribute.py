@@ -80,10 +80,10 @@ def attribute_run(
 ) -> Attribution:
     """Attribute a value of a run to causes in the scenario that reproduces it.
 
-    This is the identified scenario; for a law that cannot be identified, the recorded one, if its
-    re-simulation reproduces the run. Contributions are withheld if the values of log and
-    re-simulation differ by more than a tenth of the total of the effects; for random effects with
-    an unknown seed, if the log's value is outside the central 95 % over seeds.
+    The scenario is the identified one; for a law that cannot be identified, it is the recorded one
+    if its re-simulation reproduces the run. Contributions are withheld if the values of log and
+    re-simulation differ by more than a tenth of the effects' total. For random effects with an
+    unknown seed, they are withheld if the log's value is outside the central 95 % over seeds.
 
     Args:
         run: Run whose value is explained.

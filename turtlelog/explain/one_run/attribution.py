@@ -1,4 +1,4 @@
-"""The data of an attribution: values, contributions, and what they depend on."""
+"""The data of an attribution: values, contributions, and their conditions."""
 
 import math
 from dataclasses import dataclass, field

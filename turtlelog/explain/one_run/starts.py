@@ -40,7 +40,8 @@ seconds."""
 def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArray[np.float64]:
     """Return the angles of equally spaced starts from the scenario's own [rad], shape (n,).
 
-    They span the largest turn from one sample to the next, with the scenario's own in the middle.
+    The angles span the largest turn from one sample to the next, with the scenario's own in the
+    middle.
 
     Args:
         scenario: Scenario with all causes.

@@ -1,4 +1,4 @@
-"""The recorded scenario as a hypothesis, and what the samples of any law show of its loop.
+"""The recorded scenario as a hypothesis, and facts on the loop from the samples of any law.
 
 This module is independent of the law. A re-simulation of the recorded scenario either reproduces
 every sample or is rejected; dead times, limits and queues come from poses, commands and the clock.
@@ -151,7 +151,7 @@ def _describe_reach(trace: Trace, equal: int) -> str:
 
 
 def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
-    """Return what a log shows of the loop around a law whose parameters cannot be identified.
+    """Return the facts on the loop around a law whose parameters cannot be identified.
 
     Args:
         run: Run with samples.

@@ -1,8 +1,8 @@
 """The scenario of a run as identified from its log.
 
 Sensing, disturbances, shaping, chances and rates are not identified: in poses and commands they
-look like one another, or like identified settings. They are taken from the recorded scenario if its
-re-simulation reproduces the run.
+look like one another, or like identified settings. If the re-simulation of the recorded scenario
+reproduces the run, its values are used.
 """
 
 import enum
@@ -207,9 +207,9 @@ class Identification:
 
 
 def identify_plant(run: Run) -> Identification:
-    """Return what poses and commands show if no sample says which pose a command answers.
+    """Return the facts from poses and commands if no sample links commands to poses.
 
-    This is the largest commands and the number of lost commands.
+    The facts are the largest commands and the number of lost commands.
     """
     loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
     findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))

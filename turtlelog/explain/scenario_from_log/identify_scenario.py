@@ -100,15 +100,16 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
 
     From the run's parameters only the law's name and the plant are read. No parameter is identified
     for a law other than sequential-p or a plant other than turtlesim. Gains, limits and tolerances
-    come from the commands; queues and pause from the dead times and time stamps, and from
-    simulating every setting that agrees with them and keeping those that reproduce all samples. If
-    none does, the plant is driven with the log's commands, and settings that fit within the noise
-    are marked as such. A run without samples gives almost no findings, and the findings say why. If
-    a run is too long to simulate again, only its beginning is used, and no scenario reproduces it.
+    come from the commands. Queues and pause come from dead times and time stamps: every setting
+    that agrees with these is simulated, and those that reproduce all samples are kept. If none
+    does, the plant is driven with the log's commands, and settings that fit within the noise are
+    marked as such. A run without samples gives almost no findings; the findings contain the reason.
+    If a run is too long to simulate again, only its beginning is used, and no scenario reproduces
+    it.
 
-    A recorded scenario is a hypothesis that its re-simulation tests: for another law it is accepted
-    if it reproduces every sample; for sequential-p, if the identified scenario does not reproduce
-    it, or if it contains effects that cannot be identified.
+    A recorded scenario is a hypothesis that its re-simulation tests. For another law it is accepted
+    if it reproduces every sample. For sequential-p it is accepted if the identified scenario does
+    not reproduce the run, or if it contains effects that cannot be identified.
 
     Args:
         run: Any run.
@@ -135,7 +136,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
 
 
 def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identification:
-    """Return what the first minutes of a long run show, and nothing of its end."""
+    """Return the findings of a long run's first minutes, without its end."""
     end_ns = int(run.poses.time_ns[0]) + round(_BEGINNING_S * 1e9)
     found = identify_run(slice_run(run, end_ns=end_ns), trust_law=trust_law)
     reason = (
@@ -154,7 +155,7 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
 
 
 def _identify_recorded(run: Run) -> Identification | None:
-    """Return what is known of a run whose scenario contains effects that cannot be identified.
+    """Return the findings on a run whose scenario contains effects that cannot be identified.
 
     An effect may be invisible in this run, or look like another setting: if the recorded scenario
     reproduces every sample, its settings are used. None if it does not, or contains no such effect.

@@ -39,7 +39,7 @@ _PERIOD: Final = "the usual distance of the poses answered"
 
 
 def describe_loop(trace: Trace, fits: Fits, lag_slack: int = 0) -> dict[str, Finding]:
-    """Return findings on what is between controller and plant, and on the lost commands.
+    """Return findings on the settings between controller and plant, and on lost commands.
 
     If no setting is exact and the residual is not noise, the best fit is not a finding.
 

@@ -132,8 +132,8 @@ def list_queues(
 ) -> list[list[Guess]]:
     """Return the settings of initial queue and queues that agree with the dead times, in tiers.
 
-    The first tier has the usual queue depths, the second those that a dead time or a burst may come
-    from, the third all other depths of the command queue. In each tier, settings without a
+    The first tier has the usual queue depths. The second has depths that could cause a dead time or
+    a burst, the third all other depths of the command queue. In each tier, settings without a
     transport delay come first.
     """
     before = rotate.ticks if isinstance(rotate, DeadTime) else None

@@ -74,8 +74,8 @@ class Depths:
 class QueueGauge:
     """Gauge of the queue depths that lose nothing; deeper queues give the same run.
 
-    They follow from the times when poses are answered and commands published; a constant delay
-    changes nothing.
+    The depths follow from the times when poses are answered and commands published; a constant
+    delay changes nothing.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -148,9 +148,9 @@ def count_equal(
 ) -> tuple[int, Depths]:
     """Return how many samples, from the first, a simulation reproduces bit for bit.
 
-    One more than all if all are reproduced and the simulation goes on. `to_rounding` allows
-    differences of 1e-6 for poses and 1e-9 for commands, as between platforms. The second value is
-    the smallest queue depths with the same result.
+    The number is one more than all if all are reproduced and the simulation continues.
+    `to_rounding` allows differences of 1e-6 for poses and 1e-9 for commands, as between platforms.
+    The second value is the smallest queue depths with the same result.
     """
     width = len(rows[-1] or ())
     equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)

@@ -127,7 +127,7 @@ def search_loop(
 ) -> Fits:
     """Return the loop settings that reproduce a log; `known` has all other settings.
 
-    The usual queue depths are tried first, others only if those do not fit, or fit only with a
+    The usual queue depths are tried first. Others are tried if these do not fit, or fit only with a
     pause or an initial queue that the clock contradicts. If no setting is exact, the plant is
     driven with the log's own commands, and the settings that explain the motion best are returned.
 

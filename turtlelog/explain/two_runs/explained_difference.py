@@ -48,7 +48,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A group of settings that differ, and what it contributes to the difference of the metric.
+    """A group of settings that differ, and its contribution to the difference of the metric.
 
     Attributes:
         name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.

@@ -47,9 +47,10 @@ _NAMES: Final[Mapping[str, str]] = {
 def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
     """Return the groups of settings in which two scenarios differ, by name, in the file's order.
 
-    Both gains form one group if each scenario has one value for both; so do the keys of an effect,
-    and each of goal, start and path. The law with all of its keys is one group if its kind differs,
-    and so is the plant; a path that only one of the laws has belongs to the law.
+    Both gains form one group if each scenario has one value for both. The keys of an effect form
+    one group, as do goal, start and path each. The law with all of its keys is one group if its
+    kind differs; the same is true for the plant. A path that only one of the laws has belongs to
+    the law.
 
     Args:
         first: Scenario with the neutral values; None for a key that it does not have.

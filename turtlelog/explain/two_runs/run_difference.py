@@ -274,7 +274,7 @@ def require_common_metric(first: Run, second: Run, metric: str) -> None:
 
 
 def _hold_same_settings(first: Run, second: Run) -> bool:
-    """Return whether the scenarios that two runs hold are the same but for their names."""
+    """Return whether the scenarios of two runs are equal except for their names."""
     settings = [
         {key: value for key, value in run.parameters.items() if key != "name"}
         for run in (first, second)

@@ -253,7 +253,8 @@ _CODES: Final = dict(
 """Type codes of numbers and their `struct` codes."""
 
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
-"""Name, size [bytes] and reader of a number; the reader is None for texts (size: of the length)."""
+"""Name, size [bytes] and reader of a number. For a text: None as reader, and the size of its
+length."""
 
 _LENGTH: Final = 4  # bytes of the length before a text
 

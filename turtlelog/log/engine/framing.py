@@ -35,10 +35,10 @@ SUMMARY_ONLY: Final = frozenset(
 _CHAIN: Final = 4
 """Number of consecutive records that are accepted as such without a checksum.
 
-In the worst case, messages half of zeros, a megabyte contains a thousand places that look like a
-record's head; one in a hundred is followed by another such place. By chance, three in a row occur
-once in a gigabyte, four in a row once in 100 GB. After damage, messages are found only if this
-number of them are consecutive."""
+The worst case is messages half of zeros: a megabyte contains a thousand places that look like a
+record's head. One in a hundred of these is followed by another such place. By chance, three in a
+row occur once in a gigabyte, four in a row once in 100 GB. After damage, messages are found only if
+this number of them are consecutive."""
 
 _SQLITE: Final = b"SQLite format 3\0"
 _RERUN: Final = b"RRF2"
@@ -216,7 +216,7 @@ def is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
     """Return whether a record whose fields end at `start` extends to `end`, as its length says.
 
     A later version may append fields, which readers ignore. The length is accepted if a valid
-    record follows it. It is damage if valid records directly follow the fields.
+    record follows after it. If valid records directly follow the fields, the length is damaged.
     """
     return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
 

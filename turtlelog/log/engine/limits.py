@@ -1,8 +1,8 @@
 """Limits on memory and time for a file, in proportion to its size.
 
-A few kilobytes can unpack to gigabytes, or contain millions of empty records. A file of less than
-10 MB takes less than 256 MB and 10 s in every command, whatever its content; a larger file may take
-more. Most limits are about ten times the needs of recordings.
+A few kilobytes can unpack to gigabytes, or contain millions of empty records. In every command, a
+file of less than 10 MB takes less than 256 MB and 10 s, whatever its content. A larger file may
+take more. Most limits are about ten times the needs of recordings.
 """
 
 from collections.abc import Mapping
@@ -115,8 +115,8 @@ class Allowance:
         """Subtract a number of a kind from the limit.
 
         Raises:
-            LogError: If there are more values than a file of this size may contain. The line says
-                what is wrong and, for columns, which option leaves some out.
+            LogError: If there are more values than a file of this size may contain. The line
+                contains the error and, for columns, the option that leaves some out.
         """
         with self._spending:  # several threads unpack messages at once
             self._left[kind] = left = self._left[kind] - count

@@ -48,9 +48,9 @@ class TopicColumns(Tabular):
         publish_time_ns: Publish time of each message [ns], shape (n,).
         sequence: Sequence number set by the publisher, shape (n,).
         fields: Columns by dotted name, in the order of the schema. A fixed array of k numbers has
-            shape (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a
-            list, a sequence of messages a list of dictionaries by dotted name, in columns of
-            objects. For JSON messages, an array is a list, and missing values are NaN, an empty
+            shape (n, k). Columns of objects contain texts as `str`, sequences of numbers as arrays,
+            sequences of texts as lists, and sequences of messages as lists of dictionaries by
+            dotted name. For JSON messages, an array is a list, and missing values are NaN, an empty
             text or None.
     """
 

@@ -1,7 +1,7 @@
 """Reading of a file record by record from its start, even if damaged.
 
-Finished files are read by their indexes; this is for files without an index and for unfinished or
-damaged files.
+Finished files are read by their indexes. This module is for files without an index, and for
+unfinished or damaged files.
 """
 
 import zlib
@@ -101,8 +101,8 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
 def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None, int]]:
     """Yield complete records from `place`, the start of a record, and the place to continue.
 
-    For files that are being written: it ends before the first incomplete record. After the end of
-    the data, the place to continue is the end of the file.
+    For files that are being written, so it ends before the first incomplete record. After the end
+    of the data, the place to continue is the end of the file.
     """
     window = FileWindow(stream)
     while place < window.size:

@@ -49,8 +49,7 @@ class Recorder:
 
     As a context manager it finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP or
     SIGQUIT. An existing file is refused, also one that another recorder is writing. If the file is
-    deleted, moved or replaced, the recording ends with the next chunk: what is written after that
-    would be lost.
+    deleted, moved or replaced, the recording ends with the next chunk: later data would be lost.
     """
 
     def __init__(

@@ -84,13 +84,13 @@ def time_rows(
 ) -> BagTimes:
     """Return the times of poses and commands on one timeline.
 
-    This is the recorder's clock. If stamps run at another rate, as in simulation, the motion
-    follows the stamps: the timeline has the rate of the stamps, and commands are mapped to it.
-    Commands with usable stamps are timed by these, as poses are.
+    The timeline is the recorder's clock. If stamps run at another rate, as in simulation, the
+    motion follows the stamps: the timeline has the rate of the stamps, and commands are mapped to
+    it. Commands with usable stamps are timed by these, as poses are.
 
     Args:
         poses: Stamps of the pose topic, in order of log time.
-        commands: Stamps of the command topic, likewise; None without commands.
+        commands: Stamps of the command topic, in order of log time; None without commands.
         time: `auto`: by the stamps of poses if these are usable, otherwise by log times.
         noun: Name of the rows given as poses: `commands` for a bag without poses. No command is
             dropped, however close in time.

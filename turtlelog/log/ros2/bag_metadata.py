@@ -26,8 +26,8 @@ _MOST_ENTRIES: Final = 1000
 _MOST_FILES: Final = 100_000
 _MOST_LINES: Final = 10 * _MOST_FILES
 """Largest number of lines: a file takes eight, and the text is read up to four times."""
-"""Entries right below the root, of which rosbag2 writes 12, and files: a day in parts of a second
-each. Ten million of them fit into a text of this size."""
+"""Largest number of entries right below the root, of which rosbag2 writes 12, and of files: a day
+in parts of a second each. Ten million of them fit into a text of this size."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
 

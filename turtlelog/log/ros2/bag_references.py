@@ -188,7 +188,7 @@ class FoundPath:
     """A path to follow, with a note.
 
     Attributes:
-        points: Points in the frame of the poses [m]; None if the path is no reference.
+        points: Points in the frame of the poses [m]; None if the path is not a reference.
         note: One sentence.
     """
 

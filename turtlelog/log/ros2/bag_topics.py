@@ -221,8 +221,8 @@ def choose_path_topics(
 ) -> list[TopicInfo]:
     """Return the requested path topic, or all topics that may contain plans, in order.
 
-    A controller's short local plan (local_plan) and topics with the name of a trace are no
-    reference.
+    A controller's short local plan (local_plan) and topics with the name of a trace are not
+    references.
 
     Raises:
         LogError: If the requested topic does not exist, or has another type.

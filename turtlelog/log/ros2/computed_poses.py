@@ -137,8 +137,8 @@ It is sqrt(6) for a second difference, times sqrt(2 ln 2) for the median of a Ra
 def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str, str]]:
     """Return the poses from fixes of sensor_msgs/NavSatFix, and notes on them.
 
-    x, y and z are east, north and up of the first fix. The heading is the course while the receiver
-    moves, is held while it stands, and before the first course equals it.
+    x, y and z are east, north and up of the first fix. While the receiver moves, the heading is its
+    course; at rest, the heading is held. Before the first course, the heading equals that course.
 
     Args:
         found: Messages of NavSatFix, by file.

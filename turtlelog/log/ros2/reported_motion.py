@@ -254,7 +254,7 @@ def judge_rates(
 ) -> tuple[dict[str, Values], dict[str, str]]:
     """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
-    Twists that were never set are all zeros; such rates are left out where the poses move. Twists
+    Twists that were never set are all zeros; such rates are left out if the poses move. Twists
     along the axes of the world, a common fault, are turned into the robot's.
 
     Args:

@@ -47,8 +47,9 @@ _BAND: Final = 0.05
 2 % of a simulated loop."""
 
 _WIDEST: Final = 0.2
-"""Scatter as a share of the response above which settling and overshoot are not visible; above
-twice this, neither is the rise, which is found by the first values beyond 10 % and 90 %."""
+"""Scatter as a share of the response above which settling and overshoot are not visible. Above
+twice this, the rise is not visible either, because it is found by the first values beyond 10 % and
+90 %."""
 
 _LONGEST_GAP_S: Final = 1.5 / _FEWEST
 """Longest time without a measured rate in the second after a step [s]: 1.5 times the usual one."""

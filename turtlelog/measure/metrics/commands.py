@@ -1,7 +1,7 @@
 """Metrics of a command that is held from one row to the next, and their algorithms.
 
 `time_s` and `values` have shape (n,), n >= 1, times not decreasing; the last value is held until
-`end_s`. Commands of a burst share one time: all but the last have no duration. They count in
+`end_s`. Commands of a burst share one time: all but the last have no duration. These count in
 numbers of commands (variation, jumps, reversals) but not in durations (effort, saturation, slew
 rate).
 """

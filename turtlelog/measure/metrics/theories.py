@@ -1,10 +1,10 @@
 """Metrics of the deviation of a response from theory: ideal, sampled, sampled with dead time.
 
-All three are an integrator under proportional feedback with the gain of the run, from the
-response's own initial value to its reference, without a limit on the command:
+All three are an integrator under proportional feedback with the gain of the run and without a limit
+on the command. They lead from the response's own initial value to its reference:
 
 - ideal: dy/dt = Kp (r - y), so y = r + (y0 - r) exp(-Kp t);
-- sampled: the command holds for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
+- sampled: the command is held for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
 - delayed: it is answered d samples late: y[k+1] = y[k] + Kp T (r - y[k-d]), at rest before.
 
 Between samples a sampled loop moves along a line, because the command is held. The deviation is the

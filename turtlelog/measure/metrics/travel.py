@@ -126,9 +126,8 @@ _STEPS_AT_ONCE: Final = 65_536
 def _find_rest(context: RunContext) -> tuple[float, float] | None:
     """Return how long the robot is at rest, and the time observed [s]; None for a single pose.
 
-    The time between two poses is at rest if the robot moves by less than the threshold in the half
-    second that ends with it or in the half second that begins with it, so that rest includes its
-    edges.
+    The time between two poses counts as rest if the robot moves by less than the threshold in the
+    half second before or after it. Rest therefore includes its edges.
     """
     poses = context.run.poses
     if len(poses) < 2:

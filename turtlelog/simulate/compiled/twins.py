@@ -1,11 +1,11 @@
 """Compiled twins of Python functions: numba compiles the same source, inlined, without markers.
 
-A function is rebuilt with the functions that it calls replaced by their twins. It may call named
-functions of a module, those of `math`, and Python's own; objects that numba would freeze silently
-(other modules, objects, closures, defaults) are rejected.
+A function is rebuilt with the functions that it calls replaced by their twins. The function may
+call named functions of a module, those of `math`, and Python's own. Objects that numba would freeze
+silently (other modules, objects, closures, defaults) are rejected.
 
-Some functions of `arithmetic` have different compiled code with the same values. It is compiled
-into the loops that call them; ordinary Python never uses it.
+Some functions of `arithmetic` have different compiled code with the same values. This code is
+compiled into the loops that call them; ordinary Python never uses it.
 """
 
 import builtins

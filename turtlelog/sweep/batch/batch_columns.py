@@ -55,8 +55,8 @@ FACTS: Final = np.dtype(
 )
 """Values of a run for its measurement, besides its rows.
 
-They are the clock [ns], the numbers of rows, whether `max_duration_s` or the law's timeout ended
-the run, and the limits."""
+The values are the clock [ns], the numbers of rows, whether `max_duration_s` or the law's timeout
+ended the run, and the limits."""
 
 LOOP: Final = np.dtype(
     [(name, np.int64) for name in ("phases", "pause", "signal", "reference")]

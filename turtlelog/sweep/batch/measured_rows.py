@@ -108,7 +108,7 @@ def find_batch(base: Scenario) -> CompiledLoops | None:
     """Return the compiled code for rows that vary keys of a scenario; None if its law has none."""
     try:
         kind = find_column_kind(resolve_scenario(base))
-    except TurtlelogError:  # it may lack values that the rows give it
+    except TurtlelogError:  # the rows may supply missing values
         return None
     return None if kind is None else _find_batch(kind)
 

@@ -200,7 +200,7 @@ def _read_one(
     try:
         sha256 = hash_recording(Path(one.path))
     except (OSError, LogError):
-        sha256 = None  # it may become readable without a change
+        sha256 = None  # the file may become readable without a change
     if sha256 is not None and sha256 == known:
         return sha256, []
     try:

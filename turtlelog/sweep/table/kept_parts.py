@@ -1,7 +1,7 @@
 """The partial file next to a table: the results of an interrupted command, locked by one process.
 
-It begins with the facts of the table and grows part by part. Each part has a length and a checksum:
-an incomplete last part is ignored.
+The file begins with the facts of the table and grows part by part. Each part has a length and a
+checksum: an incomplete last part is ignored.
 """
 
 import hashlib
@@ -291,7 +291,7 @@ else:
     import fcntl
 
     def _lock(stream: BinaryIO) -> bool:
-        """Return whether nobody else has locked the file; True where it cannot be locked."""
+        """Lock the file; return False if another process has locked it. Without locks: True."""
         try:
             fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -22,7 +22,7 @@ _WORSE: Final = 0.1
 """Largest loss of the objective, as a share of the best: the rounding of a gain."""
 
 _OF_SPREAD: Final = 0.01
-"""The same as a share of the distance from the best to the median candidate, if that is larger; a
+"""The same as a share of the distance from the best to the median candidate, if that is larger: a
 share of a best value of 0 is always 0."""
 
 _POINTS: Final = 16
@@ -254,9 +254,9 @@ def choose_variations(
 ) -> tuple[Variation, ...]:
     """Return the keys to sample at random in variants of a scenario.
 
-    These are the seed, if the scenario has random effects; the transport delay, by one tick up and
-    down, because a program that runs on ticks is not closer than that to its model; and the keys in
-    `more`, for example intervals of an identified robot.
+    The seed varies if the scenario has random effects. The transport delay varies by one tick up
+    and down, because a program that runs on ticks differs from its model by as much. The keys in
+    `more` vary, for example those of an identified robot's intervals.
 
     Args:
         scenario: The best scenario; its law may run.

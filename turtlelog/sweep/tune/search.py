@@ -23,8 +23,8 @@ from turtlelog.sweep.plan import EqualSteps, parse_key_values
 from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
 
 _SPREAD: Final = 32
-"""Points per key of the initial cover: one key has steps of 3 % of its range. It is a power of two,
-as the Sobol sequence requires."""
+"""Points per key of the initial cover: one key has steps of 3 % of its range. The number is a power
+of two, as the Sobol sequence requires."""
 
 _POPULATION: Final = 12
 """Population of the evolution per key: its authors advise 10, scipy uses 15."""
