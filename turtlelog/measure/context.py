@@ -205,8 +205,8 @@ class RunContext:
         if isinstance(found, Missing) or found.whiteness > _WHITE:
             return found
         reason = (
-            f"no single dead time explains the motion, {found.ticks} ticks are the nearest: what"
-            " they leave is no noise, as where the robot has a lag"
+            f"no single dead time explains the motion ({found.ticks} ticks come nearest): commands"
+            " were lost, or their delay changed"
         )
         return Missing(status=Status.UNDETERMINED, reason=reason)
 
