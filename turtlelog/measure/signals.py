@@ -391,19 +391,20 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
         "distance": _pose("m", "Distance to the goal.", _read_distance),
         "heading_error": _pose(
             "rad",
-            "Reference of the heading loop that acts minus heading, in [-pi, pi); without such a"
-            " loop, what the law recorded.",
+            "Reference heading minus heading while a heading loop acts, in [-pi, pi); without such"
+            " a loop, the error that the law recorded.",
             _read_heading_error,
         ),
         "along_track": _pose(
             "m",
-            "Along the line from start to goal, from the start; where the law tracks a path, the"
-            " arc length of its nearest point.",
+            "Distance from the start along the line from start to goal; where the law tracks a"
+            " path, the arc length of its nearest point.",
             lambda run: _read_track(run, along=True),
         ),
         "cross_track": _pose(
             "m",
-            "To the left of the line from start to goal, or of the path that the law tracks.",
+            "Distance from the line from start to goal, or from the path that the law tracks;"
+            " positive to the left.",
             lambda run: _read_track(run, along=False),
         ),
         "phase": SignalKind(

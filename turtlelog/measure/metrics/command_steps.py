@@ -258,7 +258,7 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.{_axis}_rise_time",
         "s",
-        "Time from 10 % to 90 % of the answer to such a step, their median.",
+        "Time from 10 % to 90 % of the answer to a step of the command; median of the steps.",
     )(_take_median(_name, "rise_time_s"))
     run_metric(
         f"run.{_axis}_settling_time",

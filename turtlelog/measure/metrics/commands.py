@@ -58,7 +58,7 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="all commands share o
 
 
 @_command_metric(
-    "effort", "{command}^2/s", "Integral of the square of the {command} as it holds.", grows=True
+    "effort", "{command}^2/s", "Integral of the square of the {command} over time.", grows=True
 )
 def measure_effort(commands: CommandStretch) -> Result:
     """See `compute_effort`."""
@@ -91,7 +91,7 @@ def measure_largest_jump(commands: CommandStretch) -> Result:
 @_command_metric(
     "largest_slew_rate",
     "{command}/s^2",
-    "Largest such change over the time that it took, bursts as one.",
+    "Largest change of the {command} per time; samples with one time count as one.",
     grows=True,
 )
 def measure_largest_slew_rate(commands: CommandStretch) -> Result:

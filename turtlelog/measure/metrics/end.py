@@ -71,7 +71,7 @@ def measure_position_error(course: RunContext) -> Outcome:
 @course_metric(
     "final.cross_track",
     "m",
-    "Where the turtle ends, to the left of the line from start to goal.",
+    "Distance of the last pose from the line from start to goal, positive to the left.",
     better=None,
 )
 def measure_last_cross_track(course: RunContext) -> Outcome:

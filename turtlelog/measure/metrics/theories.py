@@ -58,7 +58,8 @@ def has_theory(loop: ControlLoop) -> bool:
 @loop_metric(
     "dead_time",
     "s",
-    "Time from reading a pose until its {command} moves the turtle, least of the plant aside.",
+    "Time from reading a pose until its {command} moves the turtle, less the plant's smallest"
+    " delay.",
     needs_whole=False,
 )
 def compute_dead_time(context: RunContext, response: Response) -> Result:
@@ -136,7 +137,7 @@ for _theory, _described in THEORIES.items():
         loop_metric(
             f"{_theory}_deviation_{_figure}",
             "{value}",
-            f"{_start} of the {{signal}} from {_described} of the same gain.",
+            f"{_start} of the {{signal}} from {_described}, at the same gain.",
             # The dead time of the third theory is estimated from all rows.
             grows=_figure == "max" and _theory != "delayed",
             needs_whole=False,

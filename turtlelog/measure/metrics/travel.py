@@ -52,7 +52,7 @@ run_metric(
     "Length of the line through all poses with their heights.",
     grows=True,
 )(_on_space("height_m", _compute_way))
-run_metric("run.height_range", "m", "Greatest height less the least.", better=None, grows=True)(
+run_metric("run.height_range", "m", "Greatest height minus least height.", better=None, grows=True)(
     _on_space("height_m", lambda _, height_m: Found(float(np.ptp(height_m))))
 )
 run_metric(
@@ -106,7 +106,7 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.measured_{_axis}_mean",
         _unit,
-        "Mean of that magnitude over time.",
+        f"Mean magnitude of the measured {_words} over time.",
         better=None,
     )(_on_rates(_name, _compute_mean))
 
@@ -205,7 +205,7 @@ _MOST_ROWS: Final = 20_000
 @run_metric(
     "run.spectral_arc_length",
     "1",
-    "Smoothness of the measured speed (SPARC): -1.4 is a single smooth movement, less is jerkier.",
+    "Smoothness of the measured speed (SPARC): -1.4 is a single smooth movement, lower is jerkier.",
     better="higher",
 )
 def _compute_arc_length(context: RunContext) -> Result:
