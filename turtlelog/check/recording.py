@@ -50,7 +50,7 @@ class Watch(Protocol):
     """Function that is called for every used recording and every check."""
 
     def __call__(self, recording: "Recording", result: CheckResult | None, /) -> None:
-        """Receive a result, or None if a recording was used."""
+        """Receive the result of a check; None if the recording has only been used."""
 
 
 class UnknownMetricError(CheckError, AttributeError):

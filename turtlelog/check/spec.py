@@ -55,7 +55,7 @@ class Check:
     is_observed: bool = False
 
     def describe(self) -> str:
-        """Return the requirement, and its segment."""
+        """Return the requirement as a text, with its segment."""
         return self.formula.text if self.phase is None else f"{self.formula.text} in {self.phase}"
 
 

@@ -353,7 +353,7 @@ def fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LagFits:
-    """Whether a dead time with a time constant explains a motion that a longer dead time fits best.
+    """Whether a shorter dead time with a time constant fits as well as the best dead time alone.
 
     Attributes:
         least_ticks: The smallest dead time that fits as well, with some time constant.

@@ -20,7 +20,7 @@ _MOST_AT_REST: Final = 0.6
 """Largest share of a time axis for curves that come to rest, if the axis ends there."""
 
 _AFTER_REST: Final = 0.15
-"""Length added after the rest, as a share."""
+"""Length of the axis after the beginning of rest, as a share of the time before it."""
 
 
 def require_window(runs: Sequence[Run], page: Page) -> None:

@@ -29,7 +29,7 @@ _IN_PLANE: Final = Missing(
 def _on_space(
     column: str, compute: Callable[[Values, Values], Result]
 ) -> Callable[[RunContext], Result]:
-    """Compute on finite heights or tilts, with the positions of their poses."""
+    """Return a metric computed from finite heights or tilts and the positions of their poses."""
 
     def compute_on_space(context: RunContext) -> Result:
         values = getattr(context.run.poses, column)
