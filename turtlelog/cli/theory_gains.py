@@ -231,7 +231,9 @@ class _Figure(NamedTuple):
 
 def _list_figures(one: "Recommendation") -> list[_Figure]:
     motion, margins = one.motion, one.margins
-    overshoot = None if motion is None else max(motion.overshoot_percent, 0.0)
+    overshoot = None if motion is None else motion.overshoot_percent
+    if overshoot is not None and overshoot < NO_OVERSHOOT:
+        overshoot = 0.0
     settles_s = None if motion is None else motion.settling_time_s
     factor = None if margins is None else margins.gain_margin
     phase_rad = None if margins is None else margins.phase_margin_rad

@@ -201,7 +201,7 @@ def tell_motion(loop: "PidLoop") -> str:
     if not loop.stable:
         return "unstable"
     step = tell_step(loop.overshoot_percent, loop.settling_time_s)
-    return f"stable, {step}" if step else "stable"
+    return f"stable, {step or 'but its slowest part hardly decays'}"
 
 
 def _tell_sources(model: "LoopModel") -> str:
