@@ -205,3 +205,21 @@ def test_a_summary_comes_through_a_pickle_as_it_was() -> None:
     assert again == CUT
     with pytest.raises(TypeError):
         again.parameters["law.kp_linear"] = 3.0
+
+
+def test_an_effect_that_one_scenario_leaves_out_is_named_beside_the_seed() -> None:
+    paper = tl.load_scenario("paper-kp4")
+    noise = {"sensing.noise_position_m": 0.01, "seed": 3}
+    runs = [tl.simulate_run(paper), tl.simulate_run(tl.override_scenario(paper, noise))]
+    summaries = [tl.summarise_run(run) for run in runs]
+    title = tl.tabulate_runs(summaries).title
+    assert title.startswith("2 runs (seed and sensing.noise_position_m differ)")
+    cut = tl.summarise_run(dataclasses.replace(runs[0], scenario_is_complete=False))
+    assert "noise_position_m" not in tl.tabulate_runs([cut, summaries[1]]).title
+
+
+def test_an_effect_at_its_default_does_not_differ_from_none() -> None:
+    paper = tl.load_scenario("paper-kp4")
+    off = tl.override_scenario(paper, {"sensing.delay_s": 0.0, "law.kp_linear": 3.0})
+    summaries = [tl.summarise_run(tl.simulate_run(one)) for one in (paper, off)]
+    assert "sensing" not in tl.tabulate_runs(summaries).title

@@ -64,6 +64,11 @@ class Conditions:
     reach_m: float
     reach_rad: float
 
+    @property
+    def knows_limits(self) -> bool:
+        """Whether the limits are known, as they are with the whole scenario."""
+        return _get_table("limits", self) is not None
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConditionDifference:

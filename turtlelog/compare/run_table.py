@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from itertools import accumulate
 from types import MappingProxyType
 from typing import Final
@@ -359,9 +359,30 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
     for summary in summaries:
         for key, value in summary.parameters.items():
             values.setdefault(key, set()).add(repr(value))
+    for key, default in _list_defaults(values).items():
+        if any(key not in found.parameters and _is_complete(found) for found in summaries):
+            values[key].add(repr(default))
     differing = [key for key, found in values.items() if len(found) > 1 and key not in shown]
     first = [key for key in ranking.keys if key in differing]
     return list(dict.fromkeys([*first, *differing]))
+
+
+def _list_defaults(keys: Collection[str]) -> dict[str, object]:
+    """Return the defaults of those keys that a whole scenario leaves out without the effect."""
+    from turtlelog.effects import EFFECTS
+
+    return {
+        key: found.default
+        for effect in EFFECTS
+        for table, values in effect.tables.items()
+        for found in fields(values)
+        if (key := f"{table}.{found.name}") in keys and found.default is not MISSING
+    }
+
+
+def _is_complete(summary: RunSummary) -> bool:
+    """Return whether a run has its whole scenario: its limits are known then."""
+    return summary.conditions is not None and summary.conditions.knows_limits
 
 
 def order_parameters(
