@@ -203,11 +203,11 @@ def test_a_truncated_recording_fails_unless_partial_is_asked_for(
 
 def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     """Write files that are no recordings, and return what is said of each."""
-    ended = "no end of an MCAP file: truncated or unfinished"
+    ended = "truncated or unfinished (no end of an MCAP file"
     contents = {
         "empty.mcap": (b"", "byte 0: not an MCAP file: it is empty"),
-        "head.mcap": (whole[:100], f"{ended}: "),
-        "first.mcap": (whole[:5000], f"byte 5000: {ended}; in what it still holds: topic /turtle1"),
+        "head.mcap": (whole[:100], f"{ended}): "),
+        "first.mcap": (whole[:5000], f"{ended} at byte 5000); in what it still holds: topic /turtle1"),
         "text.mcap": (b"hello", "byte 0: not an MCAP file: it is text"),
         "other.json": (b"{}", "data: expected a JSON object"),
     }

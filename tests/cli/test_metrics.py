@@ -286,15 +286,15 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--metric", ""], "--metric : must be names separated by commas"),
         (
             ["--band", "0"],
-            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 0.0",
+            "--band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 0.0",
         ),
         (
             ["--band", "2"],
-            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 2.0",
+            "--band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not 2.0",
         ),
         (
             ["--band", "nan"],
-            "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not nan",
+            "--band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not nan",
         ),
         (["--band", "wide"], "--band wide: must be a number"),
         (["--final", "end"], "--final end: must be reference, last, a number or LOOP=VALUE"),
@@ -304,7 +304,7 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--initial", "rotate="], "--initial : must be a number or LOOP=VALUE"),
         (
             ["--dead-time", "-1"],
-            "dead_time_ticks: expected a whole number from 0 to 1000, found -1",
+            "--dead-time: expected a whole number from 0 to 1000, found -1",
         ),
         (["--dead-time", "1001"], "expected a whole number from 0 to 1000, found 1001"),
         (["--reference-path", "none.csv"], "none.csv: expected a file of points, found: No such"),

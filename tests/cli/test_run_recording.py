@@ -95,7 +95,7 @@ def test_a_stripped_view_is_called_by_its_file(call: Call, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["riddle.mcap"], "riddle.mcap: is not a recording with its whole scenario"),
+        (["riddle.mcap"], "riddle.mcap has no whole scenario to simulate; name a preset"),
         (["ridle.mcap"], "ridle.mcap: no such file; did you mean riddle.mcap?"),
         (["paper", "--strip-scenario"], "--strip-scenario: needs -o or --rrd"),
         (
