@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from cyclopts import Parameter
@@ -356,13 +357,17 @@ def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     yield "run.duration", length
 
 
+_WORDS: Final = MappingProxyType({"goal_xy_m": "goal", "goal_heading_rad": "heading at the goal"})
+"""What a reader calls absent fields; JSON has their names."""
+
+
 def _list_lacks(answer: InfoAnswer, *, topics: bool) -> Iterator[tuple[str, str]]:
     """Yield what a file lacks, each with what that would unlock, and what cannot be read."""
     for text in answer.missing:
         lack, _, rest = text.partition(": ")
         yield "missing", f"{lack.removeprefix('no ')}: {rest}" if rest else lack
     if answer.absent and (topics or not answer.missing):
-        yield "absent", ", ".join(answer.absent)
+        yield "absent", ", ".join(_WORDS.get(name, name) for name in answer.absent)
     if answer.not_understood:
         yield "not readable", describe_count(len(answer.not_understood), "topic")
 
