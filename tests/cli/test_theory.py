@@ -145,7 +145,7 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["--period", "0"], "--period 0: must be greater than 0"),
         (["--period", "nan"], "--period nan: must be a sampling period > 0"),
         (["--dead-time=-1"], "--dead-time -1: must be 0 or greater"),
-        (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number"),
+        (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number of ticks"),
         (["--dead-time", "1e9"], "--dead-time 1e9: must be a whole number"),
         (["--lag", "nan"], "--lag nan: must be a number from 0 to 1e+100"),
         (["--ki=-1"], "--ki -1: must be 0 or greater"),
