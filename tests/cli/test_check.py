@@ -210,7 +210,10 @@ def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     contents = {
         "empty.mcap": (b"", "byte 0: not an MCAP file: it is empty"),
         "head.mcap": (whole[:100], f"{ended}): "),
-        "first.mcap": (whole[:5000], f"{ended} at byte 5000); in what it still holds: topic /turtle1"),
+        "first.mcap": (
+            whole[:5000],
+            f"{ended} at byte 5000); in what it still holds: topic /turtle1",
+        ),
         "text.mcap": (b"hello", "byte 0: not an MCAP file: it is text"),
         "other.json": (b"{}", "data: expected a JSON object"),
     }

@@ -73,6 +73,16 @@ def test_equal_runs_and_runs_without_a_value_have_no_marks() -> None:
     assert tl.compare.mark_metric([], "run.duration") == {}
 
 
+@pytest.mark.parametrize(("other_s", "marks"), [(20.54, {}), (20.56, {0: "best", 1: "worst"})])
+def test_values_that_are_printed_alike_are_equally_good(
+    other_s: float, marks: dict[int, str]
+) -> None:
+    duration = dataclasses.replace(SUMMARIES[0].metrics["run.duration"], value=other_s)
+    metrics = {**SUMMARIES[0].metrics, "run.duration": duration}
+    other = dataclasses.replace(SUMMARIES[0], metrics=metrics)
+    assert tl.compare.mark_metric([SUMMARIES[0], other], "run.duration") == marks
+
+
 def test_a_missing_value_shows_its_status() -> None:
     table = tl.tabulate_runs([SUMMARIES[0], CUT], only=["translate.duration"])
     assert read_column(table, "translate.duration")[1] == "no_phase"

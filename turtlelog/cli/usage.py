@@ -209,7 +209,9 @@ def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> li
     name = word.removeprefix("--").replace("-", "_")
     known = [*flatten_scenario(Scenario())]
     keys = [key for key in known if (key.partition(".")[2] or key) == name]
-    keys = keys or [key for key in known if _UNITS.sub("", key.rpartition(".")[2]) == _UNITS.sub("", name)]
+    keys = keys or [
+        key for key in known if _UNITS.sub("", key.rpartition(".")[2]) == _UNITS.sub("", name)
+    ]
     joined = "\n".join(tokens)
     value = re.search(rf"^{re.escape(word)}[=\n]([^\n]+)", joined, re.MULTILINE)
     return [f"--set {key}={'VALUE' if value is None else value[1]}" for key in keys]

@@ -65,9 +65,9 @@ class Conditions:
     reach_rad: float
 
     @property
-    def knows_limits(self) -> bool:
-        """Whether the limits are known, as they are with the whole scenario."""
-        return _get_table("limits", self) is not None
+    def is_whole(self) -> bool:
+        """Whether path, plant and limits are known, as they are with the whole scenario."""
+        return None not in self.tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
