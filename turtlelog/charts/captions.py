@@ -61,7 +61,7 @@ def _measure(run: Run, *names: str) -> Mapping[str, Metric]:
 
 
 _MOST_NAMED: Final = 6
-"""Runs that are described one by one; of more a listener loses the first."""
+"""Largest number of runs that are described one by one; with more, a listener forgets the first."""
 
 
 def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
@@ -93,7 +93,7 @@ def _describe_values(values: NDArray[np.float64]) -> str:
 
 
 def _write(value: float) -> str:
-    return f"{value + 0.0:.4g}"  # no negative zero
+    return f"{value + 0.0:.4g}"  # + 0.0: no negative zero
 
 
 def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) -> str:

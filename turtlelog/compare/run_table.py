@@ -35,7 +35,7 @@ _MOST_DIFFERING: Final = 2
 """Columns of parameters in which runs differ."""
 
 _MOST_NAMED: Final = 3
-"""Keys that the first line names as differing beside what was varied."""
+"""Keys that the first line names as differing beside what was varied; metrics of one reason."""
 
 _MOST_HIDDEN: Final = 8
 """More of them that are named below a table."""
@@ -483,10 +483,27 @@ def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
 
 
 def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return the reasons for missing values, each once."""
-    missing = [metric for metrics in measured for metric in metrics.values() if metric.reason]
-    reasons = dict.fromkeys(f"{metric.status.value}: {metric.reason}." for metric in missing)
-    return tuple(reasons)
+    """Return the reasons for missing values, each once.
+
+    A status with several reasons does not show which of them a cell has: these name the metrics.
+    """
+    named: dict[Status, dict[str, dict[str, None]]] = {}
+    for metrics in measured:
+        for name, metric in metrics.items():
+            if metric.reason:
+                reasons = named.setdefault(metric.status, {})
+                reasons.setdefault(metric.reason, {})[name] = None
+    return tuple(
+        f"{status.value}{_name_some([*names]) if len(reasons) > 1 else ''}: {reason}."
+        for status, reasons in named.items()
+        for reason, names in reasons.items()
+    )
+
+
+def _name_some(names: Sequence[str]) -> str:
+    rest = len(names) - _MOST_NAMED
+    shown = names if rest < 2 else [*names[:_MOST_NAMED], f"{rest} more"]
+    return f" ({join_words(shown)})"
 
 
 def get_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:

@@ -3,7 +3,7 @@
 For turtlesim, whose poses contain the applied command, a replay through its plant shows more.
 
 Between two poses a robot moves about as far as just before and just after. A correction of its pose
-adds a step that neither neighbour has: the excess. This holds at any speed.
+adds a step that neither neighbour has: the excess. This is true at any speed.
 """
 
 from collections.abc import Sequence
@@ -31,25 +31,27 @@ from turtlelog.run.angles import subtract_headings
 Values = NDArray[np.float64]
 
 _USUAL: Final = 0.95
-"""Share of steps in time that are usual: some robots publish at two rates, or while they move."""
+"""Share of time steps that count as usual: some robots publish at two rates, or only while they
+move."""
 
 _FAST: Final = 3.0
-"""A step is a jump from this many times the greatest rate that lasts: a robot on the brink of that
-rate, and a pose that is late by a whole step, make 2 together."""
+"""Ratio to the greatest lasting rate from which a step is a jump. A robot near that rate, and a
+pose that is late by a whole step, together give a ratio of 2."""
 
 _STRAYS: Final = 0.05
-"""Share of steps up to which those that lead out and back at once are stray poses, and no rate that
-lasts. Noise and a second program lead out and back all the time."""
+"""Largest share of steps that lead out and back at once and count as stray poses. Noise and a
+second program lead out and back all the time."""
 
 _TOLD: Final = 0.1
-"""Share of a jump from which on the way that was driven meanwhile is said."""
+"""Share of a jump from which the distance driven meanwhile is mentioned."""
 
 _TURNED_RAD: Final = 0.1
-"""A jump that turns further has no mean heading: the way is then along the heading before it. The
-two are 3 deg apart here, which is 5 % of the way to the side."""
+"""Turn of a jump from which the displacement is measured along the heading before it, because there
+is no mean heading. At this turn, both directions differ by 3 deg, 5 % of the displacement to the
+side."""
 
 _ROUNDING: Final = 1e-5
-"""What the 32-bit rounding of two poses makes of a step [m, rad]."""
+"""Largest effect of the 32-bit rounding of two poses on a step [m, rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,13 +116,13 @@ def find_gaps(run: Run) -> tuple[PoseGap, ...]:
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     """Return the steps from pose to pose that the robot cannot have driven.
 
-    A step is a jump if it is far beyond the greatest rate of the robot (two steps if a pose
-    strays); if it is single and neither neighbour is similar, as in `find_outliers`; if it is
-    single and opposite to the five steps on either side; or if it is single and exceeds the motion
-    of these five (`_find_excess_steps`).
+    A step far beyond the greatest rate of the robot is a jump; a stray pose makes two such steps. A
+    single step is also a jump if neither neighbour is similar, as in `find_outliers`, or if it is
+    opposite to the five steps on either side. The same is true if it exceeds the motion of these
+    five (`_find_excess_steps`).
     """
     poses = run.poses
-    if _has_courses(run):  # a course turns as positions do, and tells nothing of its own
+    if _has_courses(run):  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = _find_changing_rows(poses)
     poses = poses if len(rows) == len(poses) else _take_poses(poses, rows)
@@ -141,20 +143,20 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
         is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
     for name, way in zip(("ahead", "aside", "turned"), steps, strict=True):
         rate = way / usual_ns * 1e9
-        # Aside a robot on wheels has next to no way, whose sign says nothing.
+        # A wheeled robot hardly moves sideways, so the sign of this motion is not informative.
         can_lead_back = (name != "aside") & (step_ns <= LONGEST_STEP_NS)
         stands_out = _find_reversals(rate) & can_lead_back
         stands_out[find_outliers(poses.time_ns[1:], rate)] = True
-        # Of a step that lost poses the way is a mean, which says nothing of either end.
+        # The displacement of a step with lost poses is a mean, which shows nothing about its ends.
         stands_out &= step_ns <= _LATE * compute_median(step_ns)
         is_jump |= stands_out & (np.abs(way - _smooth(way)) > _ROUNDING)
     beyond_m, beyond_rad = np.hypot(excess.ahead_m, excess.aside_m), np.abs(excess.turned_rad)
     for row in np.flatnonzero(is_jump & (beyond_rad > _TURNED_RAD)).tolist():
-        # Ahead and aside turned with it: what compares is how far the robot goes.
+        # The axes turned with the robot, so only the size of the displacement is compared.
         near = moved[row - NEIGHBOURS : row + NEIGHBOURS + 1]
         beyond_m[row] = abs(moved[row] - np.median(near))
     steps = _face_before(steps, excess.turned_rad)
-    # At either end nothing tells what of a step is driving.
+    # At both ends the motion within a step is unknown.
     for beyond, whole in ((beyond_m, moved), (beyond_rad, turned)):
         beyond[:NEIGHBOURS], beyond[-NEIGHBOURS:] = whole[:NEIGHBOURS], whole[-NEIGHBOURS:]
     return tuple(
@@ -221,7 +223,7 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool)
     least_m = _ROUNDING
     beyond_s2 = largest.excess_m / _ACCELERATION[0], largest.excess_rad / _ACCELERATION[1]
     if largest.excess_m <= _TOLD * way_m and beyond_s2[0] < beyond_s2[1]:
-        least_m = np.inf  # of a heading that jumps on the way, the way is no part
+        least_m = np.inf  # the displacement has no meaning if the heading jumps
     parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
     if abs(largest.turned_rad) > _ROUNDING:
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
@@ -270,7 +272,7 @@ def _find_far_steps(
         acceleration: Rate that the robot reaches from rest in 1 s [m/s^2 or rad/s^2].
     """
     both = np.minimum(way[1:], way[:-1])
-    # A pose that strays is two steps, out and back: together they lead no further.
+    # A stray pose gives two steps, out and back, which together lead no further.
     for lasting in (np.minimum(both, net), both):
         rate = float((lasting / usual_ns[1:]).max()) * 1e9
         rate = rate if seen is None else max(rate, float(np.abs(seen).max()))
@@ -282,22 +284,23 @@ def _find_far_steps(
 
 
 _ACCELERATION: Final = (2.0, 10.0)
-"""What a robot reaches from rest [m/s2, rad/s2], where it was never seen to move so fast."""
+"""Rate that a robot reaches from rest in 1 s if it was never seen to move so fast [m/s2,
+rad/s2]."""
 
 _BEYOND: Final = 3.0
-"""An excess is a jump from this many times what acceleration makes of a step on."""
+"""Ratio to the effect of acceleration on a step from which an excess is a jump."""
 
 _ALONE: Final = 3.0
-"""And this many times the excess of each neighbour: a pose that came late has one of its own."""
+"""Smallest ratio to the excess of each neighbour: a late pose has an excess of its own."""
 
 _PLAIN_SHARE: Final = 0.8
 _NOISES: Final = 6.0
-"""And this many times what 80 % of the excesses are within: noise with normal or Laplace values
-reaches that in 1 of 15,000 steps, and seldom beside such neighbours. Of poses at 10 Hz a correction
-every second is in 10 % of the steps."""
+"""Smallest ratio to the 80 % quantile of excesses. Normal or Laplace noise reaches it in 1 of
+15,000 steps, and rarely beside such neighbours. With poses at 10 Hz, a correction every second is
+in 10 % of the steps."""
 
 _LATE: Final = 1.5
-"""A step that takes this many times the usual time lost poses: the robot may have stopped in it."""
+"""Ratio to the usual time from which a step lost poses: the robot may have stopped in it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -374,7 +377,8 @@ def _find_excess(
     near = np.delete(windows, NEIGHBOURS, axis=1)
     inside = slice(NEIGHBOURS, -NEIGHBOURS)
     way, took_ns = step[inside], step_ns[inside]
-    # Of a step that lost poses, no way that a neighbour's rate or a stop explains is beyond.
+    # In a step with lost poses, any displacement between those of a stop and of a neighbour's rate
+    # is possible.
     low = np.minimum(near.min(axis=1), 0.0) * took_ns
     high = np.maximum(near.max(axis=1), 0.0) * took_ns
     plain, excess = np.zeros(len(step)), np.zeros(len(step))
