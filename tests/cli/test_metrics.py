@@ -309,7 +309,7 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--dead-time", "1001"], "expected a whole number from 0 to 1000, found 1001"),
         (["--reference-path", "none.csv"], "none.csv: expected a file of points, found: No such"),
         (["--jobs", "0"], "--jobs 0: must be at least 1"),
-        (["--jobs", "1.5"], "--jobs 1.5: must be a whole number of ticks"),
+        (["--jobs", "1.5"], "--jobs 1.5: must be a whole number"),
         (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number of ticks"),
         (["--csv", "--json"], "--csv and --json: choose one format"),
         (["--markdown", "--latex"], "--markdown and --latex: choose one format"),
