@@ -166,7 +166,9 @@ def _name_kind(answer: InfoAnswer) -> str:
 def _tell_state(answer: InfoAnswer) -> str:
     """Return how the run of a file ended, or what is wrong with the file."""
     if not answer.complete:
-        return "truncated: nothing left" if answer.summary.endswith(NOTHING_LEFT) else "not complete"
+        return (
+            "truncated: nothing left" if answer.summary.endswith(NOTHING_LEFT) else "not complete"
+        )
     reason = (answer.stop_reason or "").replace("_", " ")
     ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
     return ending or reason
