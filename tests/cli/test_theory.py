@@ -307,8 +307,17 @@ def test_gains_of_a_scenario_belong_to_no_recording(call: Call, kp10: Path) -> N
 
 def test_many_gains_with_other_terms_stand_in_tables_that_fit(call: Call) -> None:
     answer = call("theory", "--kp", "1,2,3,4,5,6,7,8,9", "--ki", "0.1", "--lag", "0.1")
-    assert answer.out.count("The sampled loop") == 3
-    assert max(map(len, answer.out.splitlines())) <= 80
+    rows = answer.out.partition("The sampled loop")[2].partition("---\n")[2].splitlines()[:9]
+    assert [row.split()[0] for row in rows] == [*"123456789"]
+    details = call("theory", "--kp", "1,2,3,4,5,6,7,8,9", "--ki", "0.1", "--details")
+    assert details.out.count("Loop by loop") == 3
+    for out in (answer.out, details.out):
+        assert max(map(len, out.splitlines())) <= 80
+
+
+def test_no_more_than_forty_lines_advise_on_four_gains(call: Call) -> None:
+    answer = call("theory", "--lag", "0.2", "--dead-time-s", "0.1", "--ki", "0.01")
+    assert len(answer.out.splitlines()) <= 40
 
 
 @pytest.mark.thorough
