@@ -199,7 +199,7 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     # Of 1.6 samples of dead time two commands wait and a third acts in part; lag, integral, plant.
     assert len(low["poles"]) == 5
     assert (fine["gain_margin"], fine["phase_margin_rad"]) == (None, None)
-    text = call("theory", "--kp", "2,30", *loop).out
+    text = call("theory", "--kp", "2,30", *loop, "--details").out
     assert re.search(r"stable for Kp \[1/s\] +0.2326 to 10.83  0.2326 to 10.83", text)
     assert re.search(r"overshoots +by 22.43 % +without end", text)
     lines = text.splitlines()
@@ -326,7 +326,7 @@ def test_an_overshoot_that_no_digit_shows_is_none(call: Call, kp: str, words: st
     options = ("--lag", "0.09", "--period", "0.001", "--low-pass", "0")
     found = call("theory", "--kp", kp, *options, "--json").json["gains"][0]
     assert found["overshoots"] == (words != "no")
-    text = call("theory", "--kp", kp, *options).out
+    text = call("theory", "--kp", kp, *options, "--details").out
     assert re.search(rf"overshoots +{words}\n", text)
 
 
