@@ -24,7 +24,7 @@ ANSWERS: Final = {
     "theory": "theory_tables:IntegratorAnswer",
     "theory --lag": "theory:_TermsAnswer",
     "theory FILE": "theory:_FileAnswer",
-    "info": "info:InfoAnswer",
+    "info": "info_answer:InfoAnswer",
     "metrics": "metrics:MeasuredFile",
     "metrics -o TABLE": "folders:TableAnswer",
     "compare": "compare:_AcrossAnswer",

@@ -262,7 +262,8 @@ def _list_next(
         target = escape_controls(shlex.quote(str(scenario)))
         yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
     elif model.tick_delays is not None:
-        yield f"Why? turtlelog explain {words}"
+        # `explain` takes one recording.
+        yield f"Why? turtlelog explain {escape_controls(shlex.quote(str(files[0])))}"
     elif _is_scenario(model):
         yield f"Simulate it and find gains: turtlelog identify {words} --scenario robot.toml"
     if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):

@@ -415,7 +415,7 @@ def _describe(record: Mapping[str, str]) -> str:
     lost = _decode_loss(record, "lost", tuple[Loss, ...])
     missing = _decode_loss(record, "missing", dict[str, int] | None)
     if missing is None:
-        count = "nobody knows how many messages are lost"
+        count = "the number of lost messages is unknown"
     elif missing:
         count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
     else:

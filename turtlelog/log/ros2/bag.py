@@ -74,7 +74,7 @@ def open_bag(path: str | Path) -> Bag:
     for file, info in infos.items():
         if not info.complete:
             raise LogError(
-                f"{file}: no end of an MCAP file: truncated or unfinished: {info.notes['partial']}"
+                f"{file}: truncated or unfinished (no end of an MCAP file): {info.notes['partial']}"
             )
     return Bag(path=path, infos=infos)
 
