@@ -140,7 +140,9 @@ def convert(
         raise
     from turtlelog.log.recording.run_writer import list_unshared
 
-    kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
+    kept = {
+        name: text for name, text in run.notes.items() if name not in {tl.log.CHOSEN, tl.log.UNUSED}
+    }
     notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
     notes += [
         f"{path} holds the poses alone: --table chooses another table, a folder holds all"

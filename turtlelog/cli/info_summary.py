@@ -41,7 +41,7 @@ _STEADY: Final = 3.0
 """Messages whose quick and slow steps (a tenth of them each) differ by more have no rate."""
 
 _TOLD: Final = (
-    *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
+    *("unused", "clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
     *(
         "robots",
         "heading",

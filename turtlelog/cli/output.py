@@ -237,9 +237,13 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
     """Print what was read of third-party files, and what one must know of one that lost some."""
     # What concerns other files than this stands in a recording that was converted from one.
     told = _OF_SOURCE if "chosen" in notes else ()
-    for name in ("preset", *told, "recovered", "partial"):
+    for name in ("preset", *told, "unused", "recovered", "partial"):
         if name in notes:
-            label = "" if name in {"preset", "chosen", "plane"} else f"{name.replace('_', ' ')}: "
+            label = (
+                ""
+                if name in {"preset", "chosen", "plane", "unused"}
+                else f"{name.replace('_', ' ')}: "
+            )
             print_note(f"{path}: {label}{notes[name]}")
 
 
