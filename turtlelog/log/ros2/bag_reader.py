@@ -13,7 +13,7 @@ from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import RecordingInfo, TopicInfo
-from turtlelog.log.planar import describe_height, lift_poses
+from turtlelog.log.planar import describe_height, describe_level, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE64, SENSED, SHAPED
 from turtlelog.log.ros2.bag import Bag, open_bag
@@ -238,6 +238,7 @@ def _build_run(
         notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}
     if plane is None:
+        notes |= {} if (level := describe_level(columns.get("z"))) is None else {"height": level}
         # A speed is of the robot's axes: of one that leaves the plane it is not that from above.
         reported = poses.columns if SPEED in columns else columns
         paths = describe_paths(measure_paths(poses.time_ns, reported, speeds))
