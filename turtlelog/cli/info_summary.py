@@ -41,7 +41,15 @@ _STEADY: Final = 3.0
 """Messages whose quick and slow steps (a tenth of them each) differ by more have no rate."""
 
 _TOLD: Final = (
-    *("unused", "clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
+    *(
+        "unused",
+        "crowded",
+        "clock",
+        "plane",
+        "dropped_nan",
+        "held_transforms",
+        "dropped_before_transforms",
+    ),
     *(
         "robots",
         "heading",

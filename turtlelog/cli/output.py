@@ -249,7 +249,7 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
 
 _OF_SOURCE: Final = (
     *("chosen", "clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("heading", "wheels", "reported_rates", "leaps", "path_by_speed", "still"),
+    *("crowded", "heading", "wheels", "reported_rates", "leaps", "path_by_speed", "still"),
 )
 
 

@@ -119,7 +119,8 @@ def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
         (np.column_stack([ahead_m, aside_m]), np.array([in_plane, _ASIDE * in_plane])),
         (turned_rad[:, np.newaxis], np.array([turning])),
     ):
-        pose_variance, step_variance = _measure_noise(steps, np.diff(time_s))
+        with np.errstate(over="ignore", invalid="ignore"):  # of noise that no robot has
+            pose_variance, step_variance = _measure_noise(steps, np.diff(time_s))
         motion = _Motion(
             time_s=time_s,
             steps=steps,
@@ -156,7 +157,7 @@ _MEDIANS: Final = (0.6745, 1.1774)
 
 def _measure_spread(values: Values) -> Values:
     """Return the standard deviation per axis around each row, from medians."""
-    size = np.sqrt(np.sum(values**2, axis=1))
+    size = _measure_length(values)
     blocks = -(-len(size) // _BLOCK)
     padded = np.pad(size, (_BLOCK, (blocks + 1) * _BLOCK - len(size)), mode="reflect")
     around = sliding_window_view(padded, 3 * _BLOCK)[::_BLOCK][:blocks]
@@ -181,10 +182,10 @@ def _find_by_means(motion: _Motion, count: int) -> NDArray[np.bool_]:
         moved - mean * took_s[:, np.newaxis],
         np.maximum(spread * took_s[:, np.newaxis] - noise[:, np.newaxis], 0.0),
     )
-    size = np.sqrt(np.sum(beyond**2, axis=1))
+    size = _measure_length(beyond)
     rests_s = (count - 0.5) * motion.usual_s  # to speed up as long, and to brake as long
     least = motion.acceleration * rests_s**2 + _TIMER_S * np.abs(mean) + _ROUNDING
-    is_large = (size > _NOISES * noise) & (np.sum((beyond / least) ** 2, axis=1) > 1.0)
+    is_large = (size > _NOISES * noise) & (_measure_length(beyond / least) > 1.0)
     rows, unit = rows[is_large], beyond[is_large] / size[is_large, np.newaxis]
     size, mean, spread = size[is_large], mean[is_large], spread[is_large]
     is_sharp = _stand_alone(motion, rows, unit, size, (mean, spread))
@@ -221,6 +222,11 @@ def _subtract_means(values: Values, rows: NDArray[np.int64], count: int) -> Valu
     sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
     after = sums[rows + 1 + count] - sums[rows + 1]
     return np.asarray((after - (sums[rows + 1] - sums[rows + 1 - count])) / count)
+
+
+def _measure_length(values: Values) -> Values:
+    """Return the length of each row; a square of 1e300 would be too large for a number."""
+    return np.asarray(np.abs(np.hypot.reduce(values, axis=1)))
 
 
 def _shrink(values: Values, by: Values) -> Values:

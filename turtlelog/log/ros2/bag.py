@@ -72,9 +72,10 @@ def open_bag(path: str | Path) -> Bag:
         infos[first] = replace(infos[first], notes={**infos[first].notes, **found.notes})
     for file, info in infos.items():
         if not info.complete:
-            raise LogError(
-                f"{file}: no end of an MCAP file: truncated or unfinished: {info.notes['partial']}"
-            )
+            is_left = any(topic.count for topic in info.topics)
+            fix = "; turtlelog convert --recover reads what is left" if is_left else ""
+            lost = info.notes["partial"]
+            raise LogError(f"{file}: no end of an MCAP file: truncated or unfinished: {lost}{fix}")
     return Bag(path=path, infos=infos)
 
 
