@@ -71,6 +71,9 @@ def test_recommended_gains_say_what_they_cost(call: Call) -> None:
     text = " ".join(call("theory", "--dead-time", "5", "--kp", "4").out.split())
     better = "Better than Kp = 4 1/s in settling time (0.528 s, not 0.624 s); worse in overshoot"
     assert f"{better} (5 %, not 0 %), gain margin and phase margin." in text
+    text = " ".join(call("theory", "--lag", "0.2", "--dead-time-s", "0.1").out.split())
+    assert "worse in overshoot (5 %, not 0 %)" in text
+    assert "Kp = 10: stable, but its slowest part hardly decays." in text
     assert "Kp = 16 1/s is unstable." in call("theory", "--dead-time", "6", "--kp", "16").out
 
 
@@ -145,7 +148,7 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["--period", "0"], "--period 0: must be greater than 0"),
         (["--period", "nan"], "--period nan: must be a sampling period > 0"),
         (["--dead-time=-1"], "--dead-time -1: must be 0 or greater"),
-        (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number"),
+        (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number of ticks"),
         (["--dead-time", "1e9"], "--dead-time 1e9: must be a whole number"),
         (["--lag", "nan"], "--lag nan: must be a number from 0 to 1e+100"),
         (["--ki=-1"], "--ki -1: must be 0 or greater"),

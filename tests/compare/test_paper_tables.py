@@ -116,6 +116,27 @@ def test_the_table_of_metrics_gives_every_reason_once() -> None:
     assert len(set(notes)) == len(notes)
 
 
+def lack(name: str, reason: str) -> tl.Metric:
+    status = tl.measure.Status.UNDETERMINED
+    return tl.Metric(id=name, value=None, unit="s", status=status, reason=reason)
+
+
+def test_reasons_of_one_status_name_their_metrics() -> None:
+    measured = {"a": lack("a", "few poses"), "b": lack("b", "few poses")}
+    assert tl.compare.list_reasons([measured] * 2) == ("undetermined: few poses.",)
+    assert tl.compare.list_reasons([{**measured, "c": lack("c", "a gap")}]) == (
+        "undetermined (a and b): few poses.",
+        "undetermined (c): a gap.",
+    )
+
+
+@pytest.mark.parametrize(("count", "named"), [(4, "d"), (5, "2 more")])
+def test_a_reason_names_at_most_four_metrics(count: int, named: str) -> None:
+    measured = {name: lack(name, "few poses") for name in "abcde"[:count]}
+    notes = tl.compare.list_reasons([{**measured, "z": lack("z", "a gap")}])
+    assert notes[0] == f"undetermined (a, b, c and {named}): few poses."
+
+
 def test_the_table_of_differences_names_the_reference_and_every_run() -> None:
     comparisons = [tl.compare_runs(RUNS[0], run) for run in RUNS[1:]]
     names = [run.name for run in RUNS[1:]]

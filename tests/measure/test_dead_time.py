@@ -359,6 +359,16 @@ def test_lost_commands_are_not_called_noise() -> None:
     assert found.reason == "dead times of 14 and 15 ticks fit alike"
 
 
+def test_lost_commands_that_shorten_a_queue_are_not_called_a_lag() -> None:
+    changes = {"sensing__noise_position_m": 0.02, "loop__loss_probability": 0.1}
+    run = simulate("paper-kp4", **changes)
+    found = measure_run(run, only=["translate.dead_time"])["translate.dead_time"]
+    assert found.reason == (
+        "no single dead time explains the motion (2 ticks come nearest): commands were lost, or"
+        " their delay changed"
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "changes"),
     [

@@ -1,4 +1,4 @@
-"""The content of pictures: curves, levels, marks, colours and words. Nothing is drawn here.
+"""The content of pictures: curves, levels, marks, colours and text. Nothing is drawn here.
 
 The public names are in `__init__.pyi` and load on first use.
 """

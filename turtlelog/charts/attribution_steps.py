@@ -13,16 +13,18 @@ from turtlelog.explain.one_run.attribution import THIS_SEED
 from turtlelog.explain.two_runs.explained_difference import SEED, Side
 
 _SAME: Final = 1e-6
-"""Of the largest value: a smaller step is none. Two platforms differ by no more in one scenario."""
+"""Share of the largest value below which a step counts as 0: two platforms differ by less."""
 
 _DIGITS: Final = 4
-"""Of the largest value; all others have as many decimals, so that they add up to the eye."""
+"""Digits of the largest value; all others have as many decimals, so that printed values add up."""
 
 _MOST_PERCENT: Final = 1000.0
-"""From here on a part of a value that is close to 0 says nothing more."""
+"""Largest part of a value in percent that is printed; of a value near 0, larger parts mean
+nothing."""
 
 _MOST_NAMED: Final = 2
-"""Causes that the words at the last bar name; more would be longer than the picture."""
+"""Largest number of causes that the text at the last bar names; more would be wider than the
+picture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +39,8 @@ class AttributionStep:
         end: End of the bar.
         name: Label beside the bar, in a word or two.
         text: Size in words, with its part of the logged value.
-        color: Colour: the total has that of the run, the remainder that of the ghost without all
-            causes.
+        color: Colour: that of the run for the total, that of the ghost without all causes for the
+            remainder.
     """
 
     kind: Literal["total", "contribution", "left"]
@@ -111,7 +113,7 @@ class Waterfall:
 
 def draw_up_attribution(found: Attribution) -> Waterfall:
     """Return the waterfall of an attribution; without steps if contributions are withheld."""
-    # The contribution of one cause is just what its removal changes.
+    # If only one cause acts, its contribution is the effect of its removal.
     is_average = len(choose_acting_contributions(found)) > 1
     seeds = 0 if found.seeds is None else found.seeds.used
     return Waterfall(
@@ -137,7 +139,7 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
     own.
 
     Returns:
-        None if the contributions are withheld: the attribution says why.
+        The steps; empty if the contributions are withheld, for a reason in the attribution.
     """
     left = found.without_all
     total = found.resimulated if found.as_logged is None else found.as_logged
@@ -278,7 +280,7 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
     Between them is each change with its contribution, the largest first.
 
     Returns:
-        No steps if the contributions are withheld: the answer says why.
+        The steps; empty if the contributions are withheld, for a reason in the answer.
     """
     first, second = found.first.resimulated, found.second.resimulated
     if not found.contributions or first is None or second is None:

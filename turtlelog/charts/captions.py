@@ -33,7 +33,8 @@ def describe_runs(runs: Sequence[Run]) -> str:
 def _describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
     (low, lowest), (high, highest) = min(values), max(values)
     least, most = format_short(low, unit), format_short(high, unit)
-    return f"all {least}" if low == high else f"{least} ({lowest}) to {most} ({highest})"
+    # Two ends that are printed alike are no range: the reader sees no difference.
+    return f"all {least}" if least == most else f"{least} ({lowest}) to {most} ({highest})"
 
 
 def describe_end(run: Run) -> str:
@@ -60,7 +61,7 @@ def _measure(run: Run, *names: str) -> Mapping[str, Metric]:
 
 
 _MOST_NAMED: Final = 6
-"""Runs that are described one by one; of more a listener loses the first."""
+"""Largest number of runs that are described one by one; with more, a listener forgets the first."""
 
 
 def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
@@ -92,7 +93,7 @@ def _describe_values(values: NDArray[np.float64]) -> str:
 
 
 def _write(value: float) -> str:
-    return f"{value + 0.0:.4g}"  # no negative zero
+    return f"{value + 0.0:.4g}"  # + 0.0: no negative zero
 
 
 def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) -> str:

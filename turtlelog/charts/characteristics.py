@@ -19,7 +19,7 @@ ALONG_ERROR: Final = "along_track_error"
 TO_REFERENCE: Final = "distance_to_reference"
 
 _ROUNDING_NS: Final = 1_000
-"""Times of metrics are rounded seconds: a command that begins within this counts as begun [ns]."""
+"""Rounding of metric times: a command that begins within this time counts as begun [ns]."""
 
 
 MarkShape = Literal["disc", "square", "cross"]
@@ -38,13 +38,16 @@ _SHAPES: Final[Mapping[str, MarkShape]] = MappingProxyType(
         "dead_time": "cross",
     }
 )
-"""How metrics are marked, by their kind: discs where a curve comes to rest, squares where it is
-furthest off, crosses where a time ends or begins. A peak stands with its overshoot."""
+"""Mark shapes by kind of metric.
+
+Discs mark where a curve comes to rest, squares its extremes, crosses the end or start of a time. A
+peak is marked with its overshoot."""
 
 _SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
     {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
 )
-"""Letters that Rerun's viewer can draw: at others, as the heavy multiplication sign, it ends."""
+"""Letters that Rerun's viewer can draw: other letters, such as the heavy multiplication sign, crash
+it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,9 +65,9 @@ class Characteristic:
             for a dead time, the pose answered by the loop's largest change of command, which the
             robot follows after the dead time.
         level: Value of the curve then, in its unit (headings in deg); None for a pause.
-        span_s: Start and end of its interval [s]: for a rise from 10 % to 90 %, for a settling time
-            from when the curve stays in its band to the end of the loop's segment, for pause, dead
-            time and saturation all of it; None if it has a single time.
+        span_s: Start and end of its interval [s]: a rise lasts from 10 % to 90 %; a settling time
+            from when the curve stays in its band to the end of the loop's segment. Pause, dead time
+            and saturation have their whole interval. None if it has a single time.
         levels: Two related levels in the unit of the curve: for a rise 10 % and 90 % of the step,
             for a settling time the ends of its band, for peak and overshoot the reference and the
             peak; None for others.
@@ -96,7 +99,7 @@ class Characteristic:
 
     @property
     def sign(self) -> str:
-        """Its shape as a letter."""
+        """The shape as a letter."""
         return "" if self.shape is None else _SIGNS[self.shape]
 
     @property
@@ -149,8 +152,9 @@ def list_characteristics(
 ) -> tuple[Characteristic, ...]:
     """Return the metrics that have a value and can be marked on a curve, and the pauses.
 
-    For each loop these are the metrics of its step on the controlled signal, and its largest error
-    if its reference moves; its longest saturation on its command; and the final error of a heading.
+    For each loop, these are the metrics of its step on the controlled signal, or its largest error
+    if its reference moves. Its longest saturation is on its command. The final error of a heading
+    is also included.
 
     Args:
         run: The run.

@@ -1,4 +1,4 @@
-"""The close-up of the goal: where each run ends, its distance to the goal, and rings for scale."""
+"""The close-up of the goal: ends of the runs with their distances, and rings for scale."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,37 +13,38 @@ from turtlelog.run import Run
 ARRIVED_M: Final = 1.0
 """A run that ends further from the goal than this has not arrived [m].
 
-The paper's runs miss by 1 to 107 mm on a way of 5.7 m; with 1 m to each side and more, a close-up
-would be the plane once more.
-"""
+The paper's runs miss by 1 to 107 mm on a path of 5.7 m. A close-up with 1 m or more to each side
+would look like the plane."""
 
 _ROOM: Final = 1.25
-"""The furthest end lies at 1 / 1.25 of the half-width: there is room for its dot and its words."""
+"""Half-width as a multiple of the furthest end's distance, with room for its dot and its text."""
 
 _TOLERANCES: Final = 3.0
-"""At least so many times the law's tolerance is shown to each side: its square is a square."""
+"""Smallest half-width as a multiple of the law's tolerance, so that its square is visible as
+such."""
 
 _LEAST_HALF_M: Final = 1e-3
 _HALVES: Final = ((1.2, 0.5), (1.5, 0.5), (2.5, 1.0), (4.0, 1.0), (6.0, 2.0), (8.0, 2.0))
-"""Half-widths and the distance between rings, in one decade: each has two or three rings."""
+"""Half-widths and distances between rings in one decade: each has two or three rings."""
 
 _MOST_LISTED: Final = 3
-"""So many distances stand in one label; of more the least and the greatest."""
+"""Largest number of distances in one label; with more, it gives the least and the greatest."""
 
 _MOST_TOLD: Final = 12
-"""Ends that have words; of more only the furthest, as all those words would hide the dots."""
+"""Largest number of ends with text; with more, only the furthest has text, because text would hide
+the dots."""
 
 _LONGEST: Final = 16
-"""Letters of a name in it: with its distance it takes half of a close-up 430 pixels wide."""
+"""Longest name in it [letters]: with its distance it takes half of a close-up 430 pixels wide."""
 
 _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
-"""How far up words may stand from their dot, in lines, best first."""
+"""Upward offsets of text from its dot, best first [lines]."""
 
 _ANGLES_RAD: Final = np.radians([90.0, -90.0, 60.0, 120.0, -60.0, -120.0, 45.0, 135.0])
-"""Where the names of the rings may stand, best first: over each other they need least room."""
+"""Angles for the names of the rings, best first [rad]: names above each other need least room."""
 
 _RING_POINTS: Final = 97
-"""On a ring: one in 4 degrees."""
+"""Points of a ring: one per 4 degrees."""
 
 Point = tuple[float, float]
 
@@ -109,8 +110,8 @@ class Lettering:
         gap: Distance between a dot and its text.
         reach: Distance from the goal to the left and right border of the picture, which may be
             wide.
-        most_told: Number of ends that can have text; of more ends, the furthest has text, and if
-            runs have names the last run, which has the highest gain.
+        most_told: Number of ends that can all have text. If there are more, only the furthest has
+            text, and the last run (highest gain) if runs have names.
     """
 
     letter: float
@@ -180,15 +181,15 @@ def find_tolerance(run: Run) -> float | None:
 
 def format_length(length_m: float) -> str:
     """Return a length in millimetres below 1 m, in metres above."""
-    # Rounded to three digits, the next below 1 m would be 1e+03 mm.
+    # Rounding to three digits would give 1e+03 mm.
     return f"{length_m * 1e3:.3g} mm" if length_m < 0.9995 else f"{length_m:.3g} m"
 
 
 def list_miss_labels(close_up: CloseUp, lettering: Lettering) -> tuple[Label, ...]:
     """Return the distance of each end from the goal, beside it; crowded ends share their text.
 
-    Of too many ends only the furthest has text, and the last run if runs have names; rings show the
-    distances of the others.
+    If there are too many ends, only the furthest has text, and the last run if runs have names;
+    rings show the distances of the others.
     """
     if len(close_up.ends) > lettering.most_told:
         furthest, last = close_up.ends[-1], max(close_up.ends, key=lambda end: end.run)

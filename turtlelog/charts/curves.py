@@ -1,6 +1,6 @@
 """The curves of a run for screen and print, their levels and their moving references.
 
-Headings are in degrees. Of long curves, rows are chosen that give the same picture.
+Headings are in degrees. Long curves are thinned to rows that give the same picture.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,24 +30,26 @@ _FARTHEST_M: Final = 1e150
 """Distance from the origin whose square is still a number [m]."""
 
 _NO_LIMIT: Final = 1e9
-"""A speed [m/s], rate [rad/s] or tolerance from which on no robot meets it: its line would only
-flatten every curve beside it, so it is drawn as little as one at infinity."""
+"""Speed [m/s], rate [rad/s] or tolerance that no robot reaches, so that it counts as infinite.
+
+Its line is not drawn, because it would flatten every curve."""
 
 MOST_POINTS: Final = 20_000
-"""How many points of a curve are drawn: 3 for each of 6,666 stretches. A page 181 mm wide has 4,275
-columns at 600 dpi."""
+"""Number of points from which a curve is thinned: 3 for each of 6,666 segments.
+
+A page 181 mm wide has 4,275 columns at 600 dpi."""
 
 Command = Literal["speed", "turn_rate"]
 
 SENSED_SIGNALS: Final = ("x", "y", "heading")
-"""Signals of which there is one that was sensed."""
+"""Signals that may have been sensed."""
 
 
 def require_near(runs: Sequence[Run]) -> None:
     """Raise an error for poses too far away to be drawn.
 
     Raises:
-        ShowError: If there are any, with the run and the distance.
+        ShowError: If there is such a pose; with the run and the distance.
     """
     for run in runs:
         far_m = float(np.abs(run.poses.xy_m).max(initial=0.0))
@@ -183,8 +185,9 @@ def list_loops(run: Run, signal: str) -> list[ControlLoop]:
 def list_levels(run: Run, signal: str) -> list[Level]:
     """Return the constant references of a signal.
 
-    They are the references of its declared loops, and for `x`, `y` and the along-track coordinate
-    the goal. If the loops of a run are unknown, it is the goal's bearing from the start.
+    The levels are the references of its declared loops, and the goal for `x`, `y` and the
+    along-track coordinate. If the loops of a run are unknown, it is the goal's bearing from the
+    start.
     """
     if signal in ("x", "y"):
         goal = run.goal_xy_m

@@ -24,7 +24,8 @@ _DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "distance": ("along_track", "distance"),
     }
 )
-"""Which loops' signals decide what theory expects of a curve: along the line all are the same."""
+"""Signals of the loops that determine the ideal response of a curve; along the line, all are
+equal."""
 
 _ERRORS: Final = frozenset(
     {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
@@ -106,7 +107,7 @@ def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
     if measured is None or signal_name not in _DRIVEN_BY:
         return []
     steps = [step for driven in _DRIVEN_BY[signal_name] for step in find_steps(run, driven)]
-    # Along the line, all but the way itself comes to where it belongs at the goal alone.
+    # An along-track loop brings other signals to their final values only if its target is the goal.
     elsewhere = {"along_track"} - {signal_name}
     found = [
         _compute_ideal(run, signal_name, measured, step)

@@ -1,6 +1,6 @@
 """The meaning of each colour, dash and marker in all pictures.
 
-A run has a colour, and in print a marker; a loop of its law has a dash; other curves have a colour
+A run has a colour, and in print a marker. A loop of its law has a dash. Other curves have a colour
 and a dash by their kind.
 """
 
@@ -26,25 +26,25 @@ _FIXED: Final[Mapping[CurveKind, Color]] = MappingProxyType(
         "dropped_out": palette.DROPPED_OUT,
     }
 )
-"""Kinds whose colour is the same of every run."""
+"""Kinds of curves whose colour is the same for every run."""
 
 _DASHES: Final[Mapping[CurveKind, Dash]] = MappingProxyType(
     {"ideal": "dotted", "aim": "dash-dot", "shaped": "dash-dot"}
 )
-"""Kinds that are no curve of a run's own."""
+"""Dashes of the kinds of curves other than the run's own."""
 
 LIMIT_DASH: Final[Dash] = "dashed"
-"""Of limits and tolerances; a target is solid."""
+"""Dash of limits and tolerances; a reference is solid."""
 
 SUPPOSED_DASH: Final[Dash] = "dashed"
-"""Of what did not happen: a run without some effects, what a model does."""
+"""Dash of what did not happen: a run without some effects, the output of a model."""
 
 LOOP_DASHES: Final[tuple[Dash, ...]] = ("solid", "dashed", "dash-dot", "dotted")
-"""Of the loops of a law, in the order in which it declares them; more begin again."""
+"""Dashes of a law's loops in declared order; more loops start again."""
 
 RUN_MARKERS: Final[tuple[Marker, ...]] = ("up", "diamond", "down", "plus", "star", "left", "right")
-"""Of runs that have hues of their own, where colours may be gone: triangles that point up, down,
-left and right, and others. Discs, squares and crosses are places and values."""
+"""Markers of runs with distinct hues, for pictures without colour: triangles up, down, left and
+right, and others. Discs, squares and crosses mark places and values."""
 
 
 def choose_curve_color(kind: CurveKind, run: Color, *, is_alone: bool) -> Color:
@@ -71,10 +71,11 @@ def choose_dash(kind: CurveKind) -> Dash:
 
 
 _FEW_TURTLES: Final = 4
-"""Turtles of full size; more are smaller."""
+"""Largest number of turtles of full size; more are smaller."""
 
 _SMALLEST_TURTLE: Final = 0.3
-"""Of that size: a shell of 4 pixels, as large as the dot in its middle."""
+"""Smallest size of a turtle as a share of the full size: a shell of 4 pixels, as large as its
+dot."""
 
 
 def choose_turtle_size(turtles: int) -> float:

@@ -18,28 +18,29 @@ from turtlelog.explain import Luck, LuckCurve
 Values = NDArray[np.float64]
 
 _DIGITS: Final = 2
-"""Of a value in words: neighbouring starts differ in the third."""
+"""Digits of a value in text: neighbouring starts differ in the third digit."""
 
 _MOST_DIGITS: Final = 5
-"""Of two values that fewer digits do not tell apart."""
+"""Largest number of digits of two values, if fewer do not distinguish them."""
 
 _SMALL: Final = 0.5
-"""Of the least value with all effects: values that stay below it are told by their bound."""
+"""Share of the least value with all effects below which values are given by an upper bound."""
 
 _JUMP: Final = 0.02
-"""Of the height of the picture: a smaller step between neighbours is no break to the eye."""
+"""Smallest visible jump between neighbours, as a share of the picture's height."""
 
 _SMOOTH: Final = 6.0
-"""Times the step of a quarter of the neighbours: a larger one is no slope."""
+"""Ratio to the step of a quarter of the neighbours from which a step is a jump instead of a
+slope."""
 
 _FROM_ZERO: Final = 0.5
-"""The axis begins at 0 where the least value is below this part of the greatest; and of errors."""
+"""Ratio of least to greatest value below which the axis begins at 0; for errors it always does."""
 
 _ROOM: Final = 0.06
-"""Above and below the curves, of the height of the axis."""
+"""Margin above and below the curves, as a share of the axis."""
 
 _AROUND: Final = 1.12
-"""Half of the plane, of the way to the furthest end."""
+"""Half-width of the plane, as a multiple of the furthest end's distance."""
 
 WITH_ALL: Final = "with all effects"
 
@@ -164,7 +165,7 @@ def spread_labels(
         limits: Limits of the positions, as far as there is room.
     """
     order = sorted(range(len(values)), key=lambda row: values[row])
-    # Groups of labels that touch stand around the mean of their values.
+    # Overlapping labels are placed around the mean of their values.
     groups: list[list[float]] = []
     for row in order:
         groups.append([values[row]])

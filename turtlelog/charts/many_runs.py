@@ -15,25 +15,26 @@ from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.run import Run
 
 MANY: Final = len(FEW)
-"""More runs have no hues of their own: their colours follow their order, and a bar tells it."""
+"""Largest number of runs with hues of their own; with more, colours follow their order, and a bar
+shows it."""
 
 _ARRIVED: Final = frozenset({"within_tolerance", "standstill"})
-"""Reasons to stop of a run that came to rest by itself."""
+"""Stop reasons of a run that came to rest by itself."""
 
 _MOST_SWINGS: Final = 10
-"""A command that changes its sign more often in the last half of a run swings on; those of the
-paper's runs that come to rest do so at most 4 times."""
+"""Largest number of sign changes of a command in the last half of a run that comes to rest. The
+paper's runs that come to rest have at most 4."""
 
 LONGEST_NAME: Final = 24
-"""In letters: a legend takes half of a plot 350 pixels wide with more."""
+"""Longest name [letters]: with more, a legend takes half of a plot 350 pixels wide."""
 
 _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
 _MOST_NAMED: Final = 2
-"""Named in a title; of more their number is told."""
+"""Largest number of runs that a title names; with more, it gives their number."""
 
 _MOST_KEYS: Final = 3
-"""Keys that a name tells; with more it would be as long as the name that it stands for."""
+"""Largest number of keys in a name; with more, it would be as long as the name that it replaces."""
 
 _WORDS: Final[Mapping[str, str]] = {
     "loop.transport_delay_ticks": "delay",
@@ -213,7 +214,7 @@ def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
     Words are separated at spaces, and at dashes and underscores before letters, so that numbers
     stay whole.
     """
-    # Words and what parts them take turns.
+    # Words and their separators alternate.
     parts = [_BETWEEN_WORDS.split(name) for name in names]
     words = [part[::2] for part in parts]
     head, tail = _count_alike(words), _count_alike([word[::-1] for word in words])

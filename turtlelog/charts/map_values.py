@@ -14,23 +14,24 @@ from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
 Values = NDArray[np.float64]
 
 VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Unstable, between, stable: apart in lightness too, and light enough for theory's lines."""
+"""Colours of unstable, between and stable: different in lightness too, and light enough for
+theory's lines."""
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 
 _DECADES: Final = 100.0
-"""Largest over least value from which colours are logarithmic: on a linear scale all of the lower
-decade would share 3 of 256 shades."""
+"""Ratio of largest to smallest value from which colours are logarithmic: on a linear scale the
+whole lower decade would share 3 of 256 shades."""
 
 _OUTLYING: Final = 10.0
-"""Beyond the central nine tenths by more than so many times their range, values share the last
-colour, which the bar shows by its pointed end: otherwise they leave all others less than a tenth of
-the colours."""
+"""Distance from the central 90 % of values, as a multiple of their range, beyond which values share
+the last colour. The bar has a pointed end then. Without this, all others would have less than a
+tenth of the colours."""
 
 STABILITY: Final = "instability (theory)"
 GROWN: Final = "instability with the most dead time (theory)"
 OVERSHOOT: Final = "overshoot begins (theory)"
-"""Theory's limits, by their names in a legend."""
+"""Names of theory's limits in a legend."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +63,7 @@ def find_value_range(values: Values) -> ValueRange:
     room = _OUTLYING * (inner_high - inner_low)
     is_below, is_above = 0.0 < room < inner_low - low, 0.0 < room < high - inner_high
     low, high = inner_low if is_below else low, inner_high if is_above else high
-    if low == high:  # one colour, in the middle of a bar that names the value
+    if low == high:  # one colour, in the middle of a bar that shows the value
         spread = abs(low) * 1e-3 or 1e-3
         low, high = low - spread, high + spread
     extend = {(True, True): "both", (True, False): "min", (False, True): "max"}
@@ -118,7 +119,7 @@ def list_branches(columns: Sequence[ColumnLimits | None], name: str) -> list[Val
     """
     ends = [() if one is None else _list_ends(one, name) for one in columns]
     most = max(map(len, ends), default=0)
-    # Counted from the top: the highest end is there wherever there is one.
+    # Counted from the top: if there is any end, there is a highest end.
     padded = [[*([math.nan] * (most - len(one))), *one] for one in ends]
     return [np.array(values, dtype=np.float64) for values in zip(*padded, strict=True)]
 

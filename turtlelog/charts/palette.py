@@ -20,10 +20,10 @@ FEW: Final[tuple[Color, ...]] = (
     (0, 160, 206),
     (108, 102, 0),
 )
-"""After Okabe and Ito, for colour-blind readers, with 3:1 and more to white paper and dark ground.
+"""Hues after Okabe and Ito for colour-blind readers, with a contrast of at least 3:1 to white and
+dark.
 
-The first four differ in grey by at least 0.08 of white.
-"""
+The first four differ in grey by at least 0.08 of white."""
 
 _OF_CAUSES: Final[tuple[Color, ...]] = (
     (196, 20, 52),
@@ -33,8 +33,8 @@ _OF_CAUSES: Final[tuple[Color, ...]] = (
     (84, 68, 244),
     (212, 100, 100),
 )
-"""Those furthest from the runs' and from each other in CIELAB, also as red-green blind eyes see
-them, that stand out from white and from black."""
+"""Colours of causes, furthest in CIELAB from those of runs and from each other, also for red-green
+blind readers. All are visible on white and on black."""
 
 _RAMP: Final[tuple[Color, ...]] = (
     (38, 69, 247),
@@ -44,8 +44,8 @@ _RAMP: Final[tuple[Color, ...]] = (
     (106, 147, 84),
     (176, 145, 33),
 )
-"""Of many runs: rises in lightness from end to end, so that order can be read from it, also in
-grey. With 3:1 to white paper and to dark ground it has half of the range between them."""
+"""Ramp of many runs. Its lightness increases from end to end, so that the order is visible even in
+grey. The contrast of 3:1 to white paper and dark ground leaves half of the range of lightness."""
 
 _SHADES: Final[tuple[Color, ...]] = (
     (94, 73, 190),
@@ -55,7 +55,7 @@ _SHADES: Final[tuple[Color, ...]] = (
     (188, 200, 42),
     (250, 206, 60),
 )
-"""Of values in cells, which need no contrast to the ground: twice the range of lightness."""
+"""Ramp of values in cells, which need no contrast to the ground: twice the range of lightness."""
 
 _OKABE_ITO: Final[tuple[Color, ...]] = (
     (86, 180, 233),
@@ -66,22 +66,22 @@ _OKABE_ITO: Final[tuple[Color, ...]] = (
     (230, 159, 0),
     (0, 114, 178),
 )
-"""The palette of Okabe and Ito without its black, which dark ground swallows."""
+"""Palette of Okabe and Ito without its black, which is invisible on dark ground."""
 
 GROUND: Final[Color] = (13, 13, 13)
-"""Of planes, also in a light theme; plots follow the theme, as their cursor does."""
+"""Background of planes, also in a light theme; plots follow the theme, as their cursor does."""
 
 REFERENCE: Final[Color] = (150, 150, 150)
-"""Goal bearing, goal position, limits, world border, what a law asks for where that moves."""
+"""Goal bearing, goal position, limits, world border, moving references."""
 
 TRACKED: Final[Color] = (95, 95, 95)
-"""A path that laws track: a broad line, dark enough for the driven way to be seen on it."""
+"""Tracked paths: broad lines, dark enough that the driven path is visible on them."""
 
 WALLS: Final[Color] = (118, 118, 118)
-"""Where scans ended: below all that is driven, and still seen on the ground."""
+"""End points of scans: below the driven paths, and still visible on the ground."""
 
 SCAN: Final[Color] = (232, 128, 52)
-"""What the robot sees at the moment."""
+"""Present scan of the robot."""
 
 OCCUPANCY_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (26 + shade, 26 + shade, 28 + shade, 255)
@@ -95,57 +95,56 @@ COST_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
 """Cells of a costmap, which leaves what is below it visible; what costs nothing has no colour."""
 
 PATH_OF_MANY: Final[Color] = (105, 105, 105)
-"""Paths of very many runs on dark ground: their ends have the colours."""
+"""Paths of very many runs on dark ground, whose ends have the colours."""
 
 GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)
 
 COMMAND: Final[Color] = _OKABE_ITO[2]
-"""The arrow of the command at a turtle."""
+"""Arrow of the command at a turtle."""
 
 SHAPED: Final[Color] = FEW[3]
-"""What shaping left of what a law wants, before the limits."""
+"""Shaped commands, before the limits."""
 
 MEASURED: Final[Color] = FEW[2]
-"""What the robot did of a command: what it reports, or what the plant applied."""
+"""Response of the robot to a command: the reported or applied rate."""
 
 MODEL: Final[Color] = FEW[1]
-"""What an identified model does of a command; a run beside it is alone."""
+"""Response of an identified model to a command; it is shown with a single run."""
 
 SENSED: Final[Color] = (128, 128, 128)
-"""What the controller read of a pose."""
+"""Sensed poses."""
 
 DROPPED_OUT: Final[Color] = (128, 128, 128)
-"""A pose that it did not get."""
+"""Poses that dropped out."""
 
 GHOST: Final[Color] = (170, 170, 170)
-"""A run that might have been: without the effects that act, or in the ideal loop."""
+"""Ghosts: a run without the acting effects, or the ideal loop."""
 
 IDEAL: Final[Color] = (128, 128, 128)
-"""What the ideal loop would do, what is asked for where that moves: at least 3.9:1 on white and on
-`GROUND`."""
+"""Ideal responses and moving references: contrast of at least 3.9:1 to white and to `GROUND`."""
 
 DEAD_TIME: Final[Color] = _OKABE_ITO[4]
-"""The bar of a dead time, below those of the phases."""
+"""Bar of a dead time, below those of the phases."""
 
 EVENT: Final[Color] = (176, 124, 64)
-"""What happened once."""
+"""Events."""
 
 WALL_HIT: Final[Color] = _OKABE_ITO[3]
-"""Where the wall stopped a turtle."""
+"""Contacts of a turtle with the wall."""
 
 PAUSED: Final[Color] = _OKABE_ITO[3]
-"""Where a pause begins and ends."""
+"""Start and end of a pause."""
 
 ERROR: Final[Color] = _OKABE_ITO[4]
-"""From the turtle to the goal."""
+"""Arrow from the turtle to the goal."""
 
 VIOLATION: Final[Color] = (235, 50, 50)
-"""What violates a check; no run and no phase has this red."""
+"""Violations of a check; no run and no phase has this red."""
 
 ALLOWED: Final[Color] = (128, 128, 128)
-"""The band that a check asks a signal to stay in, thin enough to see curves on it."""
+"""Allowed band of a check, thin enough that curves on it are visible."""
 
 
 def choose_run_colors(count: int) -> tuple[Color, ...]:
@@ -163,7 +162,7 @@ def choose_shades(count: int) -> tuple[Color, ...]:
 def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
     """Return a colour for each cause, in the given order; none is that of a run.
 
-    There are six, as many as the causes of an attribution; for more they repeat.
+    There are six colours, one for each cause of an attribution; for more causes they repeat.
     """
     return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
@@ -186,13 +185,13 @@ _BY_ORDER: Final = (
     (150, 58, 66),
     (24, 104, 118),
 )
-"""The hues of phases in the order in which a law declares them; more begin again."""
+"""Hues of phases in declared order; more phases start again."""
 
 
 def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
     """Return colours of the phase bars in declared order; `pause` and `done` have their own.
 
-    They are dark enough for the viewer's white letters, and are used nowhere else.
+    The colours are dark enough for the viewer's white letters, and are used nowhere else.
     """
     own = [name for name in names if name not in _OF_EVERY_LAW]
     by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)} | dict(
@@ -229,4 +228,4 @@ def _mix(ramp: Sequence[Color], count: int) -> tuple[Color, ...]:
 
 
 MAIN: Final[Color] = choose_run_colors(1)[0]
-"""What a single run did."""
+"""Colour of a single run."""

@@ -48,13 +48,13 @@ def is_in_world(runs: Sequence[Run]) -> bool:
 
 
 _FAR_M: Final = 10_000.0
-"""From here on a tick has five digits before the point, and those of neighbours touch."""
+"""Distance from the origin from which coordinates are shifted [m]: their ticks would touch."""
 
 LEAST_SHOWN_M: Final = 0.5
-"""Side of a plane at least: of less, the noise of poses would look like a way."""
+"""Smallest side of a plane [m]: in a smaller one, noise of poses would look like a path."""
 
 _STILL_M: Final = 1e-3
-"""A robot that stays within this has not moved; poses have their resolution and noise."""
+"""Extent within which a robot has not moved [m], because poses have noise and a resolution."""
 
 _STILL_RAD: Final = 1e-3
 
@@ -122,13 +122,14 @@ def _round_far(coordinate_m: float) -> float:
 
 
 MANY_PATHS: Final = 24
-"""Paths that a plane shows in colours: more cover each other, and those drawn last decide."""
+"""Largest number of coloured paths in a plane: more cover each other, and the last drawn would
+decide."""
 
 OUTLINE_LABEL: Final = "90 % of the ends of a gain"
 MEDIAN_LABEL: Final = "median end"
 
 _LEAST_RUNS: Final = 10
-"""Ends of a gain that have an outline: of fewer, nine tenths are all."""
+"""Smallest number of ends of a gain with an outline: of fewer ends, nine tenths are all."""
 
 _INSIDE: Final = 0.9
 

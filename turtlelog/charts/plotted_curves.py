@@ -17,20 +17,23 @@ CurveKind = Literal[
     "run", "beside", "measured", "applied", "wanted", "shaped",
     "ideal", "aim", "sensed", "dropped_out", "outlier",
 ]  # fmt: skip
-"""What a curve is: what the run did, a second signal of it, what the robot measured, what the plant
-applied, what the law wanted and what shaping left of that; the ideal loop, what is asked for where
-that moves; points that the controller read, that it did not get, that were measured far off."""
+"""Kind of a curve.
+
+`run` is the run's own signal and `beside` a second one. `measured` is the robot's own measurement,
+`applied` the plant's rate, `wanted` the law's command, `shaped` the shaped one. `ideal` is the
+ideal loop, `aim` a moving reference. Points are `sensed`, `dropped_out` (not received) and
+`outlier`."""
 
 POINTS: Final[frozenset[CurveKind]] = frozenset({"sensed", "dropped_out", "outlier"})
-"""Kinds that are points without a line between them."""
+"""Kinds that are points without joining lines."""
 
 OWN: Final[frozenset[CurveKind]] = frozenset({"run", "beside", "measured", "applied", "aim"})
-"""Kinds that a plot must have room for: theory and what a law wants may lie far beyond."""
+"""Kinds that a plot's range must include; theory and wanted commands may lie far beyond."""
 
 _MEASURED: Final = OWN - {"aim"}
 
 COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "ideal", "aim"})
-"""Kinds that are drawn of several runs over each other."""
+"""Kinds that are drawn for several runs in one plot."""
 
 Scale = Literal["linear", "log", "symlog"]
 Column = Literal["turning", "moving"]
@@ -174,14 +177,14 @@ def _read_entries(run: Run, entries: Iterable[CurveEntry]) -> list[PlottedCurve]
 
 
 _MOST_APART: Final = 3
-"""More views beside each other would each be narrower than a legend."""
+"""Largest number of views side by side; more would each be narrower than a legend."""
 
 _LARGEST_RATIO: Final = 20.0
-"""Curves whose largest magnitudes differ by more share no plot: the smaller would take less than a
-twentieth of its height, and read as zero."""
+"""Largest ratio of magnitudes of curves in one plot: smaller ones would take less than a twentieth
+of its height, and look like zero."""
 
 _MOST_TOGETHER: Final = len(FEW)
-"""More curves in one plot would share hues."""
+"""Largest number of curves in one plot; more would share hues."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,9 +221,10 @@ class StateGroup:
 def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
     """Return the states of laws in groups: of the turn rate, of the speed, then all others.
 
-    A state belongs to the loops whose names are words in it (`integral_rotate`), or whose gains end
-    in its last word (`integral_angular` beside `law.kp_angular`); if these loops have the same
-    command, it belongs to this command. Other states have a view each while there are few views.
+    A state belongs to a loop if the loop's name is a word in it (`integral_rotate`), or if the
+    loop's gain ends in its last word (`integral_angular` with `law.kp_angular`). If all its loops
+    have the same command, the state belongs to this command. Other states have a view each while
+    there are few views.
     """
     of_command: dict[str, dict[str, None]] = {command: {} for command in COMMAND_WORDS}
     others: dict[str, None] = {}

@@ -62,8 +62,8 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
 def part_path(run: Run) -> Values:
     """Return the positions of a run [m], shape (n, 2), with NaN before each break of its poses.
 
-    The robot was not driven from the pose before a reset or teleport to the one after it, and its
-    position is unknown while it sent no poses.
+    The robot did not drive between the poses before and after a reset or teleport. Its position is
+    unknown while it sent no poses.
     """
     return np.insert(run.poses.xy_m, find_break_rows(run), np.nan, axis=0)
 
@@ -112,8 +112,8 @@ def is_turtlesim(run: Run) -> bool:
 def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
     """Return the speed of a run between some of its poses [m/s], shape (n - 1,).
 
-    For runs without samples it is the speed that the robot reports, because the times of their
-    poses jitter; outliers are clipped to the largest of the other values.
+    For runs without samples it is the reported speed, because the times of their poses jitter.
+    Outliers are clipped to the largest of the other values.
     """
     poses = run.poses
     way_m, time_ns = np.diff(poses.xy_m[rows], axis=0), poses.time_ns[rows]
@@ -133,14 +133,15 @@ def lack_samples(runs: Sequence[Run]) -> bool:
 
 
 _LEAST_SHARE: Final = 0.01
-"""Of the duration of a run: in a column of 70 mm a shorter gap is below a millimetre wide."""
+"""Smallest visible gap as a share of a run's duration: in a column of 70 mm a shorter one is
+narrower than a millimetre."""
 
 _LEAST_NS: Final = 1_000_000_000
-"""From here on curves break whatever their length: a view can be zoomed. Shorter gaps of a long run
-are single poses that a busy computer lost."""
+"""Length from which a gap always interrupts curves [ns], because a view can be zoomed. Shorter gaps
+of a long run are single poses that a busy computer lost."""
 
 _MOST_NAMED: Final = 5
-"""Words for more would cover the curves: the longest ones have them."""
+"""Largest number of gaps with text, the longest ones: more text would cover the curves."""
 
 
 def _list_breaking_gaps(run: Run) -> list[PoseGap]:
@@ -177,10 +178,10 @@ _LARGE: Final = 0.2
 """Share of the largest change from which a change counts: noise and resolution are smaller."""
 
 _LEAST_HELD_S: Final = 0.15
-"""Commands come at 10 Hz and more, with jitter: a longer pause is a level."""
+"""Time from which a held command is a level [s]: commands come at 10 Hz and more, with jitter."""
 
 _MOST: Final = 60
-"""Changes that are drawn, the largest: more are a grey block."""
+"""Largest number of changes that are drawn, the largest ones: more would be a grey block."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

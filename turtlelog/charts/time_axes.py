@@ -16,20 +16,21 @@ HEADROOM: Final = 1.25
 """End of a command's range, as a multiple of its most extreme value."""
 
 _ROOM: Final = 0.08
-"""Room above and below what was measured, as a share of its range; where all values are one, of
-that value."""
+"""Margin above and below measured values, as a share of their range, or of the value if all are
+equal."""
 
 _LEAST_ROOM: Final = 1e-9
-"""In the unit of the plot, at least where all values are one: a range needs a height."""
+"""Smallest margin if all values are equal, in the plot's unit, because a range needs a height."""
 
 _ROOM_AROUND_0: Final = 0.1
-"""In the unit of the plot, where all values are 0: ticks of a lower range are hard to read."""
+"""Margin if all values are 0, in the plot's unit: ticks of a smaller range are hard to read."""
 
 _AT_REST: Final = 0.01
-"""Of the height of a plot: less than the width of a line in print, where that is 40 mm high."""
+"""Share of a plot's height within which a curve rests: less than a line's width in print at 40
+mm."""
 
 _LEAST_SIDE: Final = 0.15
-"""What a command's range shows at least on either side of 0, as a share of its largest limit,
+"""Smallest visible part of a command's range on either side of 0, as a share of its largest limit,
 times `HEADROOM`."""
 
 
@@ -83,7 +84,7 @@ WALL_TIMELINE: Final = "wall_time"
 
 _PHASE_TIMELINE: Final = "{}_time"
 _MOST_PHASES: Final = 8
-"""Timelines of phases in a run: in a view each costs 8 bytes per row and entity."""
+"""Largest number of phase timelines of a run: each takes 8 bytes per row and entity in a view."""
 
 
 def name_phase_timeline(phase: str) -> str:
@@ -111,7 +112,7 @@ def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     Poses are linearly interpolated; before the first and after the last the robot is at rest.
 
     Args:
-        run: With at least one pose.
+        run: Run with at least one pose.
         zero_ns: Zero of the timeline, in the run's time [ns].
         time_s: Times [s], shape (n,).
     """

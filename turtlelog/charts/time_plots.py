@@ -74,7 +74,7 @@ def _read_away(run: Run) -> Iterator[Curve]:
 
 
 def _read_lost(run: Run, signal: str) -> Iterator[Curve]:
-    """Yield the poses that a controller did not receive, if what it read is shown."""
+    """Yield the poses that a controller did not receive, if its sensed poses are shown."""
     curve = read_curve(run, signal)
     if curve is not None and read_sensed(run, signal) is not None and run.poses.dropped_out.any():
         yield select_curve_rows(curve, np.flatnonzero(run.poses.dropped_out))
@@ -148,7 +148,7 @@ def _sensed(signal: str, word: str) -> tuple[CurveEntry, ...]:
 
 def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
     """Return the plot of a command: commanded, applied and measured values."""
-    # The plant tells its speed without a sign.
+    # The plant publishes its speed without a sign.
     applied = "|applied|" if command == "speed" else "applied"
     return TimePlot(
         title=title,
@@ -380,7 +380,7 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         "world_velocity_y": _plot_world_velocity("y"),
     }
 )
-"""Every plot over time by name, in the order in which they stand."""
+"""Every plot over time by name, in the order of display."""
 
 
 def list_controlled(run: Run) -> Iterator[str]:

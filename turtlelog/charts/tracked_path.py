@@ -18,26 +18,25 @@ Values = NDArray[np.float64]
 Point = tuple[float, float]
 
 _POINTS_PER_TURN: Final = 1440
-"""A circle that is drawn by so many points departs from itself by 2.4e-6 of its radius, about what
-poses are rounded to."""
+"""Points of a drawn circle, which differs from it by 2.4e-6 of the radius, about the rounding of
+poses."""
 
 ON_PATH_M: Final = 1e-3
-"""A run that is never further than this from its path has no worst place [m]: the corners of a path
-are drawn sharp, and on paper a millimetre of a path of metres is thinner than its line."""
+"""Largest deviation from a path that is not shown [m]: corners of a path are drawn sharp, and in
+print a millimetre of a path of metres is thinner than its line."""
 
 _SHARE: Final = 0.1
-"""The worst place is seen with all poses around it that are off by more than this share of it: the
-whole way out and back."""
+"""Share of the largest deviation from which poses around it are in view: the whole excursion."""
 
 _ROOM: Final = 1.15
-"""Half-width of the view of that way, as a multiple of half of its size."""
+"""Half-width of that view, as a multiple of half of the excursion's size."""
 
 _MOST_HALVES: Final = 10.0
-"""Half-width of that view at most, as a multiple of the largest error: beside a long stretch of
-path the error must still be seen."""
+"""Largest half-width of that view, as a multiple of the largest deviation, which must stay visible
+beside a long segment."""
 
 _LEAST_HALVES: Final = 1.5
-"""Half-width at least, likewise: both the robot and the path are in the view."""
+"""Smallest half-width likewise, so that both robot and path are in view."""
 
 
 def list_paths(runs: Sequence[Run]) -> tuple[Path, ...]:

@@ -102,11 +102,11 @@ class ViolatedSignal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalSearch:
-    """The violated signal of a check, or why there is none.
+    """The violated signal of a check, or the reason why there is none.
 
     Attributes:
         signal: Violated signal; None if the violation belongs to no signal, or has no time.
-        reason: Why there is no signal; empty if there is one.
+        reason: Reason why there is no signal; empty if there is one.
     """
 
     signal: ViolatedSignal | None = None

@@ -1,4 +1,7 @@
-"""Assertions on recordings. The public names are in `__init__.pyi` and load on first use."""
+"""Assertions on recordings.
+
+The public names are in `__init__.pyi` and load on first use.
+"""
 
 from turtlelog.libraries import attach_names
 

@@ -33,7 +33,7 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 _TURNED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
-"""What is asked where the contrary must not hold."""
+"""Required operator, by the operator of a comparison that must be false."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,7 +180,7 @@ class _Ends:
 
 
 class BandReader:
-    """Reads the measured value of a comparison, and its limits, at the rows of its signals."""
+    """Reader of the measured value of a comparison, and its limits, at the rows of its signals."""
 
     def __init__(
         self, run: Run, formula: Expression, leaf: Leaf, signals: Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""Why a run that fails a check differs from its reference, in a few lines."""
+"""The reason why a run that fails a check differs from its reference, in a few lines."""
 
 import shlex
 from collections.abc import Sequence
@@ -21,17 +21,17 @@ from turtlelog.scenario import Scenario, build_scenario
 from turtlelog.simulate import simulate_run
 
 LIMIT_S: Final = 10.0
-"""The longest that a failed check waits for its reason [s]."""
+"""Longest time that a failed check waits for its reason [s]."""
 
 _LONGEST_S: Final = 600.0
-"""Longer runs are not simulated again here [s]: each simulation alone takes a second."""
+"""Longest run that is simulated again here [s]: longer simulations take more than a second each."""
 
 _DEPTH: Final = Depth(most_exact=6, identifies=False, shows_effects=False, shows_starts=False)
 
 _PREFIX: Final = "metrics."
 
 _SAME: Final = (1e-9, 1e-6)
-"""Of a metric, absolute and relative: two platforms differ by no more in one scenario."""
+"""Difference of a metric between two platforms, absolute and relative, which counts as none."""
 
 
 def explain_failures(
@@ -45,7 +45,7 @@ def explain_failures(
 ) -> list[CheckResult]:
     """Return results; one failed result gets the reason why the run differs from its reference.
 
-    It is the check of the most important metric, otherwise the first that names a metric.
+    This result is that of the most important metric, otherwise the first that names a metric.
 
     Args:
         run: Run that was judged.
@@ -114,7 +114,7 @@ def _explain(
 def _explain_metrics(
     run: Run, reference: MetricsFile, metric: str, limit_s: float, more: str, *, trust_law: bool
 ) -> tuple[str, ...]:
-    """Return why a run differs from the run of a metrics file, if the file's scenario shows it."""
+    """Return the reason why a run differs from that of a metrics file, if its scenario shows it."""
     file = Path(reference.file).name
     if not reference.scenario:
         return (
@@ -138,7 +138,7 @@ def _explain_metrics(
 
 
 _BASIS: Final = "The recorded scenarios reproduce"
-"""Begins the sentence about two recordings; a file of metrics has no samples to reproduce."""
+"""Beginning of the sentence about two recordings; a file of metrics has no samples to reproduce."""
 
 
 def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
@@ -183,7 +183,7 @@ def _describe_apart(
     reference: MetricsFile,
     found: Metric,
 ) -> tuple[str, ...]:
-    """Return that today's software does not reproduce the values of a file, and what differs."""
+    """Return that the present software does not reproduce a file's values, and the differences."""
     name, file, expected = found.id, Path(reference.file).name, reference.metrics[found.id]
     values = [one.status.value if one.value is None else one.value for one in (expected, found)]
     was, now = format_pair(values[0], values[1], expected.unit)
@@ -199,7 +199,7 @@ def _describe_apart(
 
 
 class _Deadline:
-    """Ends simulations that exceed a time limit."""
+    """A time limit that ends simulations."""
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s, self._began_s = limit_s, perf_counter()

@@ -122,7 +122,7 @@ def describe_clock(run: Run) -> str:
 
 
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
-    """Return lines: the signals at the poses around a time; `>` marks the pose that holds at it.
+    """Return lines: the signals at the poses around a time; `>` marks the pose at that time.
 
     A command published between two poses has a line of its own. For a run without poses the lines
     are its commands.
@@ -187,7 +187,7 @@ class Artifacts:
 
     Attributes:
         files: .rrd if Rerun is installed, .png if a picture could be made, and .mcap.
-        notes: Files that could not be written, and why.
+        notes: Files that could not be written, with reasons.
     """
 
     files: tuple[Path, ...]
@@ -195,12 +195,12 @@ class Artifacts:
 
 
 class ArtifactWriter:
-    """Writes files for the analysis of failures; one viewer takes all pictures.
+    """Writer of files for the analysis of failures; one viewer takes all pictures.
 
     The viewer is started for the first picture and ended by `close`, or at the end of a `with`.
 
     Args:
-        folder: Folder of the files; it is made if it does not exist.
+        folder: Folder of the files, which is created if necessary.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -224,8 +224,8 @@ class ArtifactWriter:
     def write(self, run: Run, result: CheckResult, *, prefix: str = "") -> Artifacts:
         """Write a .rrd that opens at the violation, its picture, and the recording around it.
 
-        If a violation has no time, they show the end of the run, and the recording is whole. A run
-        without poses has nothing to show, and a note says so.
+        If a violation has no time, the files show the end of the run, and the recording is
+        complete. A run without poses has nothing to show, which is noted.
 
         Args:
             run: Run that failed.
@@ -233,7 +233,7 @@ class ArtifactWriter:
             prefix: Id of the failed test; its end is the start of the files' names.
 
         Raises:
-            CheckError: If the folder cannot be made.
+            CheckError: If the folder cannot be created.
             LogError: If the recording cannot be written.
             ShowError: If the view cannot be written.
         """
@@ -259,7 +259,7 @@ class ArtifactWriter:
         try:
             self._open_camera().take(rrd, png, at_s=shown_s)
         except ShowError as err:
-            self._lack = "" if self._has_seen else str(err)  # as now, so for the next failure
+            self._lack = "" if self._has_seen else str(err)  # the same for the next failure
             self.close()
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {err}",))
         self._has_seen = True
@@ -278,7 +278,7 @@ def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> Non
     from turtlelog.draw import write_violation_rrd
 
     found = find_violated_signal(run, result)
-    # What is known of the scenario has a tab of its own.
+    # The scenario has a tab of its own.
     lines = [*describe_results(run, result), escape_controls(f"  recording       {result.file}")]
     if found.signal is None:
         lines += textwrap.wrap(f"no band is drawn: {found.reason}", _WIDTH)

@@ -1,4 +1,4 @@
-"""A good run -> the text of a first specification with its bounds marked as observed."""
+"""Text of a first specification from a good run, with its bounds marked as observed."""
 
 import math
 import os
@@ -27,23 +27,24 @@ from turtlelog.run.loops import Declaration
 
 _OF_STEP: Final = ("overshoot", "settling_time", "saturated_share")
 _OF_MOVING: Final = ("rms_error", "largest_error", "saturated_share")
-"""Of a loop whose reference the law moves."""
+"""Metrics of a loop with a moving reference."""
 
 _OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
 _SHARE: Final = 0.1
-"""What a bound leaves at least, as a share of the value: the scatter of repeats stays within it.
+"""Smallest margin of a bound as a share of the value, which includes the scatter of repeated runs.
 
-It is a first guess, marked as observed, until somebody has thought of what the bound should be."""
+The margin is a first guess, marked as observed, until a user decides on the bound."""
 
 _MOST: Final = 0.2
-"""What a bound leaves at most: two digits read well, but round up to 21 %; then there are three."""
+"""Largest margin: two digits are readable, but round up by as much as 21 %; then there are
+three."""
 
 _GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6, "m/s": 1e-6, "rad/s": 1e-6}
-"""What a bound leaves in any case, by unit, for values near zero: poses differ by up to 1e-6 m and
-rad from platform to platform, which of an angle of a radian is 1e-4 %. Of times it is a tick."""
+"""Smallest margin by unit, for values near zero: poses differ by up to 1e-6 m and rad between
+platforms, which is 1e-4 % of an angle of a radian. For times it is a tick."""
 
 
 def format_first_spec(
@@ -66,7 +67,7 @@ def name_reference(path: Path, target: Path | None) -> str:
     folder = Path.cwd() if target is None else target.resolve().parent
     try:
         return Path(os.path.relpath(path.resolve(), folder)).as_posix()
-    except ValueError:  # on Windows, where they lie on two drives
+    except ValueError:  # on Windows, for two different drives
         return path.resolve().as_posix()
 
 
@@ -122,7 +123,7 @@ def _list_checks(run: Run) -> Iterator[str]:
 
 
 _COUNTS: Final = frozenset({"run.rest_share", "run.speed_steps", "run.turn_rate_steps"})
-"""What says how a robot was driven, and that a good run has neither more nor less of."""
+"""Metrics of the driving style, which a good run limits on both sides."""
 
 
 def _list_of_motion(run: Run) -> Iterator[str]:
@@ -231,7 +232,7 @@ def _round(value: float, *, digits: int, up: bool) -> float:
         return 0.0
     step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
     steps = value / step
-    if not math.isclose(steps, round(steps), rel_tol=1e-9):  # 0.1 is no more digits than it has
+    if not math.isclose(steps, round(steps), rel_tol=1e-9):  # 0.1 has no more digits
         steps = math.ceil(steps) if up else math.floor(steps)
     return float(f"{steps * step:.{digits + 1}g}")
 

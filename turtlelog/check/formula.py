@@ -1,4 +1,4 @@
-"""Formula and signals -> finding: whether it holds, its margin, and the time that decides."""
+"""Check of a formula over signals: verdict, margin, and the time that decides."""
 
 import math
 from collections import ChainMap
@@ -59,8 +59,8 @@ class FormulaResult:
         formula: Text of the formula.
         holds: The verdict; None if it is unknown.
         margin: Robustness: the change of every number that the verdict withstands, in the unit of
-            the deciding comparison; positive if it holds. inf or -inf if no comparison with a
-            distance decides; None if it is unknown.
+            the deciding comparison; positive if the formula holds. inf or -inf if no comparison
+            with a distance decides; None if it is unknown.
         margin_s: Time of the margin [s]; None if it is unknown.
         decided_by: The comparison that gives the margin at this time.
         value: Left side of that comparison; None if it is not a number.
@@ -200,7 +200,7 @@ def check_run(
     expression = _parse(expression)
     others = {name: None for name in expression.names if find_kind(run, name) is not None}
     kinds: Any = others, list_metrics(run.declaration), list_signals(run.declaration)
-    known = ChainMap[str, Any](*kinds)  # no copy of 200 names for each of many checks
+    known = ChainMap[str, Any](*kinds)  # avoids copying 200 names for each of many checks
     own: Any = run.parameters
     check_names(expression, known.new_child(own))
     signals = read_signals(run, expression.names)
@@ -217,7 +217,7 @@ def check_run(
 
 
 _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
-"""Whether a formula holds, its margin, and where that comes from."""
+"""Whether a formula holds, its margin, and the origin of the margin."""
 
 
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:

@@ -1,4 +1,4 @@
-"""The data of a formula check: signals over a window, and what is known after the run's end."""
+"""The data of a formula check: signals over a window, and knowledge of the time after the end."""
 
 import enum
 import math
@@ -20,16 +20,16 @@ from turtlelog.run.loops import PAUSE
 
 
 class RunEnding(enum.Enum):
-    """Knowledge of the time after the last row; the value says why it is unknown."""
+    """Knowledge of the time after the last row; the value is the reason why it is unknown."""
 
     SETTLED = ""
-    """The run came to its own end, or the phase to its: the last values hold for ever."""
+    """The run ended by itself, or its phase did: the last values are held for ever."""
     CUT = "the run had not ended"
-    """It reached `max_duration`, was interrupted, or does not say why it ended."""
+    """The run reached `max_duration`, was interrupted, or has no stop reason."""
     LOST = "part of it is lost"
-    """Rows may be missing, at the end too."""
+    """Rows may be missing, also at the end."""
     UNDECLARED = "it does not say whether the robot had stopped"
-    """A bag of another recorder: windows without an end stop at its last row."""
+    """A third-party bag: windows without an end stop at its last row."""
 
 
 def find_ending(run: Run) -> RunEnding:
@@ -39,7 +39,7 @@ def find_ending(run: Run) -> RunEnding:
         return RunEnding.LOST
     if run.is_complete:
         return RunEnding.SETTLED
-    # A log of a controller could say that it had finished; a bag of other topics could not.
+    # A log of a controller could show that it had finished; a bag of other topics could not.
     could_tell = len(run.samples) or "stop_reason" not in run.absent
     return RunEnding.CUT if could_tell else RunEnding.UNDECLARED
 
@@ -69,9 +69,9 @@ def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
 def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
     """Return the time span in which a formula over these names is judged on a whole run [ns].
 
-    It starts at time zero. In a run without samples, commands have no value before the first is
-    published: formulas that name them are judged from then on, and formulas that name no other
-    signal on all commands.
+    The span starts at time zero. In a run without samples, commands have no value before the first
+    is published. Formulas with commands are judged from then on; formulas with commands alone are
+    judged on all commands.
     """
     signals = [name for name in names if name in list_signals(run.declaration)]
     commanded = [name for name in signals if name in COMMANDED]
@@ -86,7 +86,8 @@ Column = tuple[NDArray[np.int64], NDArray[Any]]
 
 
 Signals = Mapping[str, Column | float | bool | str | None]
-"""By name: time [ns] and values of a signal, or a constant; None for no value."""
+"""Signals and constants by name: time [ns] and values of a signal, or a constant; None for no
+value."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -175,8 +176,8 @@ def read_signals(run: Run, names: Sequence[str]) -> Signals:
     """Return the values of names in a run; unknown names are left out.
 
     Names are searched among the signals and states, the metrics and the parameters, in this order.
-    A signal begins at the run's time zero at the latest; the phase is text; a signal that the run
-    lacks and a metric without a value are None.
+    A signal begins at the run's time zero at the latest, and the phase is text. Signals that the
+    run lacks, and metrics without a value, are None.
     """
     columns = list_signals(run.declaration)
     ids = [name for name in names if name not in columns and find_kind(run, name) is not None]

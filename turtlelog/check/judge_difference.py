@@ -1,4 +1,4 @@
-"""Differences from a reference -> results for a run, for metrics, or for a replay."""
+"""Results from differences to a reference, for a run, for metrics, or for a replay."""
 
 import dataclasses
 import math
@@ -127,7 +127,7 @@ def _judge_run(
     run: Run, reference: Run, tolerances: Tolerances, file: str, alignment: str
 ) -> Iterator[CheckResult]:
     differences = compare_signals(reference, run, tolerances.signals, alignment=alignment)
-    start_ns = run.start_ns - find_zero_ns(run, alignment)  # where results count from
+    start_ns = run.start_ns - find_zero_ns(run, alignment)  # zero of the times in results
 
     def describe(difference: Difference) -> str:
         sides = (difference.replayed, difference.recorded)

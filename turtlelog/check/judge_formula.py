@@ -1,4 +1,4 @@
-"""A formula on a run -> result: whether it holds, its margin, and its first violation."""
+"""Result of a formula on a run: whether it holds, its margin, and its first violation."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -38,8 +38,7 @@ from turtlelog.measure import (
 from turtlelog.run import Run, slice_run
 
 Grown = dict[tuple[str, int], float | None]
-"""The value of a metric, by its id and the number of the last pose: many checks ask for the same.
-"""
+"""Cached value of a metric by its id and the number of the last pose, because checks repeat it."""
 
 
 def judge_check(
@@ -116,7 +115,7 @@ class _Judge:
         return self._judge_over_time() if check.kind == "holds" else self._judge_metrics()
 
     def _judge_condition(self, condition: Expression) -> CheckResult | None:
-        """Return why a check is skipped or undecided; None if it applies."""
+        """Return the reason why a check is skipped or undecided; None if it applies."""
         require_known_names(condition, over_time=False, run=self._run)
         lacking = self._find_lacking(condition)
         if lacking:
@@ -153,7 +152,8 @@ class _Judge:
             for time_s in (found.margin_s, found.first_violation_s)
         )
         if not any(name in list_signals(run.declaration) for name in names):
-            # What is asked of metrics alone holds always or never: their own moment tells more.
+            # Formulas of metrics alone hold always or never: the time of a metric is more
+            # informative.
             value_s, failed_s = None, None if found.holds else self._find_moment(found.limit)
         told = self._describe(found)
         if begun_s > 0.0 and not told.reason and not check.phase and _names_others(names):
@@ -187,7 +187,7 @@ class _Judge:
         )
 
     def _find_lacking(self, formula: Expression) -> str:
-        """Return the names without a value and why; empty if all have one."""
+        """Return the names without a value, with reasons; empty if all have one."""
         lacking = []
         for name in formula.names:
             if name in list_signals(self._run.declaration):
@@ -278,7 +278,7 @@ def _find_growth(
         middle = (first + last) // 2
         if (name, middle) not in grown:
             part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
-            part = replace(part, stop_reason=run.stop_reason)  # had it ended there
+            part = replace(part, stop_reason=run.stop_reason)  # as if it had ended there
             grown[name, middle] = measure_run(part, settings, only=(name,))[name].value
         value = grown[name, middle]
         if value is not None and not OPERATORS[operator](value, limit):

@@ -1,4 +1,4 @@
-"""Specification and runs -> results."""
+"""Results of a specification on runs."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -21,13 +21,13 @@ from turtlelog.measure import SIGNALS, find_metric_kind
 from turtlelog.run import Run
 
 _MOST_PART_ROWS: Final = 150_000_000
-"""Parts of all formulas times samples: a window takes some 10 ns for each of its four parts and
-each sample. All together take 2 s, on a machine that does other things besides 5 s."""
+"""Largest product of formula parts and samples. A window takes about 10 ns for each of its four
+parts and each sample; all together take 2 s, on a busy machine 5 s."""
 _EXPECT: Final = 6
-"""Parts that a bound on a metric takes as long as, beside its own: when it was passed is looked for
-by halves of the run."""
+"""Parts that a bound on a metric counts as, in addition to its own, because its violation is
+searched by bisection of the run."""
 _ANY_PARTS: Final = 400
-"""Names, numbers and operators that a specification may have, however long the recording is."""
+"""Number of names, numbers and operators that is always allowed, however long the recording is."""
 
 
 def check_runs(
@@ -99,7 +99,7 @@ def _require_metrics(spec: Spec, reference: MetricsFile) -> None:
 def read_reference_trajectory(
     spec: Spec, topics: ReadChoice | None = None, *, reads_files: bool = False
 ) -> TrajectoryJudge | None:
-    """Return what measures errors relative to the reference trajectory; None if there is none.
+    """Return the judge of errors relative to the reference trajectory; None if there is none.
 
     Args:
         spec: Specification that names it.
@@ -148,7 +148,7 @@ def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
     changes |= {} if has_frames else {"pose_frame": None, "world_frame": None}
     if JOINTS not in {kind for _, kind in held}:
         changes |= {"wheel_joints": None, "wheels": None}
-    # A recording of ours tells its own goal.
+    # A turtlelog recording contains its own goal.
     changes |= {"goal": None} if is_own else {}
     return replace(choice, allow_partial=False, **changes)
 
@@ -185,7 +185,8 @@ def judge_run(
         except ExpressionError as err:
             if not _names_parameters(check):
                 raise
-            # Which keys and states a law has is the recording's: others are still judged.
+            # The keys and states of a law differ between recordings: other checks are judged
+            # nevertheless.
             yield replace(fail_recording(file, str(err)), check=check.name)
     if reference is not None:
         yield from _judge_tolerances(spec, reference, run, file)

@@ -1,4 +1,4 @@
-"""The verdicts on recordings as JUnit XML."""
+"""Verdicts on recordings as JUnit XML."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -34,7 +34,7 @@ ROBOT_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
         for axis, name, end in product(_ROBOT_AXES, _ROBOT_FIELDS, _INTERVAL_ENDS)
     }
 )
-"""Axis, parameter and end of the interval of 95 % by the names that checks use."""
+"""Axis, parameter and end of its 95 % interval, by the names in checks."""
 
 _ERROR_KINDS: Final = ("ate", "rpe")
 
@@ -49,7 +49,7 @@ _STATISTICS: Final = ("rmse", "mean", "median", "std", "min", "max")
 TRAJECTORY_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
     {".".join(parts): parts for parts in product(_ERROR_KINDS, _ERROR_QUANTITIES, _STATISTICS)}
 )
-"""Error, quantity and statistic by the names that checks use."""
+"""Error, quantity and statistic, by the names in checks."""
 
 
 def find_robot_unit(name: str) -> str:
@@ -100,7 +100,7 @@ def find_trajectory_unit(name: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryJudge:
-    """Measures the errors of recordings relative to one reference.
+    """Measurement of the errors of recordings relative to one reference.
 
     Attributes:
         reference: Trajectory that is taken as true.
@@ -132,7 +132,7 @@ class TrajectoryJudge:
         for name in names:
             kind, quantity, statistic = TRAJECTORY_VALUES[name]
             statistics = found.find_error(kind, quantity)
-            assert statistics is not None  # of each kind the settings have a length
+            assert statistics is not None  # the settings have a length for each kind
             values[name] = _build(name, float(getattr(statistics, statistic)), "")
         return values
 

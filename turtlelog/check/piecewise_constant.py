@@ -120,7 +120,7 @@ def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
     """
     function = _drop_repeats(function)
     span_ns = int(function.time_ns[-1] - function.time_ns[0])
-    first_ns = min(first_ns, span_ns)  # beyond it there is nothing but the last value
+    first_ns = min(first_ns, span_ns)  # beyond it only the last value follows
     if last_ns is None or last_ns >= span_ns:
         return _shift(_accumulate_maximum(function), first_ns)
     if first_ns == last_ns:
@@ -184,7 +184,7 @@ def _shift(function: Steps, earlier_ns: int) -> Steps:
 def _slide_window(function: Steps, first_ns: int, last_ns: int) -> Steps:
     times, start_ns = function.time_ns, int(function.time_ns[0])
     first, last = (function.find_piece(start_ns + edge_ns) for edge_ns in (first_ns, last_ns))
-    # Of long traces these columns take the most memory: each goes as soon as it is used.
+    # These columns take the most memory for long traces: each is freed after its use.
     leaving = len(times) - first - 1
     time_ns = np.concatenate(
         ([start_ns], times[first + 1 :] - first_ns, times[last + 1 :] - last_ns)
@@ -237,7 +237,7 @@ def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
     extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
     if extremes[0] == extremes[1]:
         return extremes[:1]
-    levels = np.zeros(len(counts), np.int8)  # few of 64 are there: cheaper than all logarithms
+    levels = np.zeros(len(counts), np.int8)  # few of 64 levels occur: cheaper than all logarithms
     for level in range(1, int(extremes[1]) + 1):
         levels += counts >= (1 << level)
     return levels

@@ -19,7 +19,7 @@ Note = Callable[[CheckResult], None]
 
 @runtime_checkable
 class Approximate(Protocol):
-    """The type that `pytest.approx` makes from a number."""
+    """Type of the objects that `pytest.approx` returns for numbers."""
 
     expected: Any
 

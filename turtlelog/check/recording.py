@@ -50,7 +50,7 @@ class Watch(Protocol):
     """Function that is called for every used recording and every check."""
 
     def __call__(self, recording: "Recording", result: CheckResult | None, /) -> None:
-        """Take a result, or None if a recording was used."""
+        """Receive the result of a check; None if the recording has only been used."""
 
 
 class UnknownMetricError(CheckError, AttributeError):
@@ -107,7 +107,7 @@ class Recording:
 
     @cached_property
     def _run(self) -> Run:
-        # What is lost is told by the note, which decides.
+        # The note on losses decides whether an incomplete recording is allowed.
         choice = replace(self._choice, allow_partial=True, allow_no_poses=True)
         return read_as_chosen(self.path, choice)
 
@@ -227,7 +227,7 @@ class Recording:
 
 
 class PhaseMetrics:
-    """The metrics of one loop, of the end or the run as attributes: `rotate.overshoot`."""
+    """Metrics of one loop, of the end or the run as attributes: `rotate.overshoot`."""
 
     def __init__(self, recording: Recording, name: str) -> None:
         self._recording, self._name = recording, name
@@ -303,7 +303,7 @@ class AxisValues:
 
 
 class SimulatedRuns:
-    """Records simulations into a folder.
+    """Simulations that are recorded in a folder.
 
     Args:
         folder: Folder of the recordings.
@@ -354,7 +354,7 @@ class SimulatedRuns:
 
 
 def _name_law(law: object) -> str:
-    """Return the name by which a law can be found again, here and in a recording."""
+    """Return the name under which a law can be loaded again, here and from a recording."""
     module, name = getattr(law, "__module__", None), getattr(law, "__qualname__", None)
     if isinstance(law, LawPart):
         from turtlelog.laws import LAWS  # most checks need no law
@@ -430,7 +430,7 @@ class DrivenRecording:
         """Return the replay itself."""
         if self._law is None or isinstance(self._law, Scenario):
             return replay_law(self._run, self._law, tolerance=tolerance, trust_law=self._trust_law)
-        # The law is at hand: what the recording says of its own need not even load.
+        # The law is given, so the recorded law's parameters need not load.
         others = {k: v for k, v in self._run.parameters.items() if not k.startswith("law.")}
         scenario = complete_scenario(replace(self._run, parameters=others), Scenario())
         parameters = getattr(self._law, "parameters", scenario.law.parameters)

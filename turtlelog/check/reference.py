@@ -96,7 +96,7 @@ class ReferenceFile:
         (draft / "source").write_text(str(source), encoding="utf-8")
         try:
             draft.rename(claim)
-        except OSError:  # the first has it
+        except OSError:  # the first source noted is in the file
             rmtree(draft)
         first = (claim / "source").read_text(encoding="utf-8")
         if first != str(source):
@@ -178,7 +178,7 @@ def _parse_metric(entry: Any, place: str) -> Metric:
     if not isinstance(entry, dict) or kind is None:
         raise CheckError(f"{place}.id: expected the id of a metric, found {found!r}")
     unit, value, status = entry.get("unit"), entry.get("value"), entry.get("status")
-    # That of a metric of any loop is `deg or m` where it depends on what the loop controls.
+    # For any loop the unit is `deg or m` if it depends on the controlled signal.
     if unit not in (kind.unit, *kind.unit.split(" or ")):
         raise CheckError(f"{place}.unit: expected {kind.unit}, found {unit!r}")
     if status not in list(Status):

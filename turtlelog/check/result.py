@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class PartialLogError(CheckError, AssertionError):
-    """A recording is incomplete, and the caller did not allow that."""
+    """Error of an incomplete recording that the caller did not allow."""
 
 
 class Verdict(enum.StrEnum):
@@ -67,15 +67,15 @@ class CheckResult:
         value_s: Time of the value [s]; None if it has no time.
         decided_by: Comparison to which value, limit and margin belong, if the formula has several.
         first_violation_s: Time of the first violation [s]; None if there is none, or it has no
-            moment.
+            time.
         reason: Why it fails or is skipped, if the numbers do not show it.
         names: Signals to show around the violation.
-        is_decided: Whether the verdict is known; otherwise the check fails, and `bool` of it
-            raises.
-        why: Why the run differs from its reference, in lines; empty if it was not determined.
+        is_decided: Whether the verdict is known; otherwise the check fails, and `bool` raises an
+            error.
+        why: Reason why the run differs from its reference, in lines; empty if it was not
+            determined.
         reference: Reference run or file of metrics; None without a reference.
-        judged: Signal, formula or metric that was judged; None if that is no signal, formula or
-            metric.
+        judged: Signal, formula or metric that was judged; None if the check has another subject.
     """
 
     file: str
@@ -193,7 +193,7 @@ def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
 
 
 def _rank(result: CheckResult) -> tuple[bool, float]:
-    # A strict bound that fails with a margin of 0 is worse than one that passes with it.
+    # With a margin of 0, a failed strict bound is worse than a passed bound.
     return _passes(result), result.margin or 0.0
 
 

@@ -1,9 +1,9 @@
-"""Formula and signals -> robustness at every time: how far a formula is from the other verdict.
+"""Robustness of a formula at every time: its distance from the opposite verdict.
 
-The margin of `a <= b` is b - a, of `a == b` -|a - b|; `and` takes the minimum, `or` the maximum,
-`not` the negative; texts and truth values have a margin of inf or -inf. Signals hold each value
-until the next. After the end of a settled trace they hold the last value forever; after any other
-end they are unknown.
+The margin of `a <= b` is b - a, that of `a == b` is -|a - b|. `and` takes the minimum, `or` the
+maximum, `not` the negative. Texts and truth values have a margin of inf or -inf. Signals keep each
+value until the next. After the end of a settled trace they keep the last value forever; after any
+other end they are unknown.
 """
 
 import functools
@@ -49,7 +49,7 @@ from turtlelog.expressions import (
 Values = NDArray[np.float64]
 
 _LONGEST_S: Final = 1e18
-"""Beyond all traces."""
+"""Time after the end of all traces [s]."""
 
 
 def compute_robustness(
@@ -100,20 +100,20 @@ class Part(Protocol):
     def find_violation(self) -> int | None:
         """Return the first time at which it is violated [ns], if it is required at the beginning.
 
-        For `always` this is the first time in its window at which its body fails; for `eventually`,
-        the end of its window; for `until`, the end of its window or the first time at which its
-        left side fails, whichever comes first; for `and`, the first of its parts; for `or`, the
-        last of its parts; for `implies`, that of the right side; for anything else, the beginning.
-        `not always` is an `eventually not`, and `not eventually` an `always not`. A window that
-        reaches beyond the trace's end is cut there; if it begins beyond the end, no time of the
-        trace violates it: None.
+        For `always` this is the first time in its window at which its body fails. For `eventually`
+        it is the end of its window; for `until`, that end or the first failure of its left side,
+        whichever is earlier. For `and` it is the first time of its parts, for `or` the last, and
+        for `implies` that of the right side. For anything else it is the beginning. `not always` is
+        an `eventually not`, and `not eventually` an `always not`. A window that reaches beyond the
+        trace's end is cut there; if it begins beyond the end, no time of the trace violates it:
+        None.
         """
 
 
 _MOST_VALUES: Final = 8_000_000
-"""What the parts of one formula may come to together: with their times 130 MB."""
+"""Largest total number of values of a formula's parts: 130 MB with their times."""
 _ANY_PARTS: Final = 20
-"""Comparisons and operators that a formula may have in any case, however long the recording is."""
+"""Number of comparisons and operators that is always allowed, however long the recording is."""
 
 
 class FormulaWalk:
@@ -153,7 +153,7 @@ class FormulaWalk:
 
 
 class PartReader:
-    """Makes parts of a formula. It keeps none, because their columns are long.
+    """Builder of parts of a formula; parts are not stored, because their columns are long.
 
     Args:
         expression: A formula.
@@ -278,7 +278,7 @@ class PartReader:
             left, right = right, left
         with np.errstate(all="ignore"):
             margins = right.data - left.data
-        margins = np.where(left.data == right.data, 0.0, margins)  # not inf - inf
+        margins = np.where(left.data == right.data, 0.0, margins)  # avoids inf - inf
         if operator in {"==", "!="}:
             return np.abs(margins) if operator == "!=" else -np.abs(margins)
         return margins

@@ -28,7 +28,7 @@ from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.dotted_keys import name_key
 
 FORMAT: Final = 1
-"""The format of specifications that is read; newer ones are refused."""
+"""Format of specifications; newer formats are refused."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class Check:
     is_observed: bool = False
 
     def describe(self) -> str:
-        """Return the requirement, and its segment."""
+        """Return the requirement as a text, with its segment."""
         return self.formula.text if self.phase is None else f"{self.formula.text} in {self.phase}"
 
 
@@ -93,7 +93,7 @@ class Tolerances:
 
 
 USUAL_TRAJECTORY: Final = TrajectorySettings(deltas=(Delta(value=1.0, unit="m"),))
-"""How errors of trajectories are measured unless a specification says otherwise."""
+"""Default settings for errors of trajectories."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,11 +153,11 @@ def is_label_signal(name: str) -> bool:
 _TEXT = {"type": "string", "pattern": "\\S"}
 
 _LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
-"""Which loops and phases there are, a run's law says."""
+"""Pattern of loop names; the run's law determines the loops and phases."""
 
 
 def build_schema() -> dict[str, Any]:
-    """Return the schema, draft 2020-12. Formulas are text in it: `turtlelog check` parses them."""
+    """Return the schema, draft 2020-12; formulas are texts, which `turtlelog check` parses."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "turtlelog specification and tolerance file",
@@ -223,7 +223,7 @@ def _build_trajectory() -> dict[str, Any]:
 
 
 ASSOCIATIONS: Final = ("nearest", "linear")
-"""How poses of one moment are found."""
+"""Methods of finding poses at equal times."""
 
 
 def _build_read() -> dict[str, Any]:
@@ -276,7 +276,7 @@ READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "wheel_joints": "Joints of the left and the right wheel, whose odometry poses are.",
     }
 )
-"""Keys of `[read]` that are texts, and what they name."""
+"""Keys of `[read]` that are texts, with their meanings."""
 
 
 def _build_check() -> dict[str, Any]:

@@ -40,17 +40,17 @@ _KEYS: Final = {
 }
 
 MOST_PARTS: Final = 20_000
-"""Names, numbers and operators of all formulas. `always(speed < 1)` has 4 and takes 1.2 ms where it
-fails: so many take 6 s of processor time for a recording of 800 samples."""
+"""Largest number of names, numbers and operators of all formulas. `always(speed < 1)` has 4 and
+takes 1.2 ms if it fails: this number takes 6 s of processor time for a recording of 800 samples."""
 
 _UNTIL: Final = 20
-"""Parts that one more `until` takes as long as."""
+"""Parts that each further `until` counts as."""
 
 _TRAJECTORY_KEYS: Final = (
     *("align", "associate", "max_difference_s", "time_offset_s", "rpe", "all_pairs"),
 )
 _LATEST_S: Final = 4e9
-"""Times since 1970 are below, and in nanoseconds fit 64 bits."""
+"""Largest time since 1970 [s]; its nanoseconds fit 64 bits."""
 
 _Known = TypeVar("_Known", bound=str)
 

@@ -1,4 +1,4 @@
-"""The verdicts on recordings as rows of a table that is kept."""
+"""Verdicts on recordings as rows of a stored table."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,13 +26,13 @@ _KEYS: Final = (
     Key("reason"),
 )
 _DECIDED: Final = Key("decided", "whole")
-"""1 or 0: whether it is known that the verdict is right."""
+"""Column with 1 if the verdict is decided, otherwise 0."""
 
 _ROWS_AT_ONCE: Final = 4096
-"""Of a table that are values of Python at a time."""
+"""Rows of a table that are Python values at once."""
 
 _RECORDING: Final = "recording"
-"""The check that fails where a recording cannot be read, or has lost something."""
+"""Name of the check that fails if a recording cannot be read, or is incomplete."""
 
 Judge = Callable[[str], Sequence[CheckResult]]
 
@@ -110,7 +110,7 @@ def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]
 
 
 def _build_result(cells: dict[str, Any], files: Mapping[str, str]) -> CheckResult:
-    # Texts repeat from file to file, and stand in memory once.
+    # Texts repeat from file to file, and are stored once in memory.
     texts = {key.name: intern(cells[key.name] or "") for key in _KEYS if key.type == "text"}
     cells |= texts
     label, is_decided = cells.pop("file"), bool(cells.pop("decided"))

@@ -1,4 +1,4 @@
-"""A failed check -> the signal that violated it, with the band that it left."""
+"""The signal that violated a check, with its allowed band."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 _SAME: Final = 1e-9
-"""A metric that is a signal's value at a moment differs from it by no more, as a share of it."""
+"""Relative difference between a metric and a signal's value at its time, if they are equal."""
 
 _NO_BAND: Final = "what is compared is no band around a signal"
 
@@ -245,7 +245,7 @@ class _Rows:
         return int(np.where(self.outside, self.excess, -np.inf).argmax())
 
     def find(self, time_s: float) -> int:
-        """Return the row that holds at a time; the last one of those at one time."""
+        """Return the row that is valid at a time; the last one of rows with equal times."""
         time_ns = self.curve.start_ns + round(time_s * 1e9)
         return max(int(np.searchsorted(self.curve.time_ns, time_ns, side="right")) - 1, 0)
 

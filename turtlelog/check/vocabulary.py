@@ -32,7 +32,7 @@ from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, flatten_scenario
 
 _OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
-"""Values of one number that are no metrics of a run alone."""
+"""Values besides the metrics of a single run."""
 
 
 @cache

@@ -1,1 +1,1 @@
-"""One file per command; the one place that prints and sets exit codes."""
+"""The commands, one file each; only this package prints and sets exit codes."""

@@ -1,4 +1,4 @@
-"""The command line: its commands, and the one boundary that turns known errors into one line."""
+"""The command line: its commands, and the conversion of known errors to one line."""
 
 import gc
 import io
@@ -118,10 +118,10 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
     },
 }
-"""The commands as help groups them, the words that each takes, and how its docstring begins."""
+"""Commands by help group, with their arguments and the first sentence of their docstring."""
 
 _PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
-"""Commands that stand elsewhere than in a module, and a function, of their name."""
+"""Modules and functions of commands that have other names than the command."""
 
 
 _SUMMARIES: Final = {
@@ -148,7 +148,7 @@ _USUAL: Final[Mapping[str, frozenset[str]]] = {
         "convert": "to table recover partial json",
     }.items()
 }
-"""Options that --help shows; --help-all shows all of them."""
+"""Options that --help shows; --help-all shows all options."""
 
 _help_formatter = HelpFormatter(_SUMMARIES, _USUAL)
 
@@ -174,7 +174,7 @@ def _register() -> None:
         group = Group(title, sort_key=rank)
         for order, (name, (words, _)) in enumerate(commands.items()):
             usage = f"Usage: turtlelog {name} [OPTIONS] {words}".rstrip()
-            # As text: a command loads its own module, not those of all others, and help none.
+            # As text, so that a command loads only its own module, and help none.
             place = f"turtlelog.cli.{_PLACES.get(name, f'{name}:{name}')}"
             app.command(place, name=name, group=group, sort_key=order, usage=usage)
     others = Group("Help and completion", sort_key=len(_COMMANDS))
@@ -195,7 +195,7 @@ def _help(command: str | None = None, /) -> None:
     Example: turtlelog help explain
 
     Args:
-        command: Its name; without one, all commands are listed.
+        command: Name of the command; without a name, all commands are listed.
     """
     names = [name for name in app if not name.startswith("-")]
     if command is not None and command not in names:
@@ -206,12 +206,12 @@ def _help(command: str | None = None, /) -> None:
 _register()
 
 _MOST_NEW_OBJECTS: Final = 10_000
-"""Objects after which Python looks for cycles among them, of which a command makes few: after 700,
-its default, a quarter of the time of a file of 65,000 channels goes into that."""
+"""Number of new objects after which Python searches for cycles, of which commands make few. With
+its default of 700, the search takes a quarter of the time for a file with 65,000 channels."""
 
 
 def main(tokens: Sequence[str] | None = None) -> None:
-    """Run a command and exit: 0 fine, 1 a check failed, 2 bad usage or unreadable input."""
+    """Run a command and exit: 0 success, 1 failed check, 2 bad usage or unreadable input."""
     _prepare_streams()
     gc.set_threshold(_MOST_NEW_OBJECTS)
     try:
@@ -249,7 +249,7 @@ def _call(tokens: Sequence[str] | None) -> Any:
 
 @contextmanager
 def _print_remote_notes() -> Iterator[None]:
-    """Let what is said of how a URL was read be a note as any other."""
+    """Print messages about the reading of a URL as notes."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, RemoteNote):
@@ -265,14 +265,14 @@ def _print_remote_notes() -> Iterator[None]:
 
 @contextmanager
 def _stop_on_request() -> Iterator[None]:
-    """Let a request to end, or a terminal that closes, act as Ctrl-C: nothing half done is left."""
+    """Treat requests to end and a closed terminal like Ctrl-C: nothing is left half done."""
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]
     is_main = threading.current_thread() is threading.main_thread()
-    # What somebody has set already stays, as nohup's wish to ignore the terminal's end.
+    # Existing settings are kept, such as nohup's to ignore the end of the terminal.
     known = [number for number in numbers if number and signal.getsignal(number) == signal.SIG_DFL]
     for number in known if is_main else ():
         signal.signal(number, stop)
@@ -284,7 +284,7 @@ def _stop_on_request() -> Iterator[None]:
 
 
 def _prepare_streams() -> None:
-    """Make both streams take any text, also where they are closed or know ASCII only."""
+    """Make both streams accept any text, even if they are closed or support only ASCII."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:

@@ -1,4 +1,4 @@
-"""`turtlelog check`: hold recordings to a specification."""
+"""`turtlelog check`: check recordings against a specification."""
 
 import shlex
 from collections.abc import Sequence
@@ -16,6 +16,7 @@ from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
     FormatOptions,
+    fill_lines,
     print_json,
     print_note,
     print_run_notes,
@@ -23,7 +24,9 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.scenario_options import is_recording
 from turtlelog.cli.targets import require_apart, require_new_target
+from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Spec
@@ -126,7 +129,7 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
     """Refuse a reference that no formula needs.
 
     Raises:
-        UsageError: Where there is one.
+        UsageError: If there is one.
     """
     from turtlelog.check.judge_formula import list_formula_names
     from turtlelog.check.named_values import TRAJECTORY_VALUES
@@ -139,7 +142,7 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
 
 
 def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
-    """Return the recordings among what was given; refuse what does not go together."""
+    """Return the recordings among the words; refuse combinations that do not fit."""
     if first.expect:
         if not words:
             raise UsageError(f"check needs recordings: turtlelog check FILE... --expect {_FORMULA}")
@@ -157,11 +160,11 @@ def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
 
 
 _FORMULA: Final = '"rotate.overshoot <= 2"'
-"""An example of one."""
+"""Example of a formula."""
 
 
 def _describe_no_spec(words: list[Path]) -> str:
-    """Return what to type where a recording stands in the place of the specification."""
+    """Return what to type if a recording is in the place of the specification."""
     specs = [word for word in words if word.suffix.lower() == ".toml"]
     others = shlex.join(str(word) for word in words if word not in specs)
     if specs:
@@ -175,7 +178,7 @@ def _describe_no_spec(words: list[Path]) -> str:
 
 
 def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
-    """Refuse what could not be written beside the answer."""
+    """Refuse files beside the answer that could not be written."""
     if output is not None and output.suffix.lower() != ".parquet":
         other = "--init, or a name that ends in .parquet"
         raise UsageError(f"--output {output}: needs {other}")
@@ -186,7 +189,7 @@ def _require_targets(reports: ReportOptions, output: Path | None, words: Sequenc
 
 
 def build_spec(formulas: "Sequence[str]") -> "Spec":
-    """Return what --expect asks for; what names metrics alone is judged as they are."""
+    """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
     from turtlelog.check.spec import Check
     from turtlelog.check.vocabulary import names_metrics_alone, require_known_names
 
@@ -200,10 +203,10 @@ def build_spec(formulas: "Sequence[str]") -> "Spec":
 
 
 def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) -> None:
-    """Refuse names that neither a table nor any of the recordings knows.
+    """Refuse names that neither the tables of names nor any recording contains.
 
-    Recordings are read for names that may be states or parameters of a law of one's own, and no
-    others, until one knows them all.
+    Recordings are read only for names that may be states or parameters of a user law, until one
+    recording contains them all.
     """
     from turtlelog.check.vocabulary import is_in_tables, require_known_names
 
@@ -242,7 +245,7 @@ def _write_first(
     choice = topics.build_choice()
     run, notes = read_to_judge(path, choice)
     print_run_notes(path, notes)
-    if topic is not None:  # the specification names both apart
+    if topic is not None:  # the specification distinguishes both
         choice = replace(choice, pose_topic=topic)
     text = format_first_spec(run, reference=name_reference(file, output), read=choice)
     if output is None:
@@ -251,4 +254,11 @@ def _write_first(
     with tl.log.replace_when_complete(output) as part:
         part.write_text(text, encoding="utf-8")
     print_note(f"wrote {output}")
+    checks = describe_count(text.count("\n[checks."), "check")
+    spec = escape_controls(shlex.quote(str(output)))
+    lines = [
+        f"{output.name}: {checks} read off {file.name}, each with 10 to 20 % to spare.",
+        f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...",
+    ]
+    print_text(fill_lines(lines))
     return EXIT_FINE

@@ -1,4 +1,4 @@
-"""What `turtlelog check` prints."""
+"""Text and JSON of `turtlelog check`."""
 
 import shlex
 from collections import Counter
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 _MOST_FILES: Final = 20
-"""Recordings whose checks are held in memory. Of more, checks are counted."""
+"""Largest number of recordings whose checks are kept in memory; for more, checks are counted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,9 +47,9 @@ class ResultAnswer:
         value_s: Time of the value [s].
         decided_by: The part of the formula that decides.
         first_violation_s: Time of the first violation [s].
-        reason: Why a check fails or is skipped.
+        reason: Reason why the check fails or is skipped.
         decided: Whether there was enough to judge.
-        why: Why the run differs from its reference, in lines; empty without a reference.
+        why: Reason why the run differs from its reference, in lines; empty without a reference.
     """
 
     file: str
@@ -77,7 +77,7 @@ class CheckAnswer:
 
 
 def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
-    """Return results as the answer has them."""
+    """Return results as entries of the answer."""
     return [
         ResultAnswer(
             file=result.file,
@@ -110,11 +110,11 @@ def print_results(
     """Print the verdict and what fails, and return the verdict.
 
     Args:
-        spec: Says why a bound is what it is.
-        results: Results of all files, in their order; of many they are counted as they come.
+        spec: Specification with the reasons of bounds.
+        results: Results of all files, in order; those of many files are counted one by one.
         files: Number of files.
-        kind: As `FormatOptions` chooses; a file of values has rows and nothing else.
-        shows_all: Print what passes, too.
+        kind: Format, from `FormatOptions`; CSV contains only rows.
+        shows_all: Whether to print passed checks, too.
     """
     if kind == "txt" and files > _MOST_FILES:
         counted = CountedResults(results)
@@ -136,7 +136,7 @@ def print_results(
 
 
 def print_marks(results: "Iterable[CheckResult]") -> "Verdict":
-    """Print a line for each recording as its checks are judged, and return the verdict of all."""
+    """Print a line for each recording as soon as it is checked, and return the joint verdict."""
     from turtlelog.check.result import decide_verdict
 
     counted = []
@@ -158,13 +158,13 @@ def format_results(
     spec: "Spec | None" = None,
     shows_all: bool = False,
 ) -> str:
-    """Return the verdict, then what fails.
+    """Return the verdict, then the failed checks.
 
     Args:
         results: Results of all files, in their order.
         files: Number of files.
-        spec: Says why a bound is what it is; None: nothing is said of bounds.
-        shows_all: Return what passes, too.
+        spec: Specification with the reasons of bounds; None: no reasons.
+        shows_all: Whether to return passed checks, too.
     """
     counted = CountedResults(results)
     if files > 1 and not shows_all:
@@ -180,7 +180,7 @@ def format_results(
 def _format_many(
     counted: "CountedResults", *, files: int, spec: "Spec | None", shows_all: bool = False
 ) -> str:
-    """Return the verdict, how often each check fails, and in which recordings."""
+    """Return the verdict, and for each check the number and the names of failing recordings."""
     tables = [count_checks(counted, shows_all=shows_all)]
     if shows_all:
         tables.append(tabulate_checks(counted.failures, "Failures", names_file=True))
@@ -199,7 +199,7 @@ def _join(
     lines: Sequence[str],
     rest: Iterable[str],
 ) -> str:
-    """Return the verdict and its parts, an empty line between them."""
+    """Return the verdict and its parts, separated by empty lines."""
     blocks = [fit_table(table).strip("\n") for table in tables]
     ends = [fill_lines(lines, indent=2)] if lines else []
     ends += ["\n".join(map(escape_controls, following))] if (following := [*rest]) else []
@@ -207,7 +207,7 @@ def _join(
 
 
 def conclude(counted: "CountedResults", files: int) -> str:
-    """Return the verdict, and of how many checks, in one line."""
+    """Return the verdict and the number of checks, in one line."""
     verdicts, verdict = counted.verdicts, counted.verdict
     total = verdicts.total()
     failed, skipped = verdicts[tl.check.Verdict.FAIL], verdicts[tl.check.Verdict.SKIPPED]
@@ -235,7 +235,7 @@ def conclude(counted: "CountedResults", files: int) -> str:
 
 
 def _name_failing(counted: "CountedResults") -> str:
-    """Return the first check that fails, with its value or how many more there are."""
+    """Return the first failed check, with its value or the number of others."""
     names = [check for check, found in counted.of_checks.items() if found[tl.check.Verdict.FAIL]]
     first = escape_controls(names[0])
     if counted.verdicts[tl.check.Verdict.FAIL] == 1:
@@ -254,7 +254,7 @@ def _is_or_are(number: int) -> str:
 
 
 def _list_failing(counted: "CountedResults") -> Iterator[str]:
-    """Yield in which recordings checks fail, the first of many."""
+    """Yield the recordings in which checks fail, the first ones if there are many."""
     if counted.failing:
         names = ", ".join(f"{file} ({count})" for file, count in counted.failing.items())
         more = counted.failing_files - len(counted.failing)
@@ -263,7 +263,7 @@ def _list_failing(counted: "CountedResults") -> Iterator[str]:
 
 
 def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
-    """Yield the smallest margins where all pass, bounds to think about, and what to do next."""
+    """Yield the smallest margins if all pass, bounds to confirm, and next commands."""
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
     if counted.verdict == "PASS" and (found := counted.find_smallest()) is not None:
         margin = format_number(found.margin, found.unit)
@@ -282,7 +282,7 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
 
 
 def _advise(failed: "CheckResult", spec: "Spec") -> str:
-    """Return the command that says more of a check that fails."""
+    """Return the command that explains a failed check."""
     file = shlex.quote(failed.file)
     formulas = (check.formula for check in spec.checks if check.name == failed.check)
     is_error = any(name.startswith(("ate.", "rpe.")) for one in formulas for name in one.names)

@@ -1,4 +1,4 @@
-"""Files held to a specification one by one, and what is written beside the answer."""
+"""Checking of files one by one, and the files written beside the answer."""
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from turtlelog.sweep import FoundRecording
 
 _FILE_S: Final = 5e-3
-"""To read a usual file and to judge it by some ten checks [s], besides its bytes."""
+"""Time to read a usual file and judge about ten checks, without the time for its bytes [s]."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportOptions(WorkOptions):
-    """What to write beside the answer, and where to find it.
+    """Files to write beside the answer.
 
     Attributes:
         junit: Write JUnit XML to this .xml file, with each metric as a property.
@@ -71,7 +71,7 @@ def check_into_table(
     reports: ReportOptions,
     topics: ReadingOptions,
 ) -> "Iterator[CheckResult]":
-    """Return the results of files, of those that have not changed as a table holds them."""
+    """Return the results of files; those of unchanged files come from the table."""
     from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
 
     for name in ("junit", "artifacts", "report"):
@@ -104,7 +104,7 @@ def _prepare_judge(
 def check_files(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
 ) -> "Iterator[CheckResult]":
-    """Yield the results of files, and write what is asked for beside them."""
+    """Yield the results of files, and write the requested files beside the answer."""
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: leave out --scheduler")
     with reports.find_place(files, file_s=_FILE_S) as place:
@@ -127,7 +127,7 @@ def _check_files(
     judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
     judged = map_in_processes(judge, files, jobs)
     explain = None if reports.no_why or reports.marks else judge.build_explainer()
-    checked: list[CheckedFile] = []  # what a report needs
+    checked: list[CheckedFile] = []  # data for a report
     runs: dict[str, Run] = {}
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(
@@ -142,7 +142,7 @@ def _check_files(
             if file.run is not None and reports.report is not None:
                 runs[file.checked.file] = file.run
             if writer:
-                # Of files judged in other processes those that fail are read here once more.
+                # Failed files that another process has judged are read once more here.
                 _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
             yield from file.checked.results
     if reports.junit is not None:
@@ -157,7 +157,7 @@ def _check_files(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Judged:
-    """What is found of one file: the results, what to tell of reading it, the run where kept."""
+    """The results of one file, notes on its reading, and its run if it is kept."""
 
     checked: "CheckedFile"
     notes: "Mapping[str, str]"
@@ -166,7 +166,7 @@ class _Judged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Judge:
-    """Holds one file after the other to a specification, in this process or another."""
+    """A judge of files against a specification, in this process or another."""
 
     spec: "Spec"
     reference: "Run | MetricsFile | None"
@@ -177,7 +177,7 @@ class _Judge:
     keeps_runs: bool
 
     def read_reference(self) -> "Run | MetricsFile | None":
-        """Return the reference, also if nothing is held to it."""
+        """Return the reference, even if no check uses it."""
         if self.reference is not None or self.spec.reference is None:
             return self.reference
         from turtlelog.check.reference import read_metrics_file
@@ -186,13 +186,13 @@ class _Judge:
         return metrics or tl.log.read_as_chosen(self.spec.reference, self.choice)
 
     def look_closer(self, path: Path, file: _Judged) -> _Judged:
-        """Return what was found of a file with its run, where a check fails."""
+        """Return the results of a file with its run, if a check fails."""
         has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
         return replace(self, keeps_runs=True, is_described=False)(path) if has_failed else file
 
     def build_explainer(self) -> "_Explainer | None":
-        """Return what explains recordings that fail; None without a reference."""
-        # A trajectory that is true says where the robot was, and nothing of its settings.
+        """Return the explainer of failed recordings; None without a reference."""
+        # A true trajectory contains the robot's positions, but no settings.
         is_truth = self.trajectories is not None and not self.spec.tolerances
         if self.spec.reference is None or is_truth:
             return None
@@ -226,7 +226,7 @@ class _Judge:
         more = _describe(run, results) if self.is_described else {}
         took_s = clock.read()
         if not self.keeps_runs:
-            # What was judged may hold the reference: it is for a closer look beside the run.
+            # `judged` may contain the reference, which is only needed together with the run.
             results = tuple(replace(one, judged=None, reference=None) for one in results)
         checked = CheckedFile(
             file=file,
@@ -240,12 +240,12 @@ class _Judge:
 
 
 _MOST_EXPLAINED: Final = 3
-"""Recordings of one command that are explained: a series fails for one reason."""
+"""Largest number of explained recordings per command: a series usually fails for one reason."""
 
 
 @dataclass(slots=True, kw_only=True)
 class _Explainer:
-    """Explains why the first recordings that fail differ from the reference."""
+    """An explainer of the differences between the first failed recordings and the reference."""
 
     judge: _Judge
     place: str
@@ -257,7 +257,7 @@ class _Explainer:
             return file
         from turtlelog.check.difference_reason import explain_failures
 
-        # Of files judged in other processes those that fail are read here once more.
+        # Failed files that another process has judged are read once more here.
         closer = self.judge.look_closer(path, file) if file.run is None else file
         reference = self.judge.read_reference()
         if closer.run is None or reference is None:
@@ -279,7 +279,7 @@ def _write_report(
     results: "Sequence[CheckResult]",
     command: str,
 ) -> None:
-    """Write a report on the recordings that could be read, and the command that asks for it."""
+    """Write a report on the readable recordings, with the command that creates it."""
     from turtlelog.cli.report import build_check_lines
 
     bare = [file for file, run in runs.items() if not len(run.poses)]
@@ -301,13 +301,13 @@ def _write_report(
 
 
 def _join_command(spec: "Spec", words: Sequence[str]) -> str:
-    """Return the command that checks again; empty if no file holds the checks."""
+    """Return the command that repeats the check; empty if no file contains the checks."""
     is_file = not str(spec.source).startswith("--")
     return shlex.join(["turtlelog", "check", str(spec.source), *words]) if is_file else ""
 
 
 class _Clock:
-    """How long checks take; the time to read is the first one's."""
+    """A clock of the checks; the first lap includes the time to read."""
 
     def __init__(self) -> None:
         self._began_s = self._last_s = perf_counter()
@@ -323,7 +323,7 @@ class _Clock:
 
 
 def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
-    """Return what a report says beside results: all metrics, and all there is on a failure."""
+    """Return the additional data of a report: all metrics, and the details of failures."""
     from turtlelog.check.failure_report import describe_failure
 
     failed = [result for result in results if result.verdict == "FAIL"]
@@ -332,10 +332,10 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
 
 
 def read_to_judge(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
-    """Return a run, whole or not, and what to tell of reading it."""
+    """Return a run, complete or not, and the notes on its reading."""
     from turtlelog.log.recording.head import LOSS_NOTES
 
-    # A recording that is not whole fails its check, which says so.
+    # An incomplete recording fails its check, which gives the reason.
     run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))
     told = {name: text for name, text in run.notes.items() if name not in LOSS_NOTES}
     return run, told

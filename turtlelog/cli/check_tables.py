@@ -1,4 +1,4 @@
-"""Results of checks counted one by one, as tables, and the reasons of those that fail."""
+"""Counts of check results, their tables, and the reasons of failures."""
 
 import re
 from collections import Counter
@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
 
 _MOST_FAILURES: Final = 40
-"""Failures that are shown of several recordings: a screen of rows, and one of reasons."""
+"""Largest number of failures that are shown for several recordings: a screen of rows, and one of
+reasons."""
 
 _MOST_NAMES: Final = 8
-"""Recordings that are named as those in which checks fail."""
+"""Largest number of recordings that are named as failing."""
 
 
 class CountedResults:
@@ -27,17 +28,17 @@ class CountedResults:
 
     Attributes:
         verdicts: Number of each verdict.
-        of_checks: Likewise, by check.
-        nearest: The one of each check that is nearest to its limit, or the furthest beyond it.
-        failures: The first that fail.
-        valueless: Number of checks that failed for lack of a value.
+        of_checks: Number of each verdict, by check.
+        nearest: Result of each check that is nearest to its limit, or furthest beyond it.
+        failures: First failed results.
+        valueless: Number of checks that failed because a value is missing.
         failing: Number of failed checks in each of the first files that fail.
-        failing_files: In how many files any does.
-        file: The first.
+        failing_files: Number of files with a failed check.
+        file: First file.
     """
 
     def __init__(self, results: "Iterable[CheckResult]") -> None:
-        """Count results as they come."""
+        """Count results one by one."""
         self.verdicts: Counter[Verdict] = Counter()
         self.of_checks: dict[str, Counter[Verdict]] = {}
         self.nearest: dict[str, CheckResult] = {}
@@ -71,7 +72,7 @@ class CountedResults:
             self.failures.append(result)
 
     def find_smallest(self) -> "CheckResult | None":
-        """Return the one that is nearest to its limit, as a part of the limit."""
+        """Return the result nearest to its limit, relative to the limit."""
         parts = [
             (one.margin / abs(one.limit), number)
             for number, one in enumerate(self.nearest.values())
@@ -81,16 +82,16 @@ class CountedResults:
 
     @property
     def verdict(self) -> "Verdict":
-        """The verdict of all of them."""
+        """The joint verdict of all results."""
         from turtlelog.check.result import decide_verdict
 
         return decide_verdict(self.verdicts)
 
 
 def count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
-    """Return how often each check passes, and where it is nearest to its limit, or beyond.
+    """Return the number of passes of each check, and its result nearest to the limit or beyond it.
 
-    Of those that fail nowhere only where all are asked for.
+    Checks that never fail are included only with `shows_all`.
     """
     verdicts = [
         one for one in tl.check.Verdict if one != "SKIPPED" or shows_all or counted.verdicts[one]
@@ -128,13 +129,13 @@ def tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
 _HEADS: Final = ("verdict", "file", "check", "unit", "value", "limit", "margin")
 
 _VIOLATED: Final = "first violation"
-"""The column [s] behind `_HEADS`; a table for a terminal has it where a check is violated."""
+"""Column [s] after `_HEADS`; terminal tables have it if a check is violated."""
 
 
 def tabulate_checks(
     results: "Sequence[CheckResult]", title: str, *, names_file: bool = False
 ) -> "Table":
-    """Return results as rows: verdict, file if it is named, check, value, limit and margin."""
+    """Return results as rows: verdict, optionally file, check, value, limit and margin."""
     columns = [tl.compare.Column(title="" if head == "verdict" else head) for head in _HEADS]
     if any(result.first_violation_s is not None for result in results):
         lines = tuple(_VIOLATED.split())
@@ -156,7 +157,7 @@ def tabulate_checks(
 
 
 def tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "Table":
-    """Return the rows of a file of values: the same columns whatever was found."""
+    """Return the rows of a CSV file, which always has the same columns."""
     meant = _read_reasons(spec)
     columns = [tl.compare.Column(title=head) for head in _HEADS]
     columns += [
@@ -171,13 +172,13 @@ def tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "Table":
 
 
 def _list_cells(result: "CheckResult") -> "tuple[Cell, ...]":
-    """Return the cells below `_HEADS`, and when the check is first violated [s]."""
+    """Return the cells of `_HEADS`, and the time of the first violation [s]."""
     verdict = result.verdict.value
     return verdict, result.file, result.check, *_show(result), result.first_violation_s
 
 
 def tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
-    """Return the verdicts of several files, a row for each; nothing for one file."""
+    """Return the verdicts of several files, one row each; empty for one file."""
     files = dict.fromkeys(result.file for result in results)
     checks = dict.fromkeys(result.check for result in results)
     verdicts = {(result.file, result.check): result.verdict.value for result in results}
@@ -196,14 +197,14 @@ def tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
 
 
 def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, float | None]":
-    """Return unit, value, limit and margin as they are printed: angles in degrees."""
+    """Return unit, value, limit and margin for display, angles in degrees."""
     found = (result.value, result.limit, result.margin)
     value, limit, margin = (v if v is None else show_angle(v, result.unit)[0] for v in found)
     return show_angle(0.0, result.unit)[1], value, limit, margin
 
 
 def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
-    """Yield why checks fail or are skipped, where their rows do not say it."""
+    """Yield the reasons of failed or skipped checks, if their rows do not show them."""
     meant = {} if spec is None else _read_reasons(spec)
     found: dict[tuple[str, str, str], list[str]] = {}
     for result in results:
@@ -219,14 +220,14 @@ def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") 
 
 
 def _is_told_by_row(result: "CheckResult", meant: Mapping[str, str]) -> bool:
-    """Whether its name, value and limit say why a check fails: it has no other reason."""
+    """Return whether name, value and limit explain a failure, which then has no other reason."""
     is_named = result.expected.startswith(result.check)
     is_plain = not (result.reason or result.decided_by or meant.get(result.check))
     return is_named and is_plain and result.value is not None and result.limit is not None
 
 
 def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
-    """Return why a result is what it is, empty if it simply passes; `meant` is why of bounds."""
+    """Return the reason of a result; empty if it simply passes. `meant`: reasons of bounds."""
     why = f" ({meant[result.check]})" if meant.get(result.check) else ""
     if result.reason:
         return result.reason + (why if result.verdict == "FAIL" and result.is_decided else "")
@@ -237,7 +238,7 @@ def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
 
 
 def _read_reasons(spec: "Spec") -> dict[str, str]:
-    """Return why bounds are what they are, by the names of checks; not of those read off a run."""
+    """Return the reasons of bounds by check, without bounds observed in a run."""
     tolerances = {
         **{f"signals.{name}": found for name, found in spec.tolerances.signals.items()},
         **{f"metrics.{name}": found for name, found in spec.tolerances.metrics.items()},

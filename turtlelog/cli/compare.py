@@ -1,4 +1,4 @@
-"""`turtlelog compare`: runs beside each other, or against a reference."""
+"""`turtlelog compare`: comparison of runs with each other, or with a reference."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -109,14 +109,14 @@ class ChoiceOptions:
         return [] if self.varied is None else split_names(self.varied, "--varied")
 
     def list_columns(self) -> list[str]:
-        """Return the names and patterns that are asked for, none for the usual columns."""
+        """Return the requested names and patterns; empty for the usual columns."""
         return [] if self.metric is None else split_names(self.metric, "--metric")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawingOptions:
-    """Pictures of what is compared.
+    """Pictures of the comparison.
 
     Attributes:
         plot: Write a figure to this .pdf, .png or .svg file: paths, errors and rates of a robot and
@@ -214,7 +214,7 @@ def compare(
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     for err in errors:
         print_error(str(err))
-    # One run alone is beside no other.
+    # A single run is not compared with others.
     if not errors or len(summaries) > 1:
         _compare_across(summaries, choice, kind)
     return EXIT_BAD_INPUT if errors else EXIT_FINE
@@ -274,7 +274,7 @@ def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> No
 
 
 def _draw(paths: Sequence[Path], rrd: Path, topics: ReadingOptions | None) -> "list[Run]":
-    """Write a picture of all runs, which needs all of them at once, and return them."""
+    """Write a picture of all runs, which needs all of them at once; return the runs."""
     runs = read_runs(paths, topics)
     with show_progress("drawing"):
         tl.write_comparison_rrd(runs, rrd)
@@ -290,7 +290,7 @@ def _summarise(
     only: "Callable[[Run], Sequence[str]] | None",
     jobs: int,
 ) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
-    """Return the runs in short, read one by one unless they are held, and what cannot be read."""
+    """Return run summaries, read one by one unless held, and the errors of unreadable files."""
     if held is not None:
         pairs = zip(held, paths, strict=True)
         return tuple(
@@ -307,7 +307,7 @@ def _summarise(
 
 
 def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequence[str]] | None":
-    """Return what says which metrics to compute, None for all: of thousands no others are kept."""
+    """Return a function that chooses the metrics to compute; None: all. Others are not kept."""
     columns = choice.list_columns()
     if not columns and kind == "json":
         return None
@@ -319,7 +319,7 @@ def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequenc
 
 
 def _list_needed(run: "Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
-    # Which ones are usual of a bag of somebody else's shows when it is read.
+    # The usual metrics of a third-party bag are known when it is read.
     return (*needed, *tl.compare.list_usual_of_run(run)) if is_usual else needed
 
 
@@ -346,7 +346,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes, ranking=ranking)
     print_tables([table], kind)
     if kind == "csv":
-        # A file of values has no room for notes.
+        # CSV has no room for notes.
         for note in (*notes, *ranking.list_notes(tl.compare.name_runs(summaries))):
             print_note(note)
 
@@ -358,7 +358,7 @@ class _MarkedMetric(MetricBeside):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RunBeside:
-    """A run beside others: no reference, so no signals."""
+    """A run beside others, without a reference and therefore without signals."""
 
     file: str
     name: str
@@ -383,7 +383,7 @@ class _Unknown:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RankingAnswer:
-    """Whether a run may be called the best, what was varied, what differs and is unknown."""
+    """Whether a run may be called the best, varied keys, and differing and unknown conditions."""
 
     is_fair: bool
     reason: str | None

@@ -1,4 +1,4 @@
-"""What `turtlelog compare` prints: which run is best at what, or how far each is from another."""
+"""Text of `turtlelog compare`: the best run by each metric, or the distances from a reference."""
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,19 +27,20 @@ _LABELS: Final = {
     "overshoot": "least overshoot",
     "final.heading_error": "best heading",
 }
-"""What the best run of a metric is, in the order in which it is said."""
+"""Descriptions of the best run by metric, in the order of display."""
 
 _MOST_SAID: Final = 4
-"""Metrics whose best runs stand above the table."""
+"""Largest number of metrics whose best runs are above the table."""
 
 _MOST_NOTES: Final = 6
-"""Notes on what differs between runs; of more the rest is in JSON."""
+"""Largest number of notes on differences between runs; JSON contains all."""
 
 _LONGEST: Final = 24
-"""Of the name of a recorded robot [characters]; one with a longer name is called by its file."""
+"""Longest name of a recorded robot [characters]; a robot with a longer name is called by its
+file."""
 
 _MOST_RUNS: Final = 1
-"""Runs whose signals are shown beside a reference unless all are asked for."""
+"""Largest number of runs whose signals are shown beside a reference by default."""
 
 
 def format_across(
@@ -50,14 +51,14 @@ def format_across(
     title: str,
     notes: Sequence[str],
 ) -> str:
-    """Return which run is best at what, then a row for every run.
+    """Return the best run by each metric, then a row for every run.
 
     Args:
-        summaries: In the order of the rows.
-        ranking: Whether one may be called the best.
-        only: Columns that are asked for; none: the usual ones that a line has room for.
-        title: Instead of how many runs there are.
-        notes: On runs that were left out.
+        summaries: Runs, in the order of the rows.
+        ranking: Ranking, which shows whether a run may be called the best.
+        only: Requested columns; empty: the usual ones that fit a line.
+        title: Title instead of the number of runs.
+        notes: Notes on runs that were left out.
     """
     summaries, changes = tl.compare.shorten_names(summaries)
     names = tl.compare.name_runs(summaries)
@@ -100,7 +101,7 @@ def format_across(
 
 
 def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: "Ranking") -> str:
-    """Return why no run is best though they may be ranked; empty where the title has the answer."""
+    """Return the reason why no run is best although they may be ranked; empty if in the title."""
     if table.marks or not ranking.is_fair or len(table.rows) < 2:
         return ""
     ids = {name for one in summaries for name in one.metrics}
@@ -110,12 +111,12 @@ def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: 
 
 
 def _format(table: "Table") -> str:
-    """Return a table without its title: the first line stands above it."""
+    """Return a table without its title, which is printed above."""
     return "\n" + tl.draw.format_table(replace(table, title=""), width=find_width()).strip("\n")
 
 
 def _list_reasons(table: "Table", summaries: "Sequence[RunSummary]") -> list[str]:
-    """Return why cells have a status and no value."""
+    """Return the reasons of cells without a value."""
     titles = [column.title for column in table.columns]
     shown = [
         {
@@ -129,7 +130,7 @@ def _list_reasons(table: "Table", summaries: "Sequence[RunSummary]") -> list[str
 
 
 def _narrow(table: "Table", summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]]":
-    """Return a table with as many metrics as a line has room for, and the ids of the others."""
+    """Return a table with the metrics that fit a line, and the ids of the others."""
     ids = {name for one in summaries for name in one.metrics}
     titles = [column.title for column in table.columns]
     ranks = [_rank(title) if title in ids else None for title in titles]
@@ -139,13 +140,13 @@ def _narrow(table: "Table", summaries: "Sequence[RunSummary]") -> "tuple[Table, 
 
 
 def _rank(name: str) -> int:
-    """Return the place of a metric among those that say which run is best."""
+    """Return the rank of a metric among those that decide which run is best."""
     keys = (name, name.rpartition(".")[2])
     return next((place for place, key in enumerate(_LABELS) if key in keys), len(_LABELS))
 
 
 def _name_best(table: "Table") -> str:
-    """Return the best run at the metric that counts most, with its value; empty without one."""
+    """Return the best run by the most important metric, with its value; empty if there is none."""
     rows = _rank_best(table)
     if not rows:
         return ""
@@ -154,7 +155,7 @@ def _name_best(table: "Table") -> str:
 
 
 def _list_best(table: "Table") -> list[str]:
-    """Return which runs are best and worst at the metrics that count most, a line for each."""
+    """Return the best and worst runs by the most important metrics, one line each."""
     rows = _rank_best(table)
     with_ids = [(label, who, f"{name} {value}", worst) for label, who, name, value, worst in rows]
     lines = align_rows(with_ids)
@@ -166,7 +167,7 @@ def _list_best(table: "Table") -> list[str]:
 
 
 def _rank_best(table: "Table") -> list[tuple[str, str, str, str, str]]:
-    """Return what is best, who, the metric, the value and who is worst, by what counts most."""
+    """Return description, best run, metric, value and worst run, by importance."""
     marked = [
         place
         for place, _ in enumerate(table.columns)
@@ -183,21 +184,21 @@ def _name_loop(name: str) -> str:
 
 
 def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]:
-    """Return what is best, who, the metric, the value, and who is worst."""
+    """Return description, best run, metric, value and worst run of a column."""
     name, unit = table.columns[place].title, table.columns[place].unit
     (best, least), (worst, most) = (_find_end(table, place, mark) for mark in ("best", "worst"))
     keys = (name, name.rpartition(".")[2])
     other = f"best {keys[1].replace('_', ' ')}"
     label = next((words for key, words in _LABELS.items() if key in keys), other)
     kind = tl.measure.find_metric_kind(name)
-    # A robot that stays short of its target overshoots by nothing, by however much.
+    # A robot that stays short of its target has no overshoot, however far it stays short.
     is_none = kind is not None and kind.floor == 0.0 and least <= 0.0
     value = "none" if is_none else format_short(least, unit)
     return label, best, name, value, f"worst: {worst}, {format_short(most, unit)}"
 
 
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
-    """Return who has the best or the worst value of a column, and that value."""
+    """Return the run with the best or worst value of a column, and the value."""
     rows = [row for (row, column), found in table.marks.items() if (column, found) == (place, mark)]
     return _name(table, rows), float(table.rows[rows[0]][place] or 0.0)
 
@@ -213,7 +214,7 @@ def _list_next(
     table: "Table",
     ranking: "Ranking",
 ) -> Iterator[str]:
-    """Yield what to type next."""
+    """Yield the next commands to type."""
     known = [one.key for one in ranking.differences if not one.is_unknown]
     if known:
         yield f"Varied on purpose? --varied {','.join(known[:_MOST_SAID])}"
@@ -237,12 +238,12 @@ def format_reference(
     *,
     shows_signals: bool,
 ) -> str:
-    """Return how far runs are from the path of a reference, then metrics and signals.
+    """Return the distances of runs from a reference's path, then metrics and signals.
 
     Args:
         first: The reference.
-        found: Each run in short, what differs, and how far it is from the path.
-        shows_signals: Show the signals of however many runs.
+        found: Summary of each run, its differences, and its distance from the path.
+        shows_signals: Whether to show the signals even of several runs.
     """
     summaries, changes = tl.compare.shorten_names([first, *(one for one, _, _ in found)])
     reference, *names = tl.compare.name_runs(summaries)
@@ -272,11 +273,11 @@ def format_reference(
 
 
 def _show(value_m: float) -> str:
-    return format_number(round(value_m, 9), "m")  # less is rounding
+    return format_number(round(value_m, 9), "m")  # smaller values are rounding
 
 
 def list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterator[str]:
-    """Yield which run is furthest from the path of the reference, then how far each is."""
+    """Yield the run furthest from the reference's path, then the distance of each."""
     name, worst = max(errors.items(), key=lambda one: one[1].largest_m)
     at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"
     is_on = round(worst.largest_m, 9) == 0.0
@@ -302,7 +303,7 @@ def list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterat
 
 
 def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scenario: str) -> str:
-    """Return how far recorded robots are from a simulated one, what that means, and the table."""
+    """Return the distances of recorded robots from a simulated one, their meaning, and a table."""
     found = [
         one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.label_file(file))
         for one, file in zip(found, files, strict=True)
@@ -311,7 +312,7 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
     heads = [_describe_robot(one) for one in found]
     if len(found) > 1:
         heads.insert(0, f"{len(found)} recorded robots beside the scenario {found[0].scenario}:")
-    # The sentences have how many errors are outside of the band.
+    # The sentences contain the number of errors outside of the band.
     ranks = [0 if column.title in {"above", "below"} else None for column in table.columns]
     seeds = found[0].seeds
     means = (
@@ -333,7 +334,7 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
 
 
 def _describe_robot(found: "RobotComparison") -> str:
-    """Return the median errors of the position, beside those of the simulated robot."""
+    """Return the median position errors, with those of the simulated robot."""
     said = []
     for band in found.bands:
         if band.quantity == "position":

@@ -1,4 +1,4 @@
-"""`turtlelog compare`: how far runs are from one, and robots from a simulated one."""
+"""`turtlelog compare`: distances of runs from a reference, and of robots from a simulated one."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Compared:
-    """What is found of one run beside the reference."""
+    """Comparison of one run with the reference."""
 
     summary: "RunSummary"
     comparison: "RunComparison"
@@ -53,7 +53,7 @@ class _Compared:
 
 @dataclass(frozen=True, kw_only=True)
 class _Comparer:
-    """Compares one run after the other with a reference, in this process or another."""
+    """A comparer of runs with a reference, one after another, in this process or another."""
 
     reference: "Run"
     alignment: str
@@ -67,7 +67,7 @@ class _Comparer:
         return self.compare(path, tl.log.read_as_chosen(path, self.choice))
 
     def compare(self, path: Path, run: "Run") -> _Compared:
-        """Return what is found of a run that has been read."""
+        """Return the comparison of a run that has been read."""
         usual = [
             name for one in (run, self.reference) for name in tl.compare.list_usual_of_run(one)
         ]
@@ -83,13 +83,13 @@ class _Comparer:
 
 
 class Manner(NamedTuple):
-    """How runs are compared with a reference.
+    """Settings of a comparison with a reference.
 
     Attributes:
-        align: What to bring together; None for the first samples.
-        topics: What to read.
-        jobs: Processes to read and compare in.
-        shows_signals: Whether text shows the signals of however many runs.
+        align: Alignment; None: first samples.
+        topics: Options for reading files.
+        jobs: Number of processes for reading and comparing.
+        shows_signals: Whether text shows the signals even of several runs.
     """
 
     align: str | None
@@ -101,13 +101,13 @@ class Manner(NamedTuple):
 def compare_with_reference(
     paths: Sequence[Path], held: "Sequence[Run] | None", kind: str, manner: Manner
 ) -> None:
-    """Print how far runs are from the first.
+    """Print the distances of runs from the first one.
 
     Args:
-        paths: Of the reference, and of the others.
-        held: The runs, where they are read already; then they are compared in this process.
-        kind: How to print.
-        manner: How they are compared.
+        paths: Path of the reference, then those of the others.
+        held: Runs, if they are read already; they are then compared in this process.
+        kind: Format of the answer.
+        manner: Settings of the comparison.
     """
     alignment = manner.align or "first_sample"
     if alignment == "first-sample":
@@ -141,7 +141,7 @@ def compare_with_reference(
 def _summarise_reference(
     reference: "Run", path: Path, others: "Sequence[RunSummary]"
 ) -> "RunSummary":
-    """Return the reference in short, measured as itself and as others of which no law is known."""
+    """Return the summary of the reference, also for runs without a known law."""
     usual = list(tl.compare.list_usual_of_run(reference))
     is_lawless = tl.measure.is_lawless(reference)
     unlike = [found for found in others if found.is_lawless != is_lawless]
@@ -172,11 +172,11 @@ class MetricBeside:
     """A metric of a run.
 
     Attributes:
-        id: Of the metric.
-        value: In `unit`; None where `status` is not `ok`.
-        unit: Of both values.
+        id: Id of the metric.
+        value: Value in `unit`; None if `status` is not `ok`.
+        unit: Unit of both values.
         status: Whether there is a value.
-        reference: The value of the reference; None without one.
+        reference: Value of the reference; None if it has none.
         better: `lower`, `higher`, or None if neither is better.
     """
 
@@ -203,7 +203,7 @@ class _HeldSignal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _HeldRun:
-    """What differs between a run and the reference."""
+    """Differences between a run and the reference."""
 
     file: str
     name: str
@@ -217,7 +217,7 @@ class _HeldRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _ReferenceAnswer:
-    """Runs beside the reference, which is a file."""
+    """Runs compared with the reference, which is a file."""
 
     reference: str
     alignment: str
@@ -261,7 +261,7 @@ def take_metric(metric: "Metric", reference: float | None = None) -> dict[str, A
 
 
 def list_scenario_files(files: Sequence[Path]) -> list[Path]:
-    """Return those of some files that are scenarios, by their ending."""
+    """Return the files that are scenarios, judged by their suffix."""
     return [file for file in files if file.suffix.lower() == ".toml"]
 
 
@@ -273,7 +273,7 @@ def compare_with_robot(
     topics: ReadingOptions | None,
     kind: str,
 ) -> int:
-    """Print how far the robot of the scenario among some files is from those of the others."""
+    """Print the distances of recorded robots from the robot of a scenario among the files."""
     bags, scenario_file = _part(files)
     require_pictures(plot, rrd, files, drawn=bags, of="bag")
     scenario = _load(scenario_file)
@@ -350,7 +350,7 @@ class _BandAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RobotRun:
-    """A recorded robot beside the simulated one."""
+    """A recorded robot compared with the simulated one."""
 
     file: str
     name: str
@@ -365,7 +365,7 @@ class _RobotRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RobotAnswer:
-    """Recorded robots beside that of a scenario, which is a file."""
+    """Recorded robots compared with that of a scenario, which is a file."""
 
     reference: str
     alignment: str = "anchored"

@@ -1,4 +1,4 @@
-"""`turtlelog compare --ate` and `--rpe`: errors of trajectories beside a reference."""
+"""`turtlelog compare --ate` and `--rpe`: errors of trajectories relative to a reference."""
 
 import math
 import shlex
@@ -65,7 +65,7 @@ class TrajectoryOptions:
         """Return whether trajectories are compared.
 
         Raises:
-            UsageError: Where an option stands without --ate and --rpe.
+            UsageError: If an option needs --ate or --rpe.
         """
         if self.ate or self.rpe:
             return True
@@ -85,7 +85,7 @@ class TrajectoryOptions:
         """Return the reference.
 
         Raises:
-            UsageError: Where there is none.
+            UsageError: If there is no reference.
         """
         option = "--ate" if self.ate else "--rpe"
         if reference is None:
@@ -95,10 +95,10 @@ class TrajectoryOptions:
         return reference
 
     def build_settings(self, align: str | None) -> "TrajectorySettings":
-        """Return how trajectories are compared.
+        """Return the settings for comparing trajectories.
 
         Raises:
-            UsageError: Where a value is of no use.
+            UsageError: If a value is invalid.
         """
         from turtlelog.compare.trajectory_comparison import ALIGN_IN
 
@@ -138,17 +138,17 @@ class TrajectoryOptions:
 
 
 _LONGEST_S: Final = 4e9
-"""Times since 1970 are below, and in nanoseconds fit 64 bits."""
+"""Largest time since 1970 [s]; its nanoseconds fit 64 bits."""
 
 
 class TrajectoryPlace(NamedTuple):
-    """How the answer is shown.
+    """Settings of the answer's output.
 
     Attributes:
-        align: As typed.
+        align: Alignment as typed.
         plot: Picture to write.
         kind: Format of the answer.
-        topics: What to read.
+        topics: Options for reading files.
     """
 
     align: str | None
@@ -160,7 +160,7 @@ class TrajectoryPlace(NamedTuple):
 def compare_with_trajectory(
     reference: Path, files: Sequence[Path], options: TrajectoryOptions, place: TrajectoryPlace
 ) -> int:
-    """Print the errors of the trajectories in some files beside that of a reference."""
+    """Print the errors of the trajectories in files relative to a reference."""
     settings = options.build_settings(place.align)
     require_pictures(place.plot, None, [reference, *files], drawn=files, of="trajectory")
     choice = (place.topics or ReadingOptions()).build_choice()
@@ -182,7 +182,7 @@ def compare_with_trajectory(
 
 
 def _read(file: Path, choice: "ReadChoice", options: TrajectoryOptions) -> "Trajectory":
-    """Return the trajectory in a file, called as it was typed, and print what was chosen."""
+    """Return the trajectory in a file, named as typed, and print the chosen topics."""
     found = tl.log.read_trajectory(file, choice, times=options.times)
     if "chosen" in found.notes:
         print_note(f"{file}: {found.notes['chosen']}")
@@ -220,7 +220,7 @@ def _print(
 
 
 def _shorten(table: "Table", width: int) -> "Table":
-    """Return a table that fits a line: without the only file, and the sum of squares if need be."""
+    """Return a table that fits a line: without the only file and, if needed, the sum of squares."""
     first = 0 if len({row[0] for row in table.rows}) > 1 else 1
     rows = []
     for name, error, unit, *values in table.rows:
@@ -268,7 +268,7 @@ def _format(statistics: "ErrorStatistics | None", unit: str) -> str:
 
 
 _TINY: Final = 1e-9
-"""Errors below are of rounding [m, rad]: text with nine decimals ends there."""
+"""Errors below are rounding [m, rad]: text with nine decimals ends there."""
 
 
 def _describe_alignment(one: "TrajectoryComparison") -> str:
@@ -291,7 +291,7 @@ def _find_turn(one: "TrajectoryComparison") -> float:
 
 
 def _describe_basis(one: "TrajectoryComparison", options: TrajectoryOptions) -> list[str]:
-    """Return which poses were compared."""
+    """Return text on the compared poses."""
     count, (ours, theirs) = len(one.estimate), one.poses
     what = "x, y and heading" if one.space == "plane" else "positions and rotations in space"
     how = (
@@ -311,8 +311,8 @@ class TrajectoryErrorAnswer:
 
     Attributes:
         error: ATE or RPE.
-        quantity: Of positions, or the angle of rotations; in the plane of headings.
-        unit: Of the statistics; of `sse` squared.
+        quantity: Positions, or the angle of rotations (of headings in the plane).
+        unit: Unit of the statistics; that of `sse` is its square.
         delta: Length of the relative motions; None for the ATE.
         delta_unit: `frames`, `m`, `deg` or `s`; None for the ATE.
         count: Number of poses or motions.
@@ -337,22 +337,22 @@ class TrajectoryErrorAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryAnswer:
-    """A trajectory beside the reference.
+    """A trajectory compared with the reference.
 
     Attributes:
-        file: As typed.
-        name: Of the trajectory.
+        file: File as typed.
+        name: Name of the trajectory.
         space: `plane` if x, y and heading were compared, `space` if positions and rotations were.
         align: `none`, `origin`, `se2`, `se3`, `sim2` or `sim3`.
-        rotation: Of the alignment, row by row.
-        translation_m: Of the alignment.
-        scale: Of the alignment, 1 unless it is fitted.
-        associated: Moments that were compared.
-        poses: Poses of the trajectory.
-        reference_poses: Poses of the reference.
+        rotation: Rotation matrix of the alignment, row by row.
+        translation_m: Translation of the alignment [m].
+        scale: Scale of the alignment; 1 unless it is fitted.
+        associated: Number of compared pairs of poses.
+        poses: Number of poses of the trajectory.
+        reference_poses: Number of poses of the reference.
         rmse_before_m: RMSE of the positions without alignment.
         errors: ATE of positions and rotations, then the RPE of each length.
-        notes: What one must know.
+        notes: Notes, in sentences.
     """
 
     file: str
@@ -372,7 +372,7 @@ class TrajectoryAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoriesAnswer:
-    """Trajectories beside that of a reference, which is a file."""
+    """Trajectories compared with a reference, which is a file."""
 
     reference: str
     runs: list[TrajectoryAnswer]

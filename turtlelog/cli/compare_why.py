@@ -1,4 +1,4 @@
-"""`turtlelog compare --why`: why a metric differs between two runs."""
+"""`turtlelog compare --why`: causes of a metric's difference between two runs."""
 
 import shlex
 from collections.abc import Iterator, Sequence
@@ -43,14 +43,14 @@ if TYPE_CHECKING:
     from turtlelog.explain import Change, ExplainedDifference
 
 _LONGEST: Final = 40
-"""Of the settings in a line [characters]; the rest of a longer list is in JSON and CSV."""
+"""Longest list of settings in a line [characters]; JSON and CSV contain all."""
 
 _MOST_SETTINGS: Final = 3
-"""Settings of a change that its line shows; of a law there are ten and more."""
+"""Largest number of settings of a change in its line; a law has ten and more."""
 
 
 _SUFFIXES: Final = (".mcap", ".json", ".csv", ".parquet", ".tum", ".db3", ".bag")
-"""How the names of recordings end, but for folders: such a word after --why is no metric."""
+"""Suffixes of recordings except folders: a word after --why with such a suffix is not a metric."""
 
 
 @Parameter(name="*")
@@ -72,7 +72,7 @@ class WhyOptions:
 
     @property
     def is_why(self) -> bool:
-        """Whether it is asked why two runs differ.
+        """Whether --why is given.
 
         Raises:
             UsageError: If an option needs --why.
@@ -86,11 +86,11 @@ class WhyOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhyPlace:
-    """Where the work is done and what is written.
+    """Settings of the work and its output.
 
     Attributes:
-        plot: The figure to write.
-        jobs: Number of processes; None: as many as are quicker.
+        plot: Figure to write.
+        jobs: Number of processes; None: the fastest number.
     """
 
     plot: Path | None
@@ -99,13 +99,13 @@ class WhyPlace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WhyAnswer:
-    """Why a metric differs between two recordings.
+    """Causes of a metric's difference between two recordings.
 
     Attributes:
-        first: The file that the difference is taken from; None if there is nothing to compare.
-        second: The other file.
-        condition: What `second` is the first to meet, if that was asked for.
-        explanation: Why they differ; None if there is nothing to compare.
+        first: File of the first run; None if there is nothing to compare.
+        second: File of the second run.
+        condition: Condition that `second` is the first to meet, if one was given.
+        explanation: Causes of the difference; None if there is nothing to compare.
     """
 
     first: str | None
@@ -134,7 +134,7 @@ def compare_why(
     topics: ReadingOptions | None,
     kind: str,
 ) -> int:
-    """Print why the metric of the second run is another one than that of the first."""
+    """Print the causes of a metric's difference between two runs."""
     metric, files = split_metric(options, files)
     require_pictures(place.plot, None, files, drawn=(), of="")
     topics = topics or ReadingOptions()
@@ -181,7 +181,7 @@ def _find_pair(
     topics: ReadingOptions,
     kind: str,
 ) -> tuple[tuple[tuple[Path, Path], list[str]] | None, int]:
-    """Return the first recording that meets a condition after the one before it, in words too."""
+    """Return the first recording that meets a condition and the one before it, also in words."""
     paths = sorted(list_files(files), key=lambda path: split_numbers(str(path)))
     errors: list[TurtlelogError] = []
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
@@ -212,7 +212,7 @@ def _tell_pair(
     paths: Sequence[Path],
     summaries: "Sequence[RunSummary]",
 ) -> list[str]:
-    """Return that the second recording is the first to meet a condition, as far as that shows."""
+    """Return that the second recording is the first to meet a condition, as far as known."""
     first, second = pair
     read = {one.file for one in summaries}
     unread = [path.name for path in paths if str(path) < str(second) and str(path) not in read]
@@ -226,7 +226,7 @@ def _tell_pair(
 
 
 _MOST_NAMED: Final = 3
-"""Recordings that cannot be read and are named in a sentence; stderr has a line for each."""
+"""Largest number of unreadable recordings that a sentence names; stderr has a line for each."""
 
 
 def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
@@ -253,7 +253,7 @@ def _print_nothing(
 def _tell_nothing(
     condition: str, summaries: "Sequence[RunSummary]", *, is_met: bool, has_unread: bool
 ) -> str:
-    """Return why no two recordings are compared."""
+    """Return the reason why no two recordings are compared."""
     name, readable = Path(summaries[0].file).name, " that can be read" if has_unread else ""
     if is_met:
         return f"{name} meets {condition}, and no recording{readable} comes before it."
@@ -283,7 +283,7 @@ def _print(
 def format_why(
     found: "ExplainedDifference", files: tuple[Path, Path], *, lead: Sequence[str] = ()
 ) -> str:
-    """Return why two runs differ: the answer, a line for each change, what it depends on."""
+    """Return the causes of a difference: the answer, a line for each change, and its conditions."""
     head, *rest = found.sentences
     rows = [_list_cells(found, one) for one in found.contributions]
     table = ["", *align_rows(rows), ""] if rows else []
@@ -300,10 +300,10 @@ def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
 
 
 def _list_settings(one: "Change") -> Iterator[str]:
-    """Yield the settings of a change; those of one pair of values together."""
+    """Yield the settings of a change; settings with equal pairs of values share an entry."""
     pairs: dict[tuple[str, str], list[str]] = {}
     for key, before, after in zip(one.keys, one.first, one.second, strict=True):
-        if before == after:  # the seed of both runs
+        if before == after:  # the same seed in both runs
             continue
         pairs.setdefault((_show(before), _show(after)), []).append(key)
     for number, ((before, after), keys) in enumerate(pairs.items()):

@@ -1,8 +1,8 @@
-"""`turtlelog --install-completion`: the completion script of the user's shell."""
+"""`turtlelog --install-completion`: the completion script for the user's shell."""
 
 from cyclopts.completion.install import create_install_completion_command
 
 from turtlelog.cli.app import app
 
-# As `app.register_install_completion_command` does, which loads all of this at every start.
+# Like `app.register_install_completion_command`, which loads all this at every start.
 install_completion = create_install_completion_command(app.install_completion, add_to_startup=False)

@@ -1,4 +1,4 @@
-"""`turtlelog convert`: a run from one kind of file to another, or a whole file of a damaged one."""
+"""`turtlelog convert`: conversion of a run to another format, or recovery of a damaged file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from turtlelog.cli.output import fill_lines, list_written, print_json, print_not
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import LogError, UsageError
+from turtlelog.errors import LogError, UsageError, find_near
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -38,7 +38,7 @@ _NO_FOLDERS: Final = (
     ),
     *(".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
 )
-"""How no folder is called: who writes this means another file."""
+"""Suffixes that no folder has: a user who types one means another file."""
 
 _TableName = Literal["poses", "commands", "samples", "events"]
 
@@ -46,11 +46,11 @@ _TableName = Literal["poses", "commands", "samples", "events"]
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableOptions:
-    """Which tables, and how a log is read.
+    """Options for formats and tables, and for reading logs.
 
     Attributes:
-        to: Format, if the name of OUT does not tell: for a folder rosbag2 (default) or one file per
-            table (csv, parquet); tum writes a trajectory under any name.
+        to: Format, if the name of OUT does not show it: for a folder rosbag2 (default) or one file
+            per table (csv, parquet); tum writes a trajectory under any name.
         table: Table to write. Default: the poses to a file, all tables to a folder.
         sort: Sort the rows of a paper's log by time, drop exact duplicates, and report how many.
             Default: reject such a log.
@@ -70,12 +70,12 @@ class TableOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConvertAnswer:
-    """What was written.
+    """Result of a conversion.
 
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        written: Files.
+        written: Written files.
         absent: Columns that the source lacks.
         notes: Remarks.
     """
@@ -135,7 +135,7 @@ def convert(
         for out, kind in kinds.items():
             written += map(str, _write(run, out, kind, tables))
     except LogError:
-        for path in written:  # what stands, though another does not
+        for path in written:  # the files that exist, although another one failed
             print_note(f"wrote {path}")
         raise
     from turtlelog.log.recording.run_writer import list_unshared
@@ -143,7 +143,8 @@ def convert(
     kept = {
         name: text for name, text in run.notes.items() if name not in {tl.log.CHOSEN, tl.log.UNUSED}
     }
-    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
+    # A count of 0 changes nothing.
+    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items() if text != "0"]
     notes += [
         f"{path} holds the poses alone: --table chooses another table, a folder holds all"
         for path, kind in kinds.items()
@@ -183,7 +184,7 @@ def convert(
 
 
 def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> str:
-    """Return how many rows of what an output holds."""
+    """Return the contents of an output: rows of each kind."""
     nouns = ("poses", "commands", "samples", "events")
     counts = {noun: len(getattr(run, noun)) for noun in nouns}
     one = "poses" if kind == "tum" or (_is_file(path, tables) and kind != "mcap") else None
@@ -204,7 +205,7 @@ def _is_file(path: Path, tables: TableOptions) -> bool:
 def _require_targets(
     outputs: list[Path], kinds: dict[Path, str], file: Path, tables: TableOptions
 ) -> None:
-    """Refuse any target before the first is written."""
+    """Refuse invalid targets before the first is written."""
     if tables.table is not None and not {"csv", "parquet"} & {*kinds.values()}:
         raise UsageError(
             f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or"
@@ -227,7 +228,8 @@ def _require_targets(
 
 
 def _require_folder(path: Path) -> None:
-    if path.suffix.lower() in _NO_FOLDERS:
+    # A misspelled ending would make a folder of that name.
+    if path.suffix.lower() in _NO_FOLDERS or find_near(path.suffix.lower(), _FILES):
         raise UsageError(
             f"{path}: convert writes {join_words([*_FILES])} files, or a folder, not {path.suffix}"
         )
@@ -268,7 +270,7 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
 
 
 def _flatten_run(run: "Run") -> "Run":
-    """Return a run without heights and tilts, which recordings do not hold; itself in the plane."""
+    """Return a run without heights and tilts, which recordings cannot store."""
     poses = run.poses
     if poses.height_m is None and poses.tilt_rad is None:
         return run
@@ -280,12 +282,12 @@ _MOST_LINES = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LostBytes:
-    """Bytes that were lost.
+    """A segment of lost bytes.
 
     Attributes:
-        start: The first.
-        end: The first behind them.
-        reason: Why.
+        start: Offset of the first lost byte.
+        end: Offset after the last lost byte.
+        reason: Reason of the loss.
     """
 
     start: int
@@ -295,18 +297,18 @@ class LostBytes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoverAnswer:
-    """What was recovered of a damaged recording.
+    """Result of the recovery of a damaged recording.
 
     Attributes:
         file: Name of the file as given.
         complete: Whether nothing was lost.
-        recovered: Messages by topic.
-        unchecked: Those of them that no checksum covers, by topic.
-        missing: Lost messages by topic; None if nothing counts them.
+        recovered: Number of recovered messages by topic.
+        unchecked: Number of recovered messages without a checksum, by topic.
+        missing: Number of lost messages by topic; None if unknown.
         from_s: Log time of the first message [s].
         to_s: Log time of the last message [s].
-        lost: Bytes that were lost.
-        output: File that was written.
+        lost: Segments of lost bytes.
+        output: Written file.
     """
 
     file: str
@@ -321,7 +323,7 @@ class RecoverAnswer:
 
 
 def _recover_file(file: Path, outputs: Sequence[Path], *, json: bool) -> None:
-    """Write what a damaged or unfinished recording still holds as a complete one, and say so."""
+    """Write the readable contents of a damaged or unfinished recording, and print the result."""
     if len(outputs) != 1:
         raise UsageError(f"--recover writes one output, not {len(outputs)}")
     (output,) = outputs
@@ -342,7 +344,7 @@ def _recover_file(file: Path, outputs: Sequence[Path], *, json: bool) -> None:
 
 
 _SAME: Final = ("file", "complete", "recovered", "unchecked", "missing", "from_s", "to_s")
-"""Fields of a report that the answer has as they are."""
+"""Fields of a report that the answer copies."""
 
 
 def _format(report: "RecoveryReport", output: Path) -> list[str]:
@@ -372,7 +374,7 @@ def _format(report: "RecoveryReport", output: Path) -> list[str]:
 
 
 def _describe_loss(report: "RecoveryReport") -> str:
-    """Return how much was lost, in a clause."""
+    """Return the size of the loss, as a clause."""
     if report.complete:
         return "nothing was lost: the file is complete and undamaged"
     if report.missing is None:

@@ -1,4 +1,4 @@
-"""`turtlelog demo`: the paper's experiment, recorded, measured and shown."""
+"""`turtlelog demo`: the paper's experiment, simulated, recorded and measured."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -55,7 +55,7 @@ def demo(
 
 
 def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
-    """Return how far from the goal the runs end, the nearest and the furthest."""
+    """Return the distances from the goal of the nearest and the furthest run."""
     name = "final.position_error"
     errors = {run.name: tl.measure_run(run, only=[name])[name].value or 0.0 for run in runs}
     near, far = (choose(errors, key=errors.__getitem__) for choose in (min, max))
@@ -66,7 +66,7 @@ def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
 
 
 def _record(name: str, folder: Path) -> "Run":
-    """Simulate, record, read back, show: what is measured is what the file holds."""
+    """Simulate, record, read back and show a preset; the file's contents are measured."""
     stem = name.removeprefix("paper-")
     recording, rrd = folder / f"{stem}.mcap", folder / f"{stem}.rrd"
     tl.write_recording(tl.simulate_run(tl.load_scenario(name)), recording)

@@ -1,4 +1,4 @@
-"""`turtlelog explain`: from a log to the reason."""
+"""`turtlelog explain`: causes of a run's metric."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,7 +103,7 @@ def explain(
     options = options or ExplainOptions()
     require_new_target(options.scenario, [file], suffix=".toml")
     require_new_target(options.rrd, [file], suffix=".rrd")
-    # Imported here: the command line loads no room before a command needs it.
+    # Imported here: the command line loads no package before a command needs it.
     from turtlelog.explain import require_trust
 
     names = None if causes is None else split_names(causes, "--causes")
@@ -164,7 +164,7 @@ def _draw(
 def _measure_luck(
     run: "Run", found: "Identification", attribution: "Attribution", jobs: int | None
 ) -> "Luck | None":
-    """Return the value from other starts; None if there is none to show, as the text says."""
+    """Return the values from other starts; None if there are none, as the text explains."""
     with show_progress("simulated", 100.0, "%") as progress:
         work = tl.explain.Work(jobs=jobs, report=progress.count)
         try:

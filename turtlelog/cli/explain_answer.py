@@ -1,4 +1,4 @@
-"""The answer of `turtlelog explain`: as an object, and in words."""
+"""The answer of `turtlelog explain` as data and as text."""
 
 import textwrap
 from collections.abc import Iterator, Mapping
@@ -42,19 +42,19 @@ _ROWS: Final = (
     ("poses", "loop.pose_precision", ""),
     ("stop reason", "stop_reason", ""),
 )
-"""The rows of the table: name, key among the findings, unit there."""
+"""Rows of the table: name, key of the finding, unit."""
 
 _DEAD_TIME: Final = "dead_time."
-"""Begins the key of a loop's dead time."""
+"""Prefix of the key of a loop's dead time."""
 
 _DRIVEN: Final = "No scenario fits this log. The plant was driven with its commands."
 
 _NOTED: Final = "the recorded scenario"
-"""Evidence of what is known by the re-simulation of the recorded scenario."""
+"""Evidence of values known from the re-simulated recorded scenario."""
 
 _EVIDENCE_WIDTH: Final = 26
 _MEANING_WIDTH: Final = 30
-"""Of the last columns of the tables [characters]: the others need the rest of a line."""
+"""Width of the last columns of tables [characters]; the others need the rest of a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,11 +62,11 @@ class FindingAnswer:
     """A setting of the run.
 
     Attributes:
-        key: Its key, as in a scenario.
-        value: None if it is not identified.
-        certainty: The confidence.
+        key: Key of the setting, as in a scenario.
+        value: Identified value; None if it is not identified.
+        certainty: Confidence in the value.
         evidence: Evidence of the value, or the reason why it is not identified.
-        interval: Its bounds, if it has any.
+        interval: Bounds of the value, if known.
         candidates: All values that fit, if several do.
         assumed: Value that the re-simulation uses if it is not identified and has no visible
             effect.
@@ -83,7 +83,7 @@ class FindingAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplainAnswer:
-    """What made a run what it is.
+    """The settings and causes identified from a run.
 
     Attributes:
         file: Name of the file as given.
@@ -117,7 +117,7 @@ def build_answer(
     attribution: "Attribution | None",
     motion: MotionAnswer | None,
 ) -> ExplainAnswer:
-    """Return the answer."""
+    """Return the answer as data."""
     again = found.resimulation
     error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
     return ExplainAnswer(
@@ -157,7 +157,7 @@ def _list_dead_times(found: "Identification") -> dict[str, Any]:
 def _describe_causes(
     found: "Identification", attribution: "Attribution"
 ) -> Iterator[tuple[str, str]]:
-    """Yield what each contributing cause does in this run: its settings, or words for them."""
+    """Yield each contributing cause with its settings in this run, or words for them."""
     from turtlelog.scenario import flatten_scenario
 
     scenario = found.build_scenario()
@@ -178,7 +178,7 @@ def _name_settings(_: "Identification", settings: str) -> str:
 
 
 def _describe_queue(found: "Identification", settings: str) -> str:
-    """Return the dead times that the queue is a part of."""
+    """Return text on the dead times that include the queue."""
     ticks = {loop: value for loop, value in _list_dead_times(found).items() if value is not None}
     if not ticks:
         return settings
@@ -204,7 +204,7 @@ _WORDS: Final = {
     ("law.pause_ticks",): _describe_pause,
     ("law.wrap_error",): _describe_wrap,
 }
-"""What causes do, by the settings that take them out."""
+"""Functions that describe a cause, by the settings that remove it."""
 
 
 def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
@@ -239,7 +239,7 @@ def _write_unknown(metric: Mapping[str, Any]) -> str:
 
 
 def _write_known(answer: ExplainAnswer, found: "Identification") -> Iterator[str]:
-    """Yield why there is no scenario to simulate, and what the log shows all the same."""
+    """Yield the reason why no scenario can be simulated, and the facts in the log."""
     yield from map(_capitalise, answer.notes)
     known = [
         f"{name.strip()} {_format_value(finding.value, unit)}"
@@ -251,7 +251,7 @@ def _write_known(answer: ExplainAnswer, found: "Identification") -> Iterator[str
 
 
 def _write_confidence(found: "Identification", attribution: "Attribution") -> str:
-    """Return how far the scenario that was simulated reproduces the log."""
+    """Return how well the simulated scenario reproduces the log."""
     again = found.resimulation
     if again is None:
         return ""
@@ -266,7 +266,7 @@ def _write_confidence(found: "Identification", attribution: "Attribution") -> st
 
 
 def _judge_settings(found: "Identification") -> str:
-    """Return how far the settings of a loop are known that does not reproduce every sample."""
+    """Return the confidence in loop settings that do not reproduce every sample."""
     from turtlelog.explain import Certainty
 
     settings = [one for key, one in found.findings.items() if key in found.tried]
@@ -287,14 +287,14 @@ def _write_differences(found: "Identification") -> str:
 
 
 def format_details(answer: ExplainAnswer, found: "Identification") -> str:
-    """Return every cause, what was identified with its evidence, and what was tried."""
+    """Return every cause, the identified settings with evidence, and the tried values."""
     parts = [] if answer.attribution is None else [format_causes(answer.attribution)]
     parts += [format_identification(found), _format_resimulation(found)]
     return "\n".join(filter(None, parts))
 
 
 def format_identification(found: "Identification") -> str:
-    """Return what was identified, with its evidence."""
+    """Return the identified settings with their evidence."""
     rows: list[tuple[str, ...]] = []
     hidden: dict[str, list[str]] = {note: [] for note in found.notes}
     for name, key, unit in _list_rows(found):
@@ -306,7 +306,7 @@ def format_identification(found: "Identification") -> str:
         elif finding.value is None:
             hidden[finding.evidence].append(name.strip())
         else:
-            # The note that is its evidence is below the table, once.
+            # Its evidence is the note below the table, printed once.
             rows += _format_finding(name, replace(finding, evidence=_NOTED), unit)
     notes = [_capitalise(note) + _name_unknown(names) for note, names in hidden.items()]
     table = tl.compare.Table(
@@ -320,12 +320,12 @@ def format_identification(found: "Identification") -> str:
 
 
 def _name_unknown(names: list[str]) -> str:
-    """Return which values a note is the reason of that there are none."""
+    """Return the values that are unknown for the reason in a note."""
     return f" Therefore unknown: {', '.join(names)}." if names else ""
 
 
 def format_causes(found: "Attribution") -> str:
-    """Return a table of what changes the value; empty if nothing does."""
+    """Return a table of the causes that change the value; empty if there are none."""
     from turtlelog.explain.one_run.attribution import THIS_SEED, THIS_SEED_MEANS
 
     unit, parts = found.unit, found.changing
@@ -354,13 +354,13 @@ def format_causes(found: "Attribution") -> str:
 
 
 def _break_row(row: list[Any]) -> list[tuple[Any, ...]]:
-    """Return a row whose last cell goes on below."""
+    """Return a row whose last cell continues on further lines."""
     first, *rest = textwrap.wrap(row[-1], _MEANING_WIDTH, break_on_hyphens=False)
     return [(*row[:-1], first), *(("",) * (len(row) - 1) + (line,) for line in rest)]
 
 
 def _list_rows(found: "Identification") -> list[tuple[str, str, str]]:
-    """Return the rows, with one for the dead time of each loop, and none of an unknown law."""
+    """Return the rows, with one for each loop's dead time, and none for an unknown law."""
     from turtlelog.explain import describe_loop_name
 
     keys = [key for key in found.findings if key.startswith(_DEAD_TIME)]
@@ -402,7 +402,7 @@ def _format_resimulation(found: "Identification") -> str:
 
 
 def _format_tried(found: "Identification") -> str:
-    """Return among which settings of the loop the log's were looked for."""
+    """Return text on the loop settings that were tried."""
     if not found.tried:
         return "Settings tried: those recorded, and no others."
     parts = [

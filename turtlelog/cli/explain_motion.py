@@ -20,12 +20,12 @@ _NEEDS: Final = (
 )
 
 _SILENCE: Final = 1.5
-"""Of the usual period: what is no longer is no silence, as half a row is missing at most."""
+"""Silence in usual periods from which it is shown; one period may vary by half."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateAnswer:
-    """Rate of rows, the range of nine tenths of the periods, and the longest silence."""
+    """Rate of rows, the range of the central 90 % of the periods, and the longest silence."""
 
     rows: int
     period_s: float | None = None
@@ -37,7 +37,7 @@ class RateAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ValueAnswer:
-    """A value of a signal, and when."""
+    """A value of a signal with its time."""
 
     signal: str
     unit: str
@@ -90,11 +90,11 @@ class MotionAnswer:
         run_duration_s: Duration of the run [s].
         poses: Rate of the poses.
         commands: Rate of the commands.
-        largest_commands: The largest of each.
-        outliers: Values that are none of the motion's.
+        largest_commands: Largest command of each axis.
+        outliers: Values that do not belong to the motion.
         jumps: Jumps of the poses.
         gaps: Gaps in the poses.
-        command_delays: Delays with which commands act; None if that is not known.
+        command_delays: Delays with which commands act; None if unknown.
         replay: The commands driven through the plant; None if there is no model.
         needs: Data that an explanation needs.
     """
@@ -230,13 +230,13 @@ def _tell_outliers(run: "Run", found: "MotionFacts") -> list[str]:
     if not found.outliers:
         return []
     return [
-        f"The {signal.replace('_', ' ')} holds {text}."
+        f"The {signal.replace('_', ' ')} has {text}."
         for signal, text in describe_outliers(run).items()
     ]
 
 
 def _tell_breaks(run: "Run", found: "MotionFacts") -> list[str]:
-    """Return what no robot can have driven, and where poses are missing, in words."""
+    """Return sentences on impossible steps and on missing poses."""
     from turtlelog.measure.breaks import describe_breaks
 
     if found.replay is not None:

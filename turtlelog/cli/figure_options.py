@@ -1,4 +1,4 @@
-"""Options of `turtlelog plot`: where figures will stand, and figures of what an option asks for."""
+"""Options of `turtlelog plot`: page format, and content of figures with options of their own."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -28,13 +28,13 @@ TIMELESS: Final = frozenset(
         *("gains", "luck", "strips"),
     }
 )
-"""Figures that times cannot cut: no axis shows runs over time, nor a path driven in it."""
+"""Figures that a time window cannot cut: they have no time axis, and no driven path."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageOptions:
-    """Where figures will stand, and what they show of the runs.
+    """Page format of figures, and the shown part of the runs.
 
     Attributes:
         kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
@@ -66,13 +66,13 @@ class PageOptions:
         """Return the page for figures in some formats.
 
         Args:
-            formats: In which they are written.
+            formats: File formats of the figures.
             names: Names of the figures; None for the usual ones.
-            usual: Where they will stand if that is not asked for.
+            usual: Default kind of page.
 
         Raises:
-            UsageError: If an option has nothing to act on: no format has a resolution, a slide no
-                text, or no figure a time axis.
+            UsageError: If an option has no effect: no format has a resolution, a slide has no text,
+                or no figure has a time axis.
             ShowError: If a value is out of range.
         """
         if self.text_width is not None and self.kind == "slide":
@@ -99,7 +99,7 @@ _DRAWABLE: Final = (
     "a signal in a band (always(abs(cross_track) <= 0.05)) or a metric that is a signal's value at"
     " a moment (final.position_error <= 0.05)"
 )
-"""What the figure violation can draw."""
+"""Subjects that the figure violation can draw."""
 
 _OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
 
@@ -107,7 +107,7 @@ _OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AskedOptions:
-    """What the figures attribution, gains, luck, strips and violation show.
+    """Content of the figures attribution, gains, luck, strips and violation.
 
     Attributes:
         metric: Id of the metric that the figures `attribution` and `luck` show (turtlelog list
@@ -124,7 +124,7 @@ class AskedOptions:
         """Raise an error if an option belongs to a figure that is not drawn.
 
         Raises:
-            UsageError: If one has no figure, or a figure lacks its option.
+            UsageError: If an option has no figure, or a figure lacks its option.
         """
         if self.metric is not None and not {*names} & {*_OF_METRICS}:
             expected = "--only attribution, gains, luck or strips"
@@ -135,7 +135,7 @@ class AskedOptions:
             raise UsageError("--only violation: needs --expect FORMULA")
 
     def bind(self, names: Sequence[str], runs: "Sequence[Run]") -> "Only":
-        """Return figures by name, with what they are asked to show."""
+        """Return figures by name, with the requested content."""
         kinds = draw.FIGURES
         unknown = [name for name in names if name not in kinds]
         if unknown or not runs:
@@ -147,7 +147,7 @@ class AskedOptions:
         return found
 
     def list_metrics(self) -> list[str] | None:
-        """Return the metrics that are asked for; None if none are."""
+        """Return the requested metrics; None if there are none."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
 
@@ -158,7 +158,7 @@ def _tell(names: Sequence[str]) -> str:
 def _bind_attribution(
     asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]"
 ) -> "FigureKind":
-    """Explain the run; it may take seconds."""
+    """Explain the run, which may take seconds."""
     from turtlelog.draw.figures.attribution_figure import draw_attribution, explain_for_figure
 
     with show_progress("explaining", 100.0, "%") as progress:
@@ -167,7 +167,7 @@ def _bind_attribution(
 
 
 def _bind_luck(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
-    """Simulate the run from other starts; it may take seconds."""
+    """Simulate the run from other starts, which may take seconds."""
     from turtlelog.draw.figures.luck_figure import draw_luck, measure_luck_for_figure
     from turtlelog.explain import Work
 
@@ -190,7 +190,7 @@ def _bind_strips(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") ->
 
 
 def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
-    """Hold the run to the formula."""
+    """Check the run against the formula."""
     import turtlelog as tl
     from turtlelog.check.violation import find_judged_signal
     from turtlelog.cli.check import build_spec

@@ -1,4 +1,4 @@
-"""Commands on many recordings: folders that are walked, tables that grow by what is new."""
+"""Commands on many recordings: search of folders, and tables that grow by new files."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class FolderOptions(WorkOptions):
     output: Output = None
 
     def find(self, paths: Sequence[Path]) -> "list[FoundRecording]":
-        """Return what is given, or what is below it."""
+        """Return the given recordings, and those below given folders."""
         return find_files(self.name_files(paths), self.output)
 
     def list_files(self, paths: Sequence[Path]) -> list[Path]:
@@ -46,13 +46,13 @@ def tabulate(
     work: WorkOptions,
     file_s: float = FILE_S,
 ) -> "TabulatedFiles":
-    """Write the table of recordings; what is wrong with the place is told before any is read.
+    """Write the table of recordings; an invalid path is an error before any is read.
 
     Args:
-        found: The recordings.
-        output: The table.
-        table: What it holds.
-        work: Where files are read.
+        found: Recordings of the table.
+        output: Path of the table.
+        table: Kind and columns of the table.
+        work: Processes or cluster that read files.
         file_s: See `tabulate_recordings`.
     """
     from turtlelog.cli.targets import require_new_target
@@ -79,7 +79,7 @@ def _watch(chunks: Iterator[Any], count: int) -> Iterator[Any]:
 
 
 def summarise_table(done: "TabulatedFiles") -> str:
-    """Return what came of a table in one line."""
+    """Return the result of a table in one line."""
     files = "1 file" if done.files == 1 else f"{done.files} files"
     counts = f"{done.read} read, {done.files - done.read} unchanged"
     return f"wrote {done.output}: {files}, {counts}, {done.failed} cannot be read"
@@ -87,7 +87,7 @@ def summarise_table(done: "TabulatedFiles") -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableAnswer:
-    """What came of a table of recordings: how many were read, unchanged, and cannot be read."""
+    """Result of a table of recordings: numbers of read, unchanged and unreadable files."""
 
     output: str
     files: int
@@ -97,7 +97,7 @@ class TableAnswer:
 
 
 def build_table_answer(done: "TabulatedFiles") -> TableAnswer:
-    """Return what came of a table."""
+    """Return the result of a table as data."""
     return TableAnswer(
         output=str(done.output),
         files=done.files,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenOptions:
-    """What to write beside the answer.
+    """Files to write beside the answer.
 
     Attributes:
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
@@ -113,7 +113,7 @@ def _write_scenario(robot: "RobotScenario", path: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """A value and its interval of 95 %."""
+    """A value and its 95 % interval."""
 
     value: float
     low: float
@@ -166,7 +166,7 @@ class EventAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioAnswer:
-    """The scenario that was written, and where its numbers come from."""
+    """The scenario that was written, and the sources of its numbers."""
 
     file: str
     notes: tuple[str, ...]
@@ -191,7 +191,7 @@ def build_answer(
     scenario: Path | None = None,
     robot: "RobotScenario | None" = None,
 ) -> IdentifyAnswer:
-    """Return the answer."""
+    """Return the answer as data."""
     written = None
     if robot is not None:
         written = ScenarioAnswer(file=str(scenario), notes=robot.notes)

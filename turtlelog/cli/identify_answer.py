@@ -1,4 +1,4 @@
-"""What `turtlelog identify` prints: how late a robot follows, its values, how far to trust them."""
+"""Text of `turtlelog identify`: a robot's delay, its values, and their reliability."""
 
 import math
 import shlex
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
 
 _DOES: Final = {"speed": "drives at {} speed", "turn_rate": "turns at {} rate"}
 _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
-"""What Nav2's MPPI controller calls the delay of each axis [s]."""
+"""Parameters of Nav2's MPPI controller for the delay of each axis [s]."""
 
 _MOST_EVENTS: Final = 5
 _RARE: Final = 0.01
-"""Share of the steps; where more are off, it is not by single faults, such as a jump."""
+"""Share of the steps above which outliers are not single faults, such as a jump."""
 
 _CURVE: Final = 0.5
-"""Whiteness below which the residual is a curve: neighbours share half of what they are off."""
+"""Whiteness below which the residual is a curve: neighbours share half of their error."""
 
 _LITTLE: Final = 0.5
-"""Explained share below which most of the motion's changes are not those of the commands."""
+"""Explained share below which most changes of the motion are not caused by the commands."""
 
 _AS_COMMANDED: Final = 1e-3
-"""Largest deviation of a gain from 1 that is not worth a word [1]."""
+"""Largest deviation of a gain from 1 that is not mentioned [1]."""
 
 _NEAR: Final = 0.05
-"""Deviation of a gain from 1 below which whole percents are too coarse [1]."""
+"""Deviation of a gain from 1 below which percentages need decimals [1]."""
 
 
 def format_robot(
@@ -44,14 +44,15 @@ def format_robot(
     scenario: Path | None = None,
     shows_details: bool = False,
 ) -> str:
-    """Return how late the robot follows its commands, its values, and how far to trust them.
+    """Return the robot's delay, its values, and their reliability.
 
     Args:
         model: Model of the robot.
-        files: That it was identified from.
-        robot: The scenario that is written.
-        scenario: Where to.
-        shows_details: Give a second opinion on delays, and where the scenario's numbers come from.
+        files: Files from which it was identified.
+        robot: Scenario that is written.
+        scenario: Path of the scenario file.
+        shows_details: Whether to add a second estimate of delays, and the sources of the scenario's
+            numbers.
     """
     known = [axis for axis in model.axes if axis.is_known]
     parts = [fill_lines([tl.identify.write_robot_headline(model.axes, _name_robot(files))])]
@@ -71,7 +72,7 @@ def format_robot(
 
 
 def _describe_scenario(robot: "RobotScenario", path: Path | None, *, shows_notes: bool) -> str:
-    """Return where the numbers of a scenario come from, or where that is written."""
+    """Return the sources of a scenario's numbers, or the file that contains them."""
     if not shows_notes:
         return fill_lines([f"Comments in {path} give the source of each number."])
     notes = [f"- {note}" for note in robot.notes]
@@ -95,12 +96,12 @@ def _format_values(known: "Sequence[AxisModel]") -> str:
 
 
 def _describe_motion(known: "Sequence[AxisModel]") -> str:
-    """Return what the robot does with its commands in the end."""
+    """Return a sentence on the robot's steady-state response to commands."""
     return f"The robot {join_words([describe_gain(axis) for axis in known])}."
 
 
 def describe_gain(axis: "AxisModel") -> str:
-    """Return what an axis does with its commands, in as many digits as the interval has."""
+    """Return the steady-state response of an axis, with the digits that its interval allows."""
     gain, does = axis.gain, _DOES[axis.axis]
     if gain is None:
         return does.format("an unknown")
@@ -116,7 +117,7 @@ def describe_gain(axis: "AxisModel") -> str:
 
 
 def _list_trust(model: "RobotModel") -> Iterator[str]:
-    """Yield how far to trust the values, and what else the motion shows."""
+    """Yield sentences on the reliability of the values, and on further facts of the motion."""
     for axis in model.axes:
         yield from _describe_axis(axis)
     if model.tick_delays is not None:
@@ -179,7 +180,7 @@ def _describe_residual(axis: "AxisModel") -> str:
 
 
 def _describe_second_order(axis: "AxisModel") -> Iterator[str]:
-    """Yield what a second order is like: two lags, or an oscillation where it surely is one."""
+    """Yield text on a second order: two time constants, or an oscillation if that is certain."""
     product, lag, name = axis.lag_product_s2, axis.lag_s, tl.identify.NAMES[axis.axis].capitalize()
     if product is None or lag is None:
         return
@@ -198,7 +199,7 @@ def _describe_second_order(axis: "AxisModel") -> Iterator[str]:
 
 
 def _list_unknown(model: "RobotModel") -> Iterator[str]:
-    """Yield why axes are not identified, and what to drive."""
+    """Yield the reasons why axes are not identified, and test drives."""
     for axis in model.axes:
         if not axis.is_known:
             end = "" if axis.reason.endswith("?") else "."
@@ -207,7 +208,7 @@ def _list_unknown(model: "RobotModel") -> Iterator[str]:
 
 
 def _list_details(model: "RobotModel") -> Iterator[str]:
-    """Yield a second opinion on delays: where commands and motion correlate best."""
+    """Yield a second estimate of delays: where commands and motion correlate best."""
     for axis in model.axes:
         name, delay = tl.identify.NAMES[axis.axis].capitalize(), axis.correlation_delay_s
         if not axis.is_known or axis.explained is None:
@@ -220,7 +221,7 @@ def _list_details(model: "RobotModel") -> Iterator[str]:
 
 
 def _list_events(model: "RobotModel") -> list[str]:
-    """Return the outliers one by one, those of an axis that has many in one sentence."""
+    """Return the outliers one by one; many of one axis are in one sentence."""
     said, often = [], []
     for axis in model.axes:
         found = [event for event in model.events if event.axis == axis.axis]
@@ -240,7 +241,7 @@ def _list_events(model: "RobotModel") -> list[str]:
 
 
 def _list_nav2(known: "Sequence[AxisModel]") -> list[str]:
-    """Return what to paste into Nav2; its model is a pure delay, so the lag counts as delay."""
+    """Return parameters for Nav2, whose model is a pure delay that includes the time constant."""
     lines = [
         f"  {_NAV2[axis.axis]}: {axis.advised_delay_s:.3f}"
         for axis in known
@@ -255,13 +256,14 @@ def _list_nav2(known: "Sequence[AxisModel]") -> list[str]:
 def _list_next(
     model: "RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
 ) -> Iterator[str]:
-    """Yield what to type next."""
+    """Yield the next commands to type."""
     words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
     if scenario is not None:
         target = escape_controls(shlex.quote(str(scenario)))
         yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
     elif model.tick_delays is not None:
-        yield f"Why? turtlelog explain {words}"
+        # `explain` takes one recording.
+        yield f"Why? turtlelog explain {escape_controls(shlex.quote(str(files[0])))}"
     elif _is_scenario(model):
         yield f"Simulate it and find gains: turtlelog identify {words} --scenario robot.toml"
     if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):
@@ -270,7 +272,7 @@ def _list_next(
 
 
 def _is_scenario(model: "RobotModel") -> bool:
-    """Return whether the robot can become a scenario: every axis that is commanded is known."""
+    """Return whether the robot can become a scenario: every commanded axis must be known."""
     return any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     )

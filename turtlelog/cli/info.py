@@ -1,10 +1,11 @@
-"""`turtlelog info`: what a recording holds."""
+"""`turtlelog info`: contents of a recording."""
 
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from cyclopts import Parameter
@@ -40,17 +41,17 @@ if TYPE_CHECKING:
 
 
 _FILE_S: Final = 2e-3
-"""To open a file and describe what it holds [s], besides the bytes that are read."""
+"""Time to open a file and describe its contents, without the time for its bytes [s]."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InfoOptions:
-    """What else is read and printed.
+    """Further data to read and print.
 
     Attributes:
         topics: List the topics.
-        parameters: List what is known of the scenario, and the versions that simulated it.
+        parameters: List the known values of the scenario, and the versions that simulated it.
         clock: Read the poses of large bags, too.
     """
 
@@ -114,7 +115,7 @@ def info(
 
 
 def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | TurtlelogError":
-    """Return what is in a file, or what is wrong with it."""
+    """Return the contents of a file, or its error."""
     try:
         recording = tl.log.read_file_info(path, choice)
         return _build_answer(path, recording, summarise(path, recording, choice, is_asked=is_asked))
@@ -123,20 +124,21 @@ def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | 
 
 
 _MOST_ENTRIES: Final = 8
-"""Of a list that is printed: a sequence of commands has thousands. JSON has all of them."""
+"""Largest number of printed entries of a list; JSON contains all. A sequence of commands has
+thousands."""
 
 _ROWS: Final = {
     "pose": "/turtle1/pose",
     "controller sample": "/turtle1/control",
     "command": "/turtle1/cmd_vel",
 }
-"""Topics of a recording of ours by what it is said to hold; others have the same types."""
+"""Topics of a turtlelog recording by their contents; others have the same types."""
 
 _OF_COMMANDS: Final = ("metrics", "check", "plot", "replay")
-"""What can be done with commands alone."""
+"""Commands that need only the recorded commands."""
 
 _AXES: Final = (("law.kp_angular", "turning"), ("law.kp_linear", "driving"))
-"""Gains of the sequential laws, and what they are for."""
+"""Gains of the sequential laws, with the motion that they control."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,26 +157,26 @@ class InfoAnswer:
     Attributes:
         file: Name of the file as given.
         summary: Description of the file, in one sentence.
-        ending: End of its run at its goal, in words; None if that is not known.
+        ending: End of its run at its goal, in words; None if unknown.
         format_version: Format version of the recording; None if turtlelog did not write it.
         source: Origin of the data.
         name: Name of the run.
         complete: Whether the file was finished.
-        stop_reason: Why the run ended; None if it is not recorded.
-        duration_s: First to last message of any topic [s].
+        stop_reason: Reason why the run ended; None if it is not recorded.
+        duration_s: Time from first to last message of any topic [s].
         run_duration_s: The metric `run.duration` [s]; None if the poses were not read.
-        scenario: The tables of the whole scenario; None if it is not known.
+        scenario: Tables of the complete scenario; None if unknown.
         parameters: Known values of the scenario, by dotted key.
         topics: Topics with their types and numbers of messages.
         simulated_by: Versions, platform and digest of the law that simulated the run, by name;
-            empty if they are not known.
+            empty if unknown.
         absent: Columns that the file lacks.
-        missing: Missing data, each with what it would make possible.
+        missing: Missing data, each with its use.
         clock: Clock that times its poses; None if there is one clock, or the poses were not read.
         not_understood: Topics whose messages cannot become columns, each with the reason.
         notes: Remarks by name.
         run: Poses and commands of the file; None if they were not read.
-        robots: Those of a bag of several; --robot NAME chooses one.
+        robots: Robots of a bag with several; --robot NAME chooses one.
     """
 
     file: str
@@ -201,7 +203,7 @@ class InfoAnswer:
 
 
 def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:
-    """Return the answer."""
+    """Return the answer as data."""
     return InfoAnswer(
         file=str(path),
         summary=summary.text,
@@ -239,7 +241,7 @@ def _list_robots(recording: "RecordingInfo") -> tuple[RobotTopics, ...]:
 
 
 def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
-    """Return what is absent: which topics are commands is known where the run was read."""
+    """Return the absent fields; topics of commands are known only if the run was read."""
     run = summary.run
     more = [] if run is None or run.has_poses else ["poses"]
     more += [] if run is None or run.has_commands else ["commands"]
@@ -249,20 +251,20 @@ def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...
 
 
 def _list_missing_types(recording: "RecordingInfo") -> list[str]:
-    """Return whether no message has a type of poses, and whether it has none of commands."""
+    """Return whether no message has a type of poses, and whether none has a type of commands."""
     held = {topic.type for topic in recording.topics if topic.count}
     kinds = {"poses": tl.log.ros2.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
     return [name for name, types in kinds.items() if not held.intersection(types)]
 
 
 def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool) -> str:
-    """Return what a file is, what is in it, what is missing, and what to do next.
+    """Return the kind of a file, its contents, missing data, and next commands.
 
     Args:
-        answer: The answer.
+        answer: Answer to format.
         topics: Whether to list the topics.
-        parameters: Whether to list what is known of the scenario.
-        is_alone: Whether to say what to do next.
+        parameters: Whether to list the known values of the scenario.
+        is_alone: Whether to list next commands.
     """
     name = escape_controls(tl.log.split_topic(Path(answer.file))[0].name or answer.file)
     rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics)]
@@ -291,7 +293,7 @@ def _fill(head: str, text: str) -> str:
 
 
 def _write_head(answer: InfoAnswer) -> str:
-    """Return what a file is, whether it is complete, and how long it lasts."""
+    """Return the kind of a file, whether it is complete, and its duration."""
     length = "" if answer.duration_s is None else f", {answer.duration_s:.1f} s"
     if answer.format_version is not None:
         state = "complete" if answer.complete else "not complete"
@@ -307,7 +309,7 @@ def _write_head(answer: InfoAnswer) -> str:
 
 
 def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield what is in a file, by what it is."""
+    """Yield the contents of a file by kind."""
     run = answer.run
     if answer.format_version is not None:
         yield from _list_own(answer)
@@ -324,7 +326,7 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
 
 
 def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield the robots of a bag of several, the first of many, with their topics."""
+    """Yield the robots of a bag with their topics; of many robots the first ones."""
     counts = {topic.topic: topic.count for topic in answer.topics}
     for robot in answer.robots[:_MOST_ENTRIES]:
         held = {"poses": robot.poses, "commands": robot.commands}
@@ -337,13 +339,13 @@ def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
 
 
 def _tell_note(text: str) -> str:
-    """Return a note; of one with several lines, as the source of a law, how many."""
+    """Return a note; for one with several lines, as a law's source, only their number."""
     lines = len(text.splitlines())
     return text if lines <= 1 else f"{lines} lines: --json has them"
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield how long a file lasts and, where its poses were read, how long its run does."""
+    """Yield the duration of a file and, if its poses were read, that of its run."""
     if answer.duration_s is None:
         return
     what = "message of any topic" if answer.topics else "row"
@@ -356,13 +358,17 @@ def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     yield "run.duration", length
 
 
+_WORDS: Final = MappingProxyType({"goal_xy_m": "goal", "goal_heading_rad": "heading at the goal"})
+"""What a reader calls absent fields; JSON has their names."""
+
+
 def _list_lacks(answer: InfoAnswer, *, topics: bool) -> Iterator[tuple[str, str]]:
-    """Yield what a file lacks, each with what that would unlock, and what cannot be read."""
+    """Yield the missing data of a file with their use, and unreadable data."""
     for text in answer.missing:
         lack, _, rest = text.partition(": ")
         yield "missing", f"{lack.removeprefix('no ')}: {rest}" if rest else lack
     if answer.absent and (topics or not answer.missing):
-        yield "absent", ", ".join(answer.absent)
+        yield "absent", ", ".join(_WORDS.get(name, name) for name in answer.absent)
     if answer.not_understood:
         yield "not readable", describe_count(len(answer.not_understood), "topic")
 
@@ -397,7 +403,7 @@ def _write_gains(known: Mapping[str, Any]) -> str:
 
 
 def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:
-    """Yield what can be done with a file, and the options that show more of it."""
+    """Yield the commands that can use a file, and the options that show more of it."""
     file = shlex.quote(answer.file)
     if not answer.complete:
         has_rows = any(topic.count for topic in answer.topics)
@@ -422,7 +428,7 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
 
 
 def _shorten(value: object) -> object:
-    """Return a value as it is shown: of a long list its first entries and how many there are."""
+    """Return a value for display: of a long list its first entries and its length."""
     if not isinstance(value, list | tuple) or len(value) <= _MOST_ENTRIES:
         return value
     first = ", ".join(map(str, value[:_MOST_ENTRIES]))

@@ -1,4 +1,4 @@
-"""What a file is, in one sentence, and what would unlock what it lacks."""
+"""Summary of a file in one sentence, and the use of its missing data."""
 
 import re
 from collections.abc import Mapping
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
 
 LARGEST_BYTES: Final = 64 * 2**20
-"""Of a bag whose poses are read unasked [bytes]: of MCAP or SQLite that is less than a second."""
+"""Largest bag whose poses are read by default [bytes]: MCAP or SQLite takes less than a second."""
 
 _MOST_TRANSFORMS: Final = 20_000
-"""Messages of transforms that are read unasked: each takes some 20 us, more than others do."""
+"""Largest number of transforms read by default: each takes about 20 us, more than others."""
 
 _OWN: Final = b"turtlelog"
 _HEAD_BYTES: Final = 64
-"""A recording names the library that wrote it in its first record."""
+"""Bytes at the start of a recording, whose first record names the library that wrote it."""
 
 _FEWEST_RATED: Final = 20
-"""Fewer messages are counted, without a rate."""
+"""Smallest number of messages that have a rate."""
 
 _SHORTEST_NS: Final = 1_000
-"""Nothing is published at 1 MHz: such steps are between poses that were given one time [ns]."""
+"""Shortest step between messages that counts [ns]; shorter ones are between poses of one time."""
 
 _STEADY: Final = 3.0
-"""Messages whose quick and slow steps (a tenth of them each) differ by more have no rate."""
+"""Ratio of slow to quick steps (10 % quantiles) above which messages have no rate."""
 
 _TOLD: Final = (
     *(
@@ -67,7 +67,7 @@ _TOLD: Final = (
 """Notes of a run on the bag that it was read from."""
 
 NOTHING_LEFT: Final = "truncated: no message can be recovered"
-"""What an incomplete file without messages is."""
+"""Description of an incomplete file without messages."""
 
 _LEFT_OUT: Final = ": left out: "
 
@@ -84,7 +84,7 @@ class ReadRun:
     Attributes:
         kind: Kind of robot that the poses belong to.
         duration_s: The metric `run.duration` [s].
-        poses: Topic, rate and number of the poses; the rate if it is steady; empty without any.
+        poses: Topic, rate (if steady) and number of the poses; empty without poses.
         commands: Topic of the commands; empty if there are none.
         samples: Number of samples of a controller.
     """
@@ -112,21 +112,21 @@ class ReadRun:
 
     @property
     def first_row(self) -> str:
-        """What its duration counts from: the first `sample`, or else `pose`, or `command`."""
+        """Row at time zero of its duration: the first `sample`, or else `pose`, or `command`."""
         return "sample" if self.samples else "pose" if self.poses else "command"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """What a file is.
+    """Description of a file.
 
     Attributes:
         text: One sentence without a full stop.
-        ending: End of its run at its goal, in words; None if that is not known.
+        ending: End of its run at its goal, in words; None if unknown.
         run: Summary of the run in the file; None if it was not read.
-        missing: Missing data, each with what it would make possible.
-        clock: Clock that times its poses, as in JSON; None if there is one clock, or nobody looked.
-        notes: On its poses, by name.
+        missing: Missing data, each with its use.
+        clock: Clock that times its poses, as in JSON; None if there is one, or poses were not read.
+        notes: Notes on its poses, by name.
     """
 
     text: str
@@ -140,13 +140,13 @@ class Summary:
 def summarise(
     path: Path, info: "RecordingInfo", choice: "ReadChoice", *, is_asked: bool = False
 ) -> Summary:
-    """Return what a file is: of a bag as its poses and commands tell, where it is not large.
+    """Return the description of a file; for a bag, from its poses and commands unless it is large.
 
     Args:
         path: The file.
-        info: What is in it.
-        choice: What of it is looked at.
-        is_asked: Read a large one, too.
+        info: Contents of the file.
+        choice: Settings for reading it.
+        is_asked: Whether to read a large file, too.
     """
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
@@ -162,20 +162,20 @@ def summarise(
         run = tl.log.read_as_chosen(path, replace(choice, allow_no_poses=True))
     except TurtlelogError as err:
         if replace(choice, allow_partial=False) != tl.log.ReadChoice():
-            raise  # what was asked for is not there
+            raise  # the requested data do not exist
         reason = str(err).removeprefix(f"{path}: ")
         return Summary(text=_summarise_topics(info, reason), missing=_list_needs(info))
     return _summarise_run(run, info)
 
 
 def count_read(path: Path, *, is_asked: bool) -> int:
-    """Return about how many bytes are read to describe a file: of a recording of ours few."""
+    """Return the approximate bytes read to describe a file; few for a turtlelog recording."""
     try:
         with path.open("rb") as stream:
             if _OWN in stream.read(_HEAD_BYTES):
                 return 0
     except OSError:
-        pass  # a folder, or what cannot be read
+        pass  # a folder, or an unreadable file
     size = count_bytes(tl.log.split_topic(path)[0])
     return size if is_asked or size <= LARGEST_BYTES else 0
 
@@ -197,21 +197,21 @@ def _summarise_own(info: "RecordingInfo", lost: str) -> str:
 
 
 def _find_ending(path: Path, info: "RecordingInfo", *, is_asked: bool) -> str | None:
-    """Return how the run of a recording of ours ended at its goal, where it is not large."""
+    """Return the end of a turtlelog recording's run at its goal, unless the file is large."""
     if not info.complete or (not is_asked and _find_large(path, info)):
         return None
     try:
         run = tl.log.read_run(path)
     except TurtlelogError:
-        return None  # what can be read of it is told, and `metrics` says what cannot
+        return None  # the readable part is described, and `metrics` reports the rest
     error_m = find_goal_error(run)
     return None if error_m is None else describe_goal_end(run, error_m, run.duration_s)
 
 
 def _find_large(path: Path, info: "RecordingInfo") -> str:
-    """Return why a file is too large to be read unasked, empty if it is not."""
+    """Return the reason why a file is too large to be read by default; empty if it is not."""
     if not info.topics:
-        return ""  # tables and logs are read as a whole in any case
+        return ""  # tables and logs are always read completely
     path, _ = tl.log.split_topic(path)
     if isinstance(path, RemotePath):
         return "it is behind a URL"
@@ -231,7 +231,7 @@ def _is_poses(topic: "TopicInfo") -> bool:
 
 
 def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
-    """Return what the topics alone tell, and why the poses could not be read."""
+    """Return a description from the topics alone, and the reason why poses could not be read."""
     try:
         tl.log.ros2.select_robot(info.topics, None)
     except LogError as err:
@@ -259,7 +259,7 @@ def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
 
 
 def _is_undecided(info: "RecordingInfo", pose_topic: str) -> bool:
-    """Return whether nothing tells which topic holds the commands."""
+    """Return whether the topic of the commands is ambiguous."""
     try:
         tl.log.ros2.choose_command_topic(info.topics, None, pose_topic=pose_topic)
     except LogError:
@@ -282,11 +282,11 @@ _SENSORS: Final[Mapping[str, str]] = {
     "geometry_msgs/msg/PoseStamped": "goals",
     "tf2_msgs/msg/TFMessage": "fixed transforms",
 }
-"""What topics that hold no poses of a robot are, by their types."""
+"""Descriptions of topics without poses of a robot, by their types."""
 
 
 def _summarise_others(info: "RecordingInfo") -> str:
-    """Return what a file without poses holds."""
+    """Return the contents of a file without poses."""
     present = sorted((topic for topic in info.topics if topic.count), key=lambda one: -one.count)
     if not present:
         return "no poses, nothing to measure: there are no messages"
@@ -318,7 +318,7 @@ def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
 
 
 def _list_options(info: "RecordingInfo") -> "Iterator[str]":
-    """Yield what options make poses and commands of messages that need them."""
+    """Yield the options that derive poses and commands from other messages."""
     bags = tl.log.ros2
     held = {topic.type for topic in info.topics if topic.count}
     if bags.JOINTS in held:
@@ -334,7 +334,7 @@ _NEEDED: Final = (
 
 def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
-    # Of a goal and a path that are there and are not taken, the reason.
+    # The reasons why a goal and a path in the file are not used.
     notes |= {
         name: run.notes[name] for name in ("goal", "path") if _LEFT_OUT in run.notes.get(name, "")
     }
@@ -376,7 +376,7 @@ def _describe_rows(run: "Run", note: str, time_ns: "NDArray[Any]") -> str:
 
 
 def _describe_kind(run: "Run") -> str:
-    """Return whose poses these are, or what kind of a file without topics it is."""
+    """Return the source of poses, or the kind of a file without topics."""
     if not len(run.poses):
         return "commands without poses"
     pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
@@ -392,7 +392,7 @@ _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\\d)])")
 
 
 def _is_imu(run: "Run") -> bool:
-    """Return whether poses are an IMU's by name, without a way and without commands."""
+    """Return whether the poses are an IMU's by name, without motion and without commands."""
     is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
     return is_named and not len(run.commands) and not (run.poses.xy_m != run.poses.xy_m[0]).any()
 
@@ -427,14 +427,14 @@ def _describe_commands(run: "Run") -> str:
 
 
 def _name_topic(run: "Run", note: str) -> str:
-    """Return a topic, and of transforms their frames; empty if there is none."""
+    """Return a topic, for transforms with their frames; empty if there is none."""
     name, _, rest = run.notes.get(note, "").partition(" (")
     frames = rest.partition("): ")[2]
     return f"{name} ({frames})" if frames else name
 
 
 def _describe_rate(time_ns: "NDArray[Any]") -> str:
-    """Return how often messages come, empty if that is not steady."""
+    """Return the rate of messages; empty if it is not steady."""
     import numpy as np
 
     if len(time_ns) < _FEWEST_RATED:
@@ -443,18 +443,18 @@ def _describe_rate(time_ns: "NDArray[Any]") -> str:
     quick, slow = np.quantile(step_ns, [0.1, 0.9])
     if quick < _SHORTEST_NS or slow > _STEADY * quick:
         return ""
-    # Without gaps and bursts; a step that was long makes the next one short.
+    # Without gaps and bursts; after a long step the next one is shorter.
     usual_ns = step_ns[(step_ns >= quick) & (step_ns <= slow)]
     return f"at {_format_hz(1e9 / float(usual_ns.mean()))}"
 
 
 def _format_hz(rate: float) -> str:
-    """Return a rate in three digits: 62.5 Hz, 20 Hz."""
+    """Return a rate with three digits: 62.5 Hz, 20 Hz."""
     return f"{float(f'{rate:.3g}'):g} Hz"
 
 
 def _list_missing(run: "Run", info: "RecordingInfo") -> "Iterator[str]":
-    """Yield what a bag lacks; of a table that has no commands nothing can add them."""
+    """Yield the missing data of a bag; commands cannot be added to a table without them."""
     if len(run.samples):
         return
     lacks = tl.compare.list_lacks(run)

@@ -1,4 +1,4 @@
-"""`turtlelog list`: the names that commands, checks and scenarios take; completion offers them."""
+"""`turtlelog list`: names for commands, checks and scenarios, also for completion."""
 
 import dataclasses
 import sys
@@ -38,7 +38,7 @@ _NOTES: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListAnswer:
-    """Names of a kind, each with what is known of it."""
+    """Names of a kind, each with its properties."""
 
     kind: Kind
     entries: list[dict[str, Any]]
@@ -50,7 +50,7 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
     Example: turtlelog list metrics
 
     Args:
-        kind: What to list.
+        kind: Kind of names to list.
         json: Print one JSON object instead of a table.
     """
     entries = _LISTS[kind]()
@@ -64,7 +64,7 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
 
 
 def _align(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Yield lines of cells: in a terminal the last cell goes on below, in a pipe grep finds it."""
+    """Yield lines of cells; the last cell is wrapped in a terminal, but not in a pipe."""
     *widths, last = (max(map(len, column)) for column in zip(*rows, strict=True))
     indent = sum(widths) + 2 * len(widths)
     width = find_width() if sys.stdout.isatty() else indent + last
@@ -83,11 +83,11 @@ def _align(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
 
 
 _IN_JSON: Final = frozenset({"scenario", "parameters"})
-"""What a table has no room for."""
+"""Fields that a table has no room for."""
 
 
 def _list_rows(entry: Mapping[str, Any], titles: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield the row of an entry, and further ones for each further setting in its last column."""
+    """Yield the row of an entry, and one for each further setting in its last column."""
     *first, last = (entry[title] for title in titles)
     if not isinstance(last, Mapping):
         yield (*map(_show, first), _show(last))
@@ -120,12 +120,12 @@ def _list_signals() -> Entries:
 
 
 def _list_states() -> Iterator[dict[str, Any]]:
-    """Yield the states of the laws that are built in, with the units that they declare."""
+    """Yield the states of the built-in laws with their declared units."""
     from turtlelog.laws import LAWS, Goal
 
     for law in LAWS.values():
         if law.needs_path:
-            continue  # their declarations need one, and none has a state
+            continue  # these need a path or a table, and have no states
         declaration = law.declare(law.Parameters(), Goal(0.0, 0.0, 0.0), None)
         for name in declaration.states:
             unit, meaning = declaration.state_units.get(name, ""), f"State of the law {law.name}."
@@ -200,13 +200,13 @@ _LISTS: Final[Mapping[Kind, Callable[[], Entries]]] = {
 
 
 def complete_preset(context: "CompletionContext") -> dict[str, str]:
-    """Return the presets, and the scenario files and recordings that a word may become."""
+    """Return presets, and scenario files and recordings that complete a word."""
     found = _find_files(context, {".toml", ".mcap"})
     return {entry["name"]: entry["meaning"] for entry in _list_presets()} | found
 
 
 def complete_law(context: "CompletionContext") -> dict[str, str]:
-    """Return the built-in laws, and the Python files that a word may become; no code is run."""
+    """Return built-in laws, and Python files that complete a word; no code is run."""
     found = _find_files(context, {".py"})
     return {entry["name"]: entry["meaning"] for entry in _list_laws()} | found
 
@@ -234,13 +234,13 @@ def complete_causes(context: "CompletionContext") -> dict[str, str]:
 
 
 def complete_keys(_: "CompletionContext") -> dict[str, str]:
-    """Return what --set takes: the keys of a scenario, with the value of the preset `paper`."""
+    """Return the arguments of --set: the keys of a scenario, with the values of preset `paper`."""
     flat = tl.scenario.flatten_scenario(tl.load_scenario("paper"))
     return {f"{key}=": f"{value}, of paper" for key, value in flat.items()}
 
 
 def _complete_list(context: "CompletionContext", kind: Kind) -> dict[str, str]:
-    """Return the words with one more name: what stands before the last comma stays."""
+    """Return the words with one more name; the text before the last comma stays."""
     before, comma, _ = context.incomplete.rpartition(",")
     return {
         f"{before}{comma}{entry['name']}": str(entry.get("meaning") or entry.get("kind"))

@@ -1,4 +1,4 @@
-"""`turtlelog plot TABLE`: the table of a sweep as maps, curves and sensitivities."""
+"""`turtlelog plot TABLE`: maps, curves and sensitivities of a sweep."""
 
 import shlex
 from collections.abc import Sequence
@@ -27,15 +27,15 @@ Kind = Literal["map", "curves", "tornado"]
 @Parameter(name="*", group=Group("Tables of sweeps", sort_key=2))
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewOptions:
-    """What is shown of the table of a sweep.
+    """View of a sweep's table.
 
     Attributes:
-        kind: A map over two keys (curves where one varies), curves over one key, with a line for
-            each value of a second, or how far each key moves each metric (tornado). Default: map.
+        kind: Maps over two keys (curves if only one varies), curves over one key with a line for
+            each value of a second, or the change of each metric along each key (tornado). Default:
+            map.
         x: Key at the bottom.
         y: Key at the side.
-        at: Hold a key that varies at a value, as in loop.transport_delay_ticks=4; may stand several
-            times.
+        at: Fix a varied key at a value. Example: loop.transport_delay_ticks=4. Can be repeated.
     """
 
     kind: Kind | None = None
@@ -45,7 +45,7 @@ class ViewOptions:
 
     @property
     def is_given(self) -> bool:
-        """Whether any of it was asked for."""
+        """Whether any of these options is given."""
         return self != ViewOptions()
 
     def list_words(self) -> list[str]:
@@ -55,7 +55,7 @@ class ViewOptions:
         return words + [word for text in self.at or [] for word in ("--at", text)]
 
     def read_held(self) -> dict[str, Any]:
-        """Return what --at says."""
+        """Return the values of --at."""
         return tl.scenario.parse_assignments(self.at or [], source="--at")
 
 
@@ -63,7 +63,7 @@ def find_sweep_table(files: Sequence[Path], view: ViewOptions) -> Path | None:
     """Return the table of a sweep among the files; None if there are recordings.
 
     Raises:
-        UsageError: If it has company, or options of tables have none.
+        UsageError: If there are further files, or options of tables without a table.
     """
     tables = [path for path in files if path.suffix.lower() == ".parquet" and _is_table(path)]
     if not tables and not view.is_given:
@@ -97,11 +97,11 @@ def draw_table(
     """Draw the table of a sweep, and print the best rows of its metrics.
 
     Args:
-        table: What `turtlelog sweep` wrote.
-        output: A figure or a report (.html); None: nothing is drawn.
-        view: What is shown.
-        where: Where a figure will stand.
-        patterns: Metrics; None: up to four of them.
+        table: Table written by `turtlelog sweep`.
+        output: Figure or report (.html) to write; None: nothing is drawn.
+        view: View options.
+        where: Page options.
+        patterns: Metrics to draw; None: up to four.
         json: Print one JSON object instead of lines.
     """
     kind: Kind = view.kind or "map"

@@ -1,4 +1,4 @@
-"""What `turtlelog plot` says of the table of a sweep: its best rows, and borders beside theory."""
+"""Text of `turtlelog plot` on a sweep: best rows, and borders compared with theory."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ class BestRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BorderAnswer:
-    """Border of stability along a gain, beside the limit of theory."""
+    """Border of stability along a gain, with the limit of theory."""
 
     at: list[Any] | None
     last_stable: float | None
@@ -80,7 +80,7 @@ class SensitivityAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricOfTable:
-    """A metric over the rows that are shown."""
+    """A metric over the shown rows."""
 
     id: str
     unit: str
@@ -95,7 +95,7 @@ class MetricOfTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitsAt:
-    """The limits of theory at values of the other key."""
+    """Limits from theory at values of the other key."""
 
     at: list[Any] | None
     limits: Any
@@ -103,7 +103,7 @@ class LimitsAt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitsAnswer:
-    """The limits of theory of a loop's gain."""
+    """Limits from theory for a loop's gain."""
 
     loop: str
     gain: list[str]
@@ -112,20 +112,20 @@ class LimitsAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapAnswer:
-    """The table of a sweep, as it is drawn.
+    """The drawn table of a sweep.
 
     Attributes:
-        file: The table.
+        file: Path of the table.
         rows: Number of rows.
-        failed: Number of those that failed.
-        shown: Number of rows that are shown.
-        axes: Keys that vary in what is shown.
+        failed: Number of failed rows.
+        shown: Number of shown rows.
+        axes: Keys that vary in the shown rows.
         held: Values of the other keys.
-        seeds: Over how many seeds values are means.
-        metrics: Those that are shown.
-        theory: Limits of the gains.
+        seeds: Number of seeds that values are averaged over.
+        metrics: Shown metrics.
+        theory: Limits of the gains from theory.
         notes: Remarks.
-        output: File that was drawn; None if nothing was.
+        output: Written file; None if nothing was drawn.
     """
 
     file: str
@@ -144,7 +144,7 @@ class MapAnswer:
 def build_map_answer(
     view: "SweptView", limits: "Sequence[LoopLimits]", output: Path | None
 ) -> MapAnswer:
-    """Return the answer."""
+    """Return the answer as data."""
     results = view.results
     notes = [*view.notes, *(note for one in limits for note in one.notes)]
     if results.others:
@@ -244,7 +244,7 @@ def _find_values(axis: "SweptAxis", place: int | None) -> list[Any] | None:
 
 
 def list_sensitivity_lines(view: "SweptView") -> list[str]:
-    """Return how far each key moves each metric, in words."""
+    """Return sentences on the change of each metric along each key."""
     lines = []
     for metric in view.results.metrics:
         found = tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
@@ -275,7 +275,7 @@ def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
 
 
 def _describe_best(view: "SweptView", metric: "SweptMetric") -> BestRow | None:
-    """Return the best row that is shown; of several that are as good the first."""
+    """Return the best shown row; of several equally good rows the first."""
     found = tl.sweep.find_best_rows(view, metric)
     if not found:
         return None
@@ -314,11 +314,11 @@ def _describe_borders(
 
 
 _FIRST: Final = ("final.position_error", "run.duration")
-"""Metrics that are told first, where they are shown."""
+"""Metrics in the first lines, if they are shown."""
 
 
 def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapAnswer) -> list[str]:
-    """Return what is printed of it."""
+    """Return the printed lines of a view."""
     results = view.results
     sides = " by ".join(axis.name for axis in view.axes)
     rows = describe_count(told.rows, "row")

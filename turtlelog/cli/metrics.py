@@ -1,10 +1,11 @@
-"""`turtlelog metrics`: measure recordings."""
+"""`turtlelog metrics`: measurement of recordings."""
 
 from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
@@ -32,7 +33,7 @@ from turtlelog.cli.output import (
     print_json_list,
     print_lines,
 )
-from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, MeasureSettings
@@ -67,11 +68,11 @@ class MeasureOptions:
     dead_time: Whole | None = None
 
     def list_patterns(self) -> list[str] | None:
-        """Return the ids and patterns that are asked for, None if none are."""
+        """Return the requested ids and patterns; None if there are none."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_settings(self) -> "MeasureSettings":
-        """Return what is asked for as settings."""
+        """Return the options as settings."""
         path = self.reference_path
         asked: dict[str, Any] = {
             "band": self.band,
@@ -81,19 +82,34 @@ class MeasureOptions:
             "dead_time_ticks": self.dead_time,
             "goal_tolerance_m": self.goal_tolerance,
         }
-        return tl.MeasureSettings(
-            **{name: value for name, value in asked.items() if value is not None}
-        )
+        given = {name: value for name, value in asked.items() if value is not None}
+        try:
+            return tl.MeasureSettings(**given)
+        except MeasureError as err:
+            key, _, problem = str(err).partition(":")
+            raise UsageError(f"{_OPTIONS.get(key, key)}:{problem}") from err
+
+
+_OPTIONS: Final = MappingProxyType(
+    {
+        "band": "--band",
+        "initial": "--initial",
+        "final": "--final",
+        "dead_time_ticks": "--dead-time",
+        "goal_tolerance_m": "--goal-tolerance",
+    }
+)
+"""Settings by the option that was typed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredFile:
-    """The answer for one file, as JSON has it.
+    """The JSON answer for one file.
 
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        metrics: Those that were asked for, or all.
+        metrics: Requested metrics, or all.
     """
 
     file: str
@@ -102,7 +118,7 @@ class MeasuredFile:
 
 
 def _build_answer(summary: "RunSummary") -> MeasuredFile:
-    """Return the answer for one file."""
+    """Return the JSON answer for one file."""
     metrics = describe_metrics(summary.metrics)
     return MeasuredFile(file=summary.file, name=summary.name, metrics=metrics)
 
@@ -182,7 +198,7 @@ def metrics(
 
 
 def _tell(done: "TabulatedFiles", kind: str) -> int:
-    """Print what came of a table, and the first of the files that cannot be read."""
+    """Print the result of a table, and the first of the unreadable files."""
     if kind == "json":
         print_json(build_table_answer(done))
     else:
@@ -198,7 +214,7 @@ def _tell(done: "TabulatedFiles", kind: str) -> int:
 def _refuse_patterns(
     patterns: Sequence[str] | None, declarations: "Collection[Declaration]"
 ) -> None:
-    """Refuse patterns that stand for no metric of any of the runs."""
+    """Refuse patterns that match no metric of any of the runs."""
     if patterns is None or not declarations:
         return
     known = tl.measure.list_metrics(*declarations)
@@ -206,7 +222,7 @@ def _refuse_patterns(
 
 
 def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:
-    """Print CSV, a row for every run, in the order given; a cell is empty without such a loop."""
+    """Print CSV with a row for every run, in the given order; cells of missing loops are empty."""
     rows = _CsvRows()
     for summary in summaries:
         rows.add(summary)
@@ -216,7 +232,7 @@ def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | Non
 
 
 class _CsvRow(NamedTuple):
-    """A run: its file, its name, the ids of its metrics, their values, or why there are none."""
+    """A run: its file, its name, and its metrics with ids, and values or reasons."""
 
     file: str
     name: str
@@ -226,7 +242,7 @@ class _CsvRow(NamedTuple):
 
 
 class _CsvRows:
-    """What CSV needs of runs, some kB of each: which columns there are, the last one tells."""
+    """The data of CSV rows, some kB per run; the columns are known only after the last run."""
 
     def __init__(self) -> None:
         self.declarations: dict[Declaration, None] = {}
@@ -235,7 +251,7 @@ class _CsvRows:
         self.units: dict[str, dict[str, bool]] = {}
 
     def add(self, summary: "RunSummary") -> None:
-        """Keep the values of a run, and why there are none."""
+        """Store the values of a run, and the reasons for missing values."""
         found = summary.metrics
         ids = self._ids.setdefault(tuple(found), tuple(found))
         values = array("d", [0.0 if one.value is None else one.value for one in found.values()])
@@ -257,7 +273,7 @@ class _CsvRows:
         print_csv(["file", "run", *heads], (self._list_cells(row, chosen) for row in self._rows))
 
     def _list_units(self, name: str) -> list[str]:
-        """Return the units of those that have values; where none has, the first."""
+        """Return the units of metrics with values; without values, the first unit."""
         units = self.units[name]
         return [unit for unit, has_value in units.items() if has_value] or [*units][:1]
 

@@ -1,4 +1,4 @@
-"""What `turtlelog metrics` prints: the end of a run first, then its loops side by side."""
+"""Text of `turtlelog metrics`: the end of a run first, then its loops side by side."""
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,23 +15,23 @@ if TYPE_CHECKING:
     from turtlelog.compare import Cell, RunSummary, Table
 
 _MOST_COLUMNS: Final = 6
-"""Runs, or metrics, beside each other; of more runs each has a row."""
+"""Largest number of runs, or metrics, side by side; more runs are rows."""
 
 _MOST_SAID: Final = 3
-"""Metrics whose values the first line has."""
+"""Largest number of metrics with values in the first line."""
 
 _SILENT: Final = 1.5
-"""Of the usual time between samples: a longer one is a silence."""
+"""Silence as a multiple of the usual time between samples."""
 
 _OF_WORDS: Final = ("stable", "sample_period_p50")
-"""Metrics that only sentences use."""
+"""Metrics that are used only in sentences."""
 
 _ORDER: Final = (
     *("settling_time", "overshoot", "rise_time", "rms_error", "largest_error", "final_error"),
     *("lag", "corner_overshoot", "dead_time", "saturated_share", "iae", "duration"),
 )
 _IDLE: Final = ("dead_time", "saturated_share")
-"""Rows that are left out where all values are 0."""
+"""Rows that are left out if all values are 0."""
 
 _WORDS: Final = {
     "iae": "IAE",
@@ -53,7 +53,7 @@ _WORDS: Final = {
 
 
 def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
-    """Return the ids that the short answer for a run is made of."""
+    """Return the ids of the metrics in the short answer for a run."""
     known = tl.measure.list_metrics(run.declaration)
     essential = tl.measure.list_essential_metrics(run)
     extra = [name for name in known if name.rpartition(".")[2] in _OF_WORDS]
@@ -62,7 +62,7 @@ def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
 
 
 def print_essential(summaries: "Sequence[RunSummary]", kind: str) -> None:
-    """Print the essential metrics: of one run in sentences, of several a row for each."""
+    """Print the essential metrics: sentences for one run, a row each for several."""
     if kind != "txt":
         print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
     elif len(summaries) == 1:
@@ -83,7 +83,7 @@ def _drop_words(summary: "RunSummary") -> "RunSummary":
 def print_chosen(
     summaries: "Sequence[RunSummary]", kind: str, *, is_essential: bool = False
 ) -> None:
-    """Print the metrics of runs as a table, by their ids; of text the first line is the answer."""
+    """Print the metrics of runs as a table by id; text begins with the answer."""
     if not summaries:
         return
     declarations = [found.declaration for found in summaries]
@@ -116,13 +116,13 @@ def print_chosen(
 
 
 def _format(table: "Table") -> str:
-    """Return a table without its title: the first line stands above it."""
+    """Return a table without its title, which is printed above."""
     text = tl.draw.format_table(replace(table, title=""), width=find_width())
     return "\n" + text.strip("\n")
 
 
 def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> str:
-    """Return the values of few metrics; of more the end of the run, or how many there are."""
+    """Return the values of a few metrics; for more, the end of the run or their number."""
     who = (
         tl.compare.label_file(summaries[0].file)
         if len(summaries) == 1
@@ -142,11 +142,11 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
 
 
 _FIRST: Final = ("final.position_error", "run.duration")
-"""Of many metrics of several runs the first of these is in the first line."""
+"""Metrics for the first line of many metrics of several runs: the first available one."""
 
 
 def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
-    """Return the value of one run, or the least and the largest of several, with their names."""
+    """Return the value of one run, or the least and the greatest of several with their names."""
     found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
     if not values:
@@ -158,7 +158,8 @@ def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
     lacking = len(found) - len(values)
     rest = f" ({lacking} without a value)" if lacking else ""
     least, most = format_short(low, units[0]), format_short(high, units[0])
-    if low == high:
+    # Two values that are printed alike are no range: the reader sees no difference.
+    if least == most:
         return f"{least} (all){rest}" if len(found) > 1 and not lacking else f"{least}{rest}"
     return f"{least} ({lowest}) to {most} ({highest}){rest}"
 
@@ -169,7 +170,7 @@ def _find_value(summary: "RunSummary", name: str) -> float | None:
 
 
 def _describe_end(summary: "RunSummary") -> str:
-    """Return where a run ends and after what time; without a goal how long its path is."""
+    """Return place and time of a run's end; without a goal the length of its path."""
 
     def show(name: str) -> str | None:
         metric = summary.metrics.get(name)
@@ -197,7 +198,7 @@ def _ignores_goal(summary: "RunSummary") -> bool:
 
 
 def _format_run(summary: "RunSummary") -> str:
-    """Return the end of a run, what is remarkable, and its loops side by side."""
+    """Return the end of a run, remarks, and its loops side by side."""
     essential = _drop_words(summary).metrics
     head = [f"{tl.compare.label_file(summary.file)}: {_describe_end(summary)}."]
     loops = [loop.name for loop in summary.declaration.loops]
@@ -230,7 +231,7 @@ def _has_value(summary: "RunSummary", loop: str) -> bool:
 
 
 def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield what is out of the ordinary: clipping, oscillation, loops that do not settle."""
+    """Yield remarks: clipping, oscillation, loops that do not settle."""
     clipped = {loop: _find_value(summary, f"{loop}.saturated_share") or 0.0 for loop in loops}
     said = [f"{loop} {100.0 * share:.0f} %" for loop, share in clipped.items() if share >= _SEEN]
     if said:
@@ -249,13 +250,13 @@ def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
 
 
 _SEEN: Final = 0.005
-"""Share of the samples that is not 0 % when it is printed [1]."""
+"""Share of the samples that is printed as more than 0 % [1]."""
 
 
 def _list_missing(
     summary: "RunSummary", loops: Sequence[str], shown: Sequence[str]
 ) -> Iterator[str]:
-    """Yield why loops have no values at all."""
+    """Yield the reasons why loops have no values at all."""
     for loop in loops:
         if loop in shown:
             continue
@@ -300,7 +301,7 @@ def _tabulate_loops(summary: "RunSummary", loops: Sequence[str]) -> "Table":
 
 
 def _describe_rest(summary: "RunSummary") -> list[str]:
-    """Return what the first line has not said of the run."""
+    """Return sentences on a run that extend the first line."""
     names = ("run.path_length", "run.cross_track_max", "run.speed_effort", "run.turn_rate_effort")
     said = [
         f"{_name_metric(name)} {_show(summary.metrics[name])}"
@@ -311,7 +312,7 @@ def _describe_rest(summary: "RunSummary") -> list[str]:
 
 
 def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "Table":
-    """Return the metrics of a run without loops, one below the other."""
+    """Return the metrics of a run without loops, one per row."""
     names = tl.compare.drop_absent([summary], [name for name in metrics if _is_of_run(name)])
     found = {name: metrics[name] for name in names}
     return tl.compare.Table(
@@ -333,7 +334,7 @@ def _is_of_run(name: str) -> bool:
 
 
 def _list_next(summary: "RunSummary", count: int) -> list[str]:
-    """Return what to type next."""
+    """Return the next commands to type."""
     file = escape_controls(shlex.quote(summary.file))
     more = f"All {count} metrics with their ids: --all"
     if not summary.is_lawless:
@@ -349,7 +350,7 @@ def _list_next(summary: "RunSummary", count: int) -> list[str]:
 
 
 def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
-    """Yield where the measured rates of bags come from."""
+    """Yield the sources of measured rates in bags."""
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
     reporting = sum("rates" not in found.lacks for found in lawless)
     if reporting and reporting == len(lawless):
@@ -360,7 +361,7 @@ def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
 
 
 def _format_runs(summaries: "Sequence[RunSummary]") -> str:
-    """Return between what values the runs end, and a row for each."""
+    """Return the range of the runs' ends, and a row for each run."""
     summaries, notes = tl.compare.shorten_names(tl.compare.order_by_gain(summaries))
     table, shown = _tabulate_runs(summaries)
     reasons = tl.compare.list_reasons(
@@ -383,7 +384,7 @@ _OF_ROW: Final = ("settling_time", "overshoot", "rms_error")
 
 
 def _tabulate_runs(summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]]":
-    """Return a row for each run, as many metrics as a line has room for, and their ids."""
+    """Return a row for each run, with the metrics that fit a line, and their ids."""
     chosen = _choose_columns(summaries)
     table = tl.tabulate_runs(summaries, only=chosen)
     table = replace(table, rows=tuple(tuple(map(_round, row)) for row in table.rows), marks={})
@@ -400,14 +401,14 @@ def _round(cell: "Cell") -> "Cell":
 
 
 def _rank(name: str, summaries: "Sequence[RunSummary]") -> tuple[bool, int, bool]:
-    """Return what comes first where there is no room for all: the end, then what most runs have."""
+    """Return a sort key for choosing metrics: the end first, then metrics of most runs."""
     lacking = sum(_find_value(one, name) is None for one in summaries)
     is_end = name in {"final.position_error", "run.duration"}
     return not is_end, lacking, not name.endswith("time")
 
 
 def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
-    """Return what a row may show: how loops answer, where runs end and when."""
+    """Return the metrics that a row may show: responses of loops, end and duration."""
     names = dict.fromkeys(name for found in summaries for name in found.metrics)
     of_loops = [
         name for name in names if name.rpartition(".")[2] in _OF_ROW and not _is_of_run(name)
@@ -421,7 +422,7 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
 
 
 def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
-    """Return how far from the goal the runs end, and how long they last."""
+    """Return the ranges of the runs' final distances from the goal and durations."""
     aiming = [one for one in summaries if not _ignores_goal(one)]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"
     if len(aiming) == len(summaries) and all(

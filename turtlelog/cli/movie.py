@@ -1,4 +1,4 @@
-"""Options of movies, which `plot` and `view` share."""
+"""Movie options, shared by `plot` and `view`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class MovieOptions:
 
 
 def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
-    """Refuse what cannot be written, before anything is read."""
+    """Refuse a movie that cannot be written, before anything is read."""
     if options.movie is None:
         if options.length is not None:
             raise UsageError("--length: needs --movie NAME.mp4")
@@ -48,7 +48,7 @@ def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
 
 
 def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) -> None:
-    """Write the movie, if one is asked for."""
+    """Write the movie if one is requested."""
     if options.movie is None:
         return
     from turtlelog.draw.movie import write_movie

@@ -1,4 +1,4 @@
-"""Options of reading and working that several commands share, and what they stand for."""
+"""Options for reading and working that several commands share."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -34,7 +34,9 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
     try:
         return int(text)
     except ValueError as err:
-        raise UsageError(f"{tokens[0].keyword} {text[:60]}: must be a whole number") from err
+        option = tokens[0].keyword
+        unit = " of ticks" if option == "--dead-time" else ""
+        raise UsageError(f"{option} {text[:60]}: must be a whole number{unit}") from err
 
 
 def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
@@ -42,7 +44,7 @@ def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
 
 
 Place = Annotated[Path, Parameter(converter=_read_place)]
-"""A file, or a URL, of which a plain Path would make another."""
+"""A file or a URL; a plain Path would change a URL."""
 
 File = Annotated[Place, Parameter(name="FILE")]
 Files = Annotated[list[Place], Parameter(name="FILE")]
@@ -51,7 +53,7 @@ Partial = Annotated[bool, Parameter(name="--partial")]
 Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
 Json = Annotated[bool, Parameter(name="--json")]
 Whole = Annotated[int, Parameter(converter=_read_whole)]
-"""A whole number; a plain int would cut 1.5 to 1."""
+"""A whole number; a plain int would truncate 1.5 to 1."""
 
 
 def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
@@ -69,7 +71,7 @@ StepBudgetMs = Annotated[
 
 
 def choose_step_budget(given_ms: float | None) -> float:
-    """Return how long a law may compute for one answer, as asked or by default [s]."""
+    """Return the time limit of a law for one answer, as given or the default [s]."""
     from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
     return STEP_BUDGET_S if given_ms is None else given_ms / 1e3
@@ -79,7 +81,7 @@ Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
 
 
 def _read_size(_: Any, tokens: Sequence[Token]) -> int:
-    """Return a size, and let it hold for every URL of this command."""
+    """Return a size, and use it for every URL of this command."""
     most = parse_size(tokens[0].value)
     if most is None:
         place = f"{tokens[0].keyword} {tokens[0].value[:60]}"
@@ -91,7 +93,7 @@ def _read_size(_: Any, tokens: Sequence[Token]) -> int:
 MaxDownload = Annotated[
     int | None, Parameter(name="--max-download", metavar="SIZE", converter=_read_size)
 ]
-"""Of every command that takes URLs; `limit_downloads` is around the command."""
+"""Option of every command that takes URLs; `limit_downloads` is active during the command."""
 
 
 _READING: Final = Group("Third-party files", sort_key=2)
@@ -100,7 +102,7 @@ _READING: Final = Group("Third-party files", sort_key=2)
 @Parameter(name="*", group=_READING)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicOptions:
-    """What is read of bags and tables that turtlelog did not write, and damaged recordings.
+    """Options for reading third-party bags and tables, and damaged recordings.
 
     Attributes:
         pose_topic: Topic of the poses, or FILE:TOPIC to set it for one file. Default: chosen by
@@ -139,10 +141,10 @@ class TopicOptions:
     max_download: MaxDownload = None
 
     def build_choice(self) -> "ReadChoice":
-        """Return what is asked for as a choice.
+        """Return the options as a choice.
 
         Raises:
-            UsageError: If a value is of no use.
+            UsageError: If a value is invalid.
         """
         return tl.log.ReadChoice(
             pose_topic=self.pose_topic,
@@ -163,7 +165,7 @@ class TopicOptions:
 @Parameter(name="*", group=_READING)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions(TopicOptions):
-    """The same, and the goal of a robot whose file holds none.
+    """Options for reading, with the goal of a robot whose file has none.
 
     Attributes:
         goal: The robot's goal [m], and the heading there [deg]. Examples: 2,10 and 2,10,90. This
@@ -173,24 +175,24 @@ class ReadingOptions(TopicOptions):
     goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None
 
     def build_choice(self) -> "ReadChoice":
-        """Return what is asked for as a choice.
+        """Return the options as a choice.
 
         Raises:
-            UsageError: If a value is of no use.
+            UsageError: If a value is invalid.
         """
         choice = super(ReadingOptions, self).build_choice()
         return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
 
 
 def list_reading_words(options: ReadingOptions) -> list[str]:
-    """Return the words that ask a command for the same reading; none for what is usual."""
+    """Return the words of a command that repeat these options; defaults are omitted."""
     words: list[str] = []
     for one in fields(options):
         value, name = getattr(options, one.name), f"--{one.name.replace('_', '-')}"
         if value is True:
             words.append(name)
         elif value and value != one.default:
-            # With "=", because a goal may begin with a minus.
+            # With "=", because a goal may begin with a minus sign.
             words += [f"{name}={text}" for text in (value if isinstance(value, list) else [value])]
     return words
 
@@ -229,10 +231,10 @@ def _parse_aim(text: str) -> tuple[float, ...]:
 
 
 def list_files(paths: Sequence[Path], *, without: Path | None = None) -> list[Path]:
-    """Return what is given, and in place of a folder that is no bag the recordings below it."""
+    """Return the given files; folders that are not bags are replaced by the recordings below."""
     files: list[Path] = []
     for path in paths:
-        # Files alone, which are most of what is given, load no room that walks folders.
+        # Files alone, the usual case, need no package that walks folders.
         if not path.is_dir() or tl.sweep.is_one_recording(path):
             files.append(path)
             continue
@@ -241,12 +243,12 @@ def list_files(paths: Sequence[Path], *, without: Path | None = None) -> list[Pa
         except LogError:
             if len(paths) == 1:
                 raise
-            files.append(path)  # beside others: whoever reads the folder says that it is empty
+            files.append(path)  # the reader of the folder reports that it is empty
     return files
 
 
 def find_files(paths: Sequence[Path], without: Path | None) -> "list[FoundRecording]":
-    """Return what is given, or what is below it, without one file: a table that is written."""
+    """Return the given recordings and those below folders, except a table to be written."""
     with show_progress("looking for recordings"):
         left_out = [] if without is None else [without]
         return tl.sweep.find_recordings(paths, without=left_out)
@@ -259,8 +261,8 @@ def read_runs(
 
     Args:
         paths: Paths of the files.
-        topics: What of them is read.
-        allow_no_poses: Whether a bag of commands alone is read.
+        topics: Options for reading them.
+        allow_no_poses: Whether bags with commands alone are accepted.
     """
     return list(iterate_runs(paths, topics, allow_no_poses=allow_no_poses))
 
@@ -268,7 +270,7 @@ def read_runs(
 def iterate_runs(
     paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
 ) -> "Iterator[Run]":
-    """Yield runs as `read_runs` returns them, one by one: none is kept here."""
+    """Yield runs as `read_runs` returns them, one by one, without keeping them."""
     require_files(paths)
     topics = topics or TopicOptions()
     for path in iterate_files(paths):
@@ -276,12 +278,12 @@ def iterate_runs(
 
 
 def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
-    """Yield files and show how many of them are done."""
+    """Yield files, and show the number of finished ones."""
     yield from watch_files(paths, len(paths))
 
 
 def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "Run":
-    """Return the run of a file, and print what there is to note of it."""
+    """Return the run in a file, and print the notes on its reading."""
     choice = replace(topics.build_choice(), allow_no_poses=allow_no_poses)
     run = tl.log.read_as_chosen(path, choice)
     print_run_notes(path, run.notes)
@@ -290,7 +292,7 @@ def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = 
 
 @contextmanager
 def name_as_typed(file: Path, run: "Run") -> "Iterator[None]":
-    """Name the file, as it was typed, where an error names the run that was read of it."""
+    """Replace the name of a run in errors by the file as typed."""
     try:
         yield
     except TurtlelogError as err:
@@ -303,7 +305,7 @@ def name_as_typed(file: Path, run: "Run") -> "Iterator[None]":
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkOptions:
-    """Where work is done.
+    """Options for the processes that do the work.
 
     Attributes:
         jobs: Number of processes. Default: one per core if that is faster.
@@ -321,8 +323,8 @@ class WorkOptions:
         """Yield a number of processes, or the cluster.
 
         Raises:
-            UsageError: If both are asked for, or a number that is none.
-            ProcessError: If the cluster is of no use.
+            UsageError: If both options are given, or the number is invalid.
+            ProcessError: If the cluster cannot be used.
         """
         if self.scheduler is None:
             yield count_jobs(self.jobs, files, file_s=file_s)
@@ -336,7 +338,7 @@ class WorkOptions:
 
     @contextmanager
     def find_any_place(self) -> "Iterator[int | Executor | None]":
-        """As `find_place` where the work itself tells what is quickest: None asks it."""
+        """Yield the same as `find_place`; None if the work itself chooses the fastest way."""
         if self.scheduler is None and self.jobs is None:
             yield None
             return
@@ -344,14 +346,14 @@ class WorkOptions:
             yield place
 
     def name_files(self, files: Sequence[Path]) -> list[Path]:
-        """Return files as workers find them, which work in other folders."""
+        """Return files with paths for workers, which run in other folders."""
         return [*files] if self.scheduler is None else [path.absolute() for path in files]
 
 
 def watch_summaries(
     found: "Iterator[RunSummary | TurtlelogError]", count: int, errors: list[TurtlelogError]
 ) -> "Iterator[RunSummary]":
-    """Yield what was measured, keep the errors, and show how many of the files are done."""
+    """Yield run summaries, collect the errors, and show the number of finished files."""
     for summary in watch_files(found, count):
         if isinstance(summary, TurtlelogError):
             errors.append(summary)
@@ -367,21 +369,21 @@ def count_jobs(
     file_s: float = FILE_S,
     count_read: "Callable[[Path], int] | None" = None,
 ) -> int:
-    """Return in how many processes to work on files: as asked, else as `choose_jobs` says."""
+    """Return the number of processes for files: as given, otherwise as `choose_jobs` says."""
     jobs = require_jobs(asked)
     return choose_jobs(files, file_s=file_s, count_read=count_read) if jobs is None else jobs
 
 
 def require_jobs(asked: int | None) -> int | None:
-    """Return a number of processes as it was asked for; one below 1 is refused."""
+    """Return the given number of processes; refuse a number below 1."""
     if asked is not None and asked < 1:
         raise UsageError(f"--jobs {asked}: must be at least 1")
     return asked
 
 
 def watch_files(found: "Iterable[_Found]", count: int) -> "Iterator[_Found]":
-    """Yield what is found of each file, and show how many of them are done."""
-    # Of one file alone there is no share to tell.
+    """Yield the result of each file, and show the number of finished ones."""
+    # A single file has no share to show.
     with show_progress("reading", count if count > 1 else None, "files") as progress:
         for number, one in enumerate(found, start=1):
             yield one
@@ -389,7 +391,7 @@ def watch_files(found: "Iterable[_Found]", count: int) -> "Iterator[_Found]":
 
 
 def split_names(text: str, option: str) -> list[str]:
-    """Return the names that an option takes, which commas separate."""
+    """Return the names in an option, separated by commas."""
     names = [name.strip() for name in text.split(",")]
     if not all(names):
         raise UsageError(f"{option} {text[:60]}: must be names separated by commas")
@@ -397,10 +399,10 @@ def split_names(text: str, option: str) -> list[str]:
 
 
 def require_there(paths: Sequence[Path]) -> None:
-    """Refuse files that are not there, before anything is loaded that draws them.
+    """Refuse missing files before drawing libraries are loaded.
 
     Raises:
-        UsageError: If one is neither a file nor a preset.
+        UsageError: If a word is neither a file nor a preset.
     """
     for path in paths:
         file, _ = tl.log.split_topic(path)

@@ -1,4 +1,4 @@
-"""What commands print: results to stdout, notes to stderr."""
+"""Output of commands: results to stdout, notes to stderr."""
 
 import csv
 import errno
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
-"""A check, or a comparison with tolerances, failed."""
+"""Exit code of a failed check, or of a failed comparison with tolerances."""
 EXIT_BAD_INPUT: Final = 2
-"""Bad usage, or an input that cannot be read."""
+"""Exit code of bad usage, or of unreadable input."""
 EXIT_DEFECT: Final = 70
 EXIT_INTERRUPTED: Final = 130
 
 _SPOOLED: Final = 16 * 2**20
-"""Bytes of a long answer that are kept in memory."""
+"""Size of a long answer that is kept in memory [bytes]."""
 
 
 @Parameter(name="*")
@@ -57,10 +57,10 @@ class FormatOptions:
     json: bool = False
 
     def choose(self) -> str:
-        """Return the one that is asked for: `txt`, `md`, `csv`, `tex` or `json`.
+        """Return the requested format: `txt`, `md`, `csv`, `tex` or `json`.
 
         Raises:
-            UsageError: If there are several.
+            UsageError: If several formats are requested.
         """
         asked = {
             "--markdown": self.markdown,
@@ -76,11 +76,12 @@ class FormatOptions:
 
 
 def print_text(text: str, *, is_data: bool = False) -> None:
-    """Print a result; what of others stands in it has been escaped where it ends lines.
+    """Print a result; line breaks in third-party text have been escaped.
 
     Args:
-        text: Several lines.
-        is_data: Whether a program may read it, which gets it as it is; a terminal does not.
+        text: Text of one or more lines.
+        is_data: Whether a program may read it, for which control characters are kept; for a
+            terminal they are escaped.
     """
     if not is_data or sys.stdout.isatty():
         text = escape_controls(text, keep="\n")
@@ -93,10 +94,10 @@ _COLOURS: Final = {"PASS": "32", "FAIL": "31", "SKIPPED": "33"}
 
 
 def print_verdicts(text: str) -> None:
-    """Print a result whose lines and cells tell verdicts, in colour where that is shown."""
+    """Print a result with verdicts in lines and cells, in colour if colours are shown."""
     text = escape_controls(text, keep="\n").rstrip("\n")
     if shows_colour():
-        # A verdict begins a line, or a cell, before which are two blanks.
+        # A verdict is at the start of a line, or of a cell, which follows two blanks.
         pattern = rf"(?m)(?:^|(?<=  ))({'|'.join(_COLOURS)})(?=[ :]|$)"
         text = re.sub(pattern, lambda found: _paint(found[1]), text)
     with outlive_reader():
@@ -108,9 +109,9 @@ def _paint(verdict: str) -> str:
 
 
 def shows_colour() -> bool:
-    """Return whether stdout is to have colours: on a terminal, or as the environment asks.
+    """Return whether stdout has colours: on a terminal, or by request of the environment.
 
-    NO_COLOR and FORCE_COLOR count where they are set and not empty; NO_COLOR comes first.
+    NO_COLOR and FORCE_COLOR count if they are set and not empty; NO_COLOR has priority.
     """
     if os.environ.get("NO_COLOR"):
         return False
@@ -120,12 +121,12 @@ def shows_colour() -> bool:
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print results, each in one line whatever stands in it."""
+    """Print results, each in one line whatever it contains."""
     print_text("\n".join(map(escape_controls, lines)))
 
 
 def print_tables(tables: "Sequence[Table]", kind: str) -> None:
-    """Print tables in a format, an empty line between them."""
+    """Print tables in a format, separated by empty lines."""
     texts = (
         fit_table(table) if kind == "txt" else tl.draw.format_table(table, kind) for table in tables
     )
@@ -134,7 +135,7 @@ def print_tables(tables: "Sequence[Table]", kind: str) -> None:
 
 @contextmanager
 def outlive_reader() -> Iterator[None]:
-    """Go on where the reader of stdout has gone, as `head` does: the exit code still tells."""
+    """Continue if the reader of stdout has ended, as `head` does; the exit code stays valid."""
     try:
         yield
     except OSError as err:
@@ -144,18 +145,18 @@ def outlive_reader() -> Iterator[None]:
 
 
 def flush_stdout() -> None:
-    """Let the reader of stdout have what was printed so far."""
+    """Send everything printed so far to the reader of stdout."""
     with outlive_reader():
         sys.stdout.flush()
 
 
 def _is_device() -> bool:
-    """Return whether stdout is a terminal, or was: of a closed one `isatty` returns False."""
+    """Return whether stdout is a terminal, or was: for a closed one `isatty` returns False."""
     return stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)
 
 
 def drop_stdout() -> None:
-    """Send what is still to be printed to nobody."""
+    """Discard all further output."""
     _drop(sys.stdout)
 
 
@@ -165,16 +166,16 @@ def _drop(stream: TextIO) -> None:
 
 
 _LINE: Final = 80
-"""Characters of a line of sentences; of any line where there is no terminal."""
+"""Characters in a line of sentences, and in any line without a terminal."""
 
 
 def find_width() -> int:
-    """Return the characters of a line: those of the terminal, else 80."""
+    """Return the characters in a line: those of the terminal, otherwise 80."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else _LINE
 
 
 def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
-    """Return sentences as lines that fit a page; words, commands and formulas stay whole."""
+    """Return sentences as wrapped lines; words, commands and formulas stay whole."""
     return "\n".join(
         textwrap.fill(
             escape_controls(hide_secrets(line)),
@@ -188,12 +189,12 @@ def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
 
 
 def list_written(paths: Iterable[object]) -> list[str]:
-    """Return a line for every file that was written; a path stays whole, blanks in it as well."""
+    """Return a line for every written file; paths stay whole, including blanks."""
     return [escape_controls(hide_secrets(f"wrote {path}")) for path in paths]
 
 
 def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return lines of cells below each other, indented, as many of the columns as a line holds."""
+    """Return indented lines of aligned cells, with the columns that fit a line."""
     while rows:
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         padded = [map(str.ljust, map(escape_controls, row), widths) for row in rows]
@@ -210,11 +211,11 @@ def fit_table(table: "Table", *, indent: int = 0) -> str:
 
 
 _MOST_ROWS: Final = 20
-"""Runs that a table shows: the answer above names the best, and all of it fits a screen."""
+"""Largest number of runs in a table: the answer above names the best, and all fit a screen."""
 
 
 def cut_rows(table: "Table") -> "Table":
-    """Return the first rows of a table of runs, and say how many more there are."""
+    """Return the first rows of a table of runs, with the number of the others."""
     more = len(table.rows) - _MOST_ROWS
     if more <= 0:
         return table
@@ -223,19 +224,19 @@ def cut_rows(table: "Table") -> "Table":
 
 
 def print_note(text: str) -> None:
-    """Print a note, in one line that names cannot flood; a URL in it without what is secret."""
+    """Print a note in one line, with names escaped and secrets of URLs removed."""
     try:
         sys.stderr.write(format_line(text) + "\n")
         sys.stderr.flush()
     except OSError:
-        # The result and the exit code still tell. Python 3.14 tries again at its end, and has 120
-        # for a code of its own where that fails too.
+        # The result and the exit code remain valid. Python 3.14 tries again at its end, and exits
+        # with code 120 if that fails too.
         _drop(sys.stderr)
 
 
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
-    """Print what was read of third-party files, and what one must know of one that lost some."""
-    # What concerns other files than this stands in a recording that was converted from one.
+    """Print notes on the reading of third-party files, and on losses."""
+    # Notes on other files are in recordings that were converted from them.
     told = _OF_SOURCE if "chosen" in notes else ()
     for name in ("preset", *told, "unused", "recovered", "partial"):
         if name in notes:
@@ -259,10 +260,10 @@ def print_error(text: str) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON value and nothing else; what is not finite becomes null.
+    """Print one JSON value and nothing else; numbers that are not finite become null.
 
     Args:
-        value: An answer: a dataclass, or what JSON has. Numbers, booleans and arrays of numpy are
+        value: Answer: a dataclass, or a JSON type. Numbers, booleans and arrays of numpy are
             printed as Python's.
     """
     with outlive_reader():
@@ -270,9 +271,9 @@ def print_json(value: Any) -> None:
 
 
 def print_json_list(values: Iterable[Any]) -> None:
-    """Print one JSON list as `print_json` does, item by item, so that it need not fit into memory.
+    """Print one JSON list as `print_json` does, item by item, with little memory.
 
-    Nothing is printed before the last item is there.
+    Nothing is printed before the last item is ready.
     """
     with _spool() as spool:
         before = "[\n"
@@ -283,7 +284,7 @@ def print_json_list(values: Iterable[Any]) -> None:
 
 
 def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print a CSV table row by row, so that it need not fit into memory; nothing before the last.
+    """Print a CSV table row by row, with little memory, after the last row is ready.
 
     Without rows nothing is printed.
     """
@@ -295,14 +296,14 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
 
 
 def _show_cell(cell: Any) -> Any:
-    """Return a cell as text that is no formula; as it is for a program, escaped for a terminal."""
+    """Return a cell as text that is not a formula: for a program unchanged, else escaped."""
     text = guard_cell(cell)
     return escape_controls(text) if isinstance(text, str) and sys.stdout.isatty() else text
 
 
 @contextmanager
 def _spool() -> Iterator[IO[str]]:
-    """Yield a stream whose text goes to stdout at the end of the block."""
+    """Yield a stream whose text is printed at the end of the block."""
     with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8", newline="") as spool:
         yield spool
         spool.seek(0)
@@ -316,7 +317,7 @@ def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
 
 
 def find_command_name() -> str:
-    """Return how a user calls turtlelog again from here."""
+    """Return the command name by which a user can call turtlelog again."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:
         return "uv run turtlelog"
     if shutil.which("turtlelog"):

@@ -57,18 +57,17 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 ) -> None:
     """Plot recordings as the paper's figures and tables, and the table of a sweep as maps.
 
-    Into a folder: every figure that the recordings hold the data for; attribution, bode, gains,
-    luck, nyquist, rates, step, strips and violation only where --only names them. Only what they
-    hold is drawn; what is left out, and why, is said on stderr. Without recordings: the figures of
-    the ideal loop.
-    A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
-    Figures and tables that are there already are replaced.
+    If OUT is a folder, it gets every figure for which the recordings have data. The figures
+    attribution, bode, gains, luck, nyquist, rates, step, strips and violation are drawn only if
+    --only names them. Omitted figures are listed on stderr, with the reasons. Without recordings,
+    the figures show the ideal loop. If OUT ends in .pdf, .png or .svg, it is one figure: that of
+    --only, otherwise an overview. Existing figures and tables are replaced.
 
-    Two keys that vary in the table of a sweep make a map of each metric. If a gain is one of
-    them, theory's limits of its loop are lines over it. One key makes curves. The other keys are
-    held at the values of the scenario that was varied, or in the middle; --at holds others. Over
-    seeds values are means. The lines name the best row of each metric, and the command that runs
-    it again; without -o they are all. OUT may be a report (.html).
+    For the table of a sweep with two varied keys, each metric is a map. If one key is a gain, lines
+    show the limits of its loop from theory. With one varied key, each metric is a curve. Other keys
+    have the values of the base scenario, or a value in the middle; --at chooses others. Values are
+    means over seeds. The printed lines contain the best row of each metric, and the command that
+    runs it again. Without -o nothing is drawn. OUT may be a report (.html).
 
     Example: turtlelog plot kp4.mcap -o kp4.png
 
@@ -96,8 +95,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
             it may be missing.
         only: Figures by name, with commas (turtlelog list figures).
         formats: Some of pdf, png, svg, with commas. Default: pdf.
-        timeline: Timeline of the movie: sim_time, or PHASE_time, from the start of a later
-            phase of each run, as translate_time.
+        timeline: Timeline of the movie: sim_time, or PHASE_time, from the start of a later phase of
+            each run, as translate_time.
         jobs: Number of processes, on Linux. Default: one for every three figures of a folder, at
             most one per core.
         json: Print one JSON object instead of lines.
@@ -162,9 +161,9 @@ def _require_no_figures(table: Path, given: Mapping[str, object]) -> None:
 
 @contextmanager
 def _collect_rarely() -> Iterator[None]:
-    """Look for objects in circles rarely: of figures that takes a sixth of the time otherwise.
+    """Search for cyclic garbage rarely: for figures this takes a sixth of the time otherwise.
 
-    Of what is there already, libraries for the most part, nothing is looked at.
+    Existing objects, which are mostly libraries, are never searched.
     """
     usual = gc.get_threshold()
     gc.freeze()
@@ -182,7 +181,7 @@ def _build_page(where: PageOptions, kinds: list[str], names: list[str] | None) -
 
 
 def _tell_whole(names: Iterable[str], page: "Page") -> None:
-    """Say which figures the page's times do not cut."""
+    """Print the figures that the page's time window does not cut."""
     whole = [name for name in names if name in TIMELESS]
     if whole and (page.from_s is not None or page.to_s is not None):
         print_note(f"plot: not cut in time: {', '.join(dict.fromkeys(whole))}")
@@ -201,7 +200,7 @@ def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FigureAnswer:
-    """A figure: its file, its name, what it shows, and which of the paper's it is."""
+    """A figure: its file, its name, its content, and the corresponding figure of the paper."""
 
     file: str
     figure: str
@@ -211,14 +210,14 @@ class FigureAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlotAnswer:
-    """What was drawn.
+    """Result of drawing.
 
     Attributes:
         files: Names of the files, as given.
         ending: Ends of the runs, in words; None without runs.
         figures: The figures.
         tables: Files of tables.
-        left_out: Figures that were not drawn, and why.
+        left_out: Figures that were not drawn, with reasons.
         movie: The movie; None without one.
     """
 
@@ -257,7 +256,7 @@ def _build_answer(
 
 
 def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
-    """Say how the runs ended, what is shown, and what was written."""
+    """Print how the runs ended, the content of figures, and the written files."""
     if json:
         print_json(answer)
         return
@@ -268,7 +267,7 @@ def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
 
 
 def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:
-    """Return what the figures show, and of which runs, in one sentence."""
+    """Return one sentence on the content of the figures and their runs."""
     names = tl.compare.name_runs(runs)
     whose = join_words(names) if 0 < len(names) <= _MOST_NAMED else describe_count(len(runs), "run")
     of = f" of {whose}" if runs else " of the ideal loop"
@@ -283,7 +282,7 @@ def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:
 
 
 _MOST_NAMED: Final = 4
-"""Runs that the first line names."""
+"""Largest number of runs in the first line."""
 
 
 def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list[Run]":
@@ -306,7 +305,7 @@ def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list
 
 
 def _require_alike(runs: "list[Run]") -> "list[Run]":
-    """Refuse runs without poses beside runs that have some: no axis is common to both."""
+    """Refuse runs without poses beside runs with poses: they have no common axis."""
     bare = [run.name for run in runs if not len(run.poses)]
     if 0 < len(bare) < len(runs):
         raise UsageError(f"{bare[0]} has commands alone, and other files have poses: plot it alone")
@@ -316,9 +315,9 @@ def _require_alike(runs: "list[Run]") -> "list[Run]":
 _OTHER_PICTURES: Final = frozenset(
     {".bmp", ".eps", ".gif", ".jpeg", ".jpg", ".ps", ".tif", ".tiff", ".webp"}
 )
-"""How no folder is called: who writes this means a picture."""
+"""Suffixes that no folder has: a user who types one means a picture."""
 _OVERVIEWS: Final = ("panel", "plane", "step-responses")
-"""What one file shows where nothing is asked for: the first that there is data for."""
+"""Default content of a single file: the first figure that has data."""
 
 
 def _require_clock(movie: MovieOptions, timeline: str) -> None:
@@ -358,14 +357,14 @@ def _choose_overview(runs: "Sequence[Run]") -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Drawing:
-    """What is drawn, and how.
+    """Settings of the figures to draw.
 
     Attributes:
-        runs: Of what.
-        only: Which figures; None: the usual ones.
-        formats: In which each is written.
-        page: Where they will stand.
-        jobs: Processes to draw in; None: as many as is quick.
+        runs: Runs to draw.
+        only: Requested figures; None: the usual ones.
+        formats: File formats of each figure.
+        page: Page format.
+        jobs: Number of processes; None: the fastest number.
     """
 
     runs: "Sequence[Run]"

@@ -1,4 +1,4 @@
-"""How far a command has come: a bar on stderr, where that is a terminal, after a second."""
+"""Progress of a command: a bar on stderr, if that is a terminal, after a second."""
 
 import os
 import sys
@@ -17,22 +17,22 @@ _REFRESH_S: Final = 0.1
 
 
 class ProgressLine:
-    """How much is done; a thread of its own draws it, so that one long step is seen as well.
+    """A progress bar, drawn by its own thread, so that one long step is visible as well.
 
     Attributes:
-        done: How much, in the unit of `total`; set by whoever does the work.
+        done: Finished work in the unit of `total`, set by the working code.
     """
 
     def __init__(
         self, label: str, total: float | None, unit: str, *, has_rate: bool = False
     ) -> None:
-        """Begin to wait for the moment to show up.
+        """Start to wait until the bar appears.
 
         Args:
-            label: What is being done.
-            total: How much there is to do; None if that is not known.
+            label: Name of the work.
+            total: Total work; None if unknown.
             unit: Unit of both.
-            has_rate: Whether to say how fast it goes, and how long the rest takes at that rate.
+            has_rate: Whether to show the rate, and the remaining time at that rate.
         """
         self.done = 0.0
         self._label, self._total, self._unit = label, total, unit
@@ -43,17 +43,17 @@ class ProgressLine:
             self._thread.start()
 
     def count(self, done: int, total: int) -> None:
-        """Say how many of all steps are done, of a bar in percent."""
+        """Set the number of finished steps of all steps, for a bar in percent."""
         self.done = 100.0 * done / total
 
     def close(self) -> None:
-        """Leave the terminal as it was; a second call does nothing."""
+        """Restore the terminal; a second call does nothing."""
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
 
     def _draw(self) -> None:
-        # A terminal that goes away takes the bar with it, and nothing else.
+        # If the terminal disappears, only the bar is lost.
         with suppress(OSError, ValueError):
             if not self._ended.wait(_DELAY_S):
                 self._animate()
@@ -91,13 +91,13 @@ class ProgressLine:
 
 
 class Rate:
-    """How fast something goes since it was first asked; what was done before does not count."""
+    """The rate of some work since the first call; earlier work does not count."""
 
     def __init__(self) -> None:
         self._first: tuple[float, float] | None = None
 
     def describe(self, done: float, total: float) -> str:
-        """Return the rate and the time left, empty if nothing was done yet."""
+        """Return the rate and the remaining time; empty if nothing is done yet."""
         now = time.monotonic()
         if self._first is None:
             self._first = now, done
@@ -116,7 +116,7 @@ _live: Final[list[ProgressLine]] = []
 def show_progress(
     label: str, total: float | None = None, unit: str = "", *, has_rate: bool = False
 ) -> Iterator[ProgressLine]:
-    """Show on the way what the block does, where it takes more than a second."""
+    """Show the progress of a block that takes more than a second."""
     progress = ProgressLine(label, total, unit, has_rate=has_rate)
     _live.append(progress)
     try:
@@ -127,13 +127,13 @@ def show_progress(
 
 
 def end_progress() -> None:
-    """Take every bar away, also of an iteration that an error left hanging half way."""
+    """Remove every bar, including those of iterations that an error interrupted."""
     for progress in _live:
         progress.close()
 
 
 def watch_ticks(ticks: "Iterable[Tick]", most_s: float) -> "Iterator[Tick]":
-    """Yield ticks as they come and show how many of at most so many seconds are simulated."""
+    """Yield ticks, and show how many of at most `most_s` seconds are simulated."""
     with show_progress("simulated", most_s, "s at most") as progress:
         for tick in ticks:
             progress.done = tick.time_ns / 1e9

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 _Answer = tuple[ReplayAnswer, str, "LawReplay | LoopReplay | PlantReplay"]
-"""As an object, as text, and the replay itself."""
+"""The answer as data, as text, and the replay itself."""
 
 
 def replay(

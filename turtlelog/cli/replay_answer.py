@@ -1,4 +1,4 @@
-"""How replays that compare signals are answered: through a law, and in closed loop."""
+"""Answers of replays that compare signals: through a law, and in closed loop."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
-"""Signals that are printed even where they are equal."""
+"""Signals that are printed even if they are equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +35,7 @@ class DifferenceAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseErrorAnswer:
-    """The largest differences of a pose [m, rad]; null where poses were given, not computed."""
+    """The largest differences of a pose [m, rad]; null if poses were given, not computed."""
 
     x: float | None = None
     y: float | None = None
@@ -44,7 +44,7 @@ class PoseErrorAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalAnswer:
-    """How a signal differs: in how many rows, by how much at most, and where first."""
+    """Difference of a signal: number of different rows, largest and first difference."""
 
     signal: str
     unit: str
@@ -57,7 +57,7 @@ class SignalAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CountAnswer:
-    """Rows, or a reason to stop, of the recording and of the replay."""
+    """Numbers of rows, or stop reasons, of the recording and of the replay."""
 
     recorded: Any
     replayed: Any
@@ -65,20 +65,20 @@ class CountAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayAnswer:
-    """What every replay answers.
+    """Common part of the answers of replays.
 
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        mode: What was driven: loop, law or plant.
+        mode: Kind of the replay: loop, law or plant.
         samples: Number of compared samples.
         max_abs_error: The largest differences of the pose.
-        first_difference: Where the replay first differs; None if it does not.
+        first_difference: First difference of the replay; None if there is none.
         stretches: Segments of a replay through the plant.
-        jumps: Where the robot was put elsewhere.
+        jumps: Jumps of the robot to another place.
         gaps: Gaps in the poses.
-        verdict: That of --expect-equal; None without it.
-        results: Those of --expect-equal; None without it.
+        verdict: Verdict of --expect-equal; None without it.
+        results: Results of --expect-equal; None without it.
     """
 
     file: str
@@ -96,7 +96,7 @@ class ReplayAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmentAnswer:
-    """A segment of poses that the plant was driven through [s, ticks, m, rad]."""
+    """A segment of poses through which the plant was driven [s, ticks, m, rad]."""
 
     start_s: float
     end_s: float
@@ -144,7 +144,7 @@ class GapAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawReplayAnswer(ReplayAnswer):
-    """A law on the recorded poses."""
+    """Response of a law to the recorded poses."""
 
     law: str
     first_command_difference: DifferenceAnswer | None
@@ -159,7 +159,7 @@ class LawReplayAnswer(ReplayAnswer):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopReplayAnswer(ReplayAnswer):
-    """A scenario simulated again."""
+    """A scenario that was simulated again."""
 
     replay: str
     by: str
@@ -174,7 +174,7 @@ class LoopReplayAnswer(ReplayAnswer):
 
 
 def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
-    """Return a difference as answers have it; time counts from the first sample."""
+    """Return a difference for an answer; time counts from the first sample."""
     if found is None:
         return None
     return DifferenceAnswer(
@@ -186,7 +186,7 @@ def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer
 
 
 def build_pose_error(error: "PoseError") -> PoseErrorAnswer:
-    """Return the largest differences of a pose as answers have them."""
+    """Return the largest differences of a pose for an answer."""
     return PoseErrorAnswer(x=error.x_m, y=error.y_m, heading=error.heading_rad)
 
 
@@ -197,7 +197,7 @@ def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAn
         name=found.name,
         mode="law",
         samples=found.samples,
-        max_abs_error=PoseErrorAnswer(),  # poses are what the law was given
+        max_abs_error=PoseErrorAnswer(),  # the law was given the poses
         first_difference=build_difference(run, found.first_difference),
         law=found.scenario.law.kind,
         first_command_difference=build_difference(run, found.first_command_difference),
@@ -239,7 +239,7 @@ def build_loop(
 
 
 def _find_software(found: "LawReplay | LoopReplay") -> Mapping[str, str]:
-    """Return what replays."""
+    """Return the software of the replay."""
     replayed: Run | None = getattr(found, "run", None)
     if replayed is not None:
         return replayed.simulated_by
@@ -251,7 +251,7 @@ def _compare_software(run: "Run", found: "LawReplay | LoopReplay") -> "tuple[Sof
 
 
 def _describe_software(run: "Run", found: "LawReplay | LoopReplay") -> list[str]:
-    """Return whether a run and its replay come from the same software, if the file names it."""
+    """Return whether a run and its replay come from the same software, if the file contains it."""
     changes = _compare_software(run, found)
     if not run.simulated_by:
         return []
@@ -263,7 +263,7 @@ def _describe_software(run: "Run", found: "LawReplay | LoopReplay") -> list[str]
 
 
 def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> str:
-    """Return whether a law commands what was recorded, and where it first does not."""
+    """Return whether a law commands as recorded, and its first difference."""
     law, first = escape_controls(found.scenario.law.kind), found.first_difference
     if first is None:
         head = f"{law} commands what was recorded{_describe_slack(found.signals)}"
@@ -292,7 +292,7 @@ def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> 
 
 
 def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
-    """Return how the law that was replayed declares itself, where it was recorded otherwise."""
+    """Return the declaration of the replayed law if a different one was recorded."""
     told = found.declaration
     if told is None:
         return []
@@ -314,7 +314,7 @@ def _describe_published(found: "LawReplay") -> str:
 
 
 def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -> str:
-    """Return whether the replay is the recording, and where it first differs."""
+    """Return whether the replay equals the recording, and its first difference."""
     first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
     if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
@@ -323,7 +323,7 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
         slack = _describe_slack(found.signals)
         head = f"the replay is the recording, in {columns}{end}{slack}"
     else:
-        # Of a changed scenario that is what was asked for, and no failure.
+        # For a changed scenario, a difference is expected and not a failure.
         given = "with" if found.run.name.startswith(run.name) else "called"
         whose = f"{given} {changes}, the replay" if changes else "the replay"
         head = (
@@ -342,7 +342,7 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
 def _format_signals(
     run: "Run", found: "LawReplay | LoopReplay", title: str, *, details: bool
 ) -> str:
-    """Return the table of signals, or how many differ and how to see them."""
+    """Return the table of signals, or how many differ and how to show them."""
     if details:
         rest = fill_lines(_describe_rest(found.signals, found.absent))
         return f"\n{fit_table(_tabulate(run, found.signals, title))}\n{rest}".rstrip()
@@ -391,13 +391,13 @@ def _tabulate(run: "Run", signals: "Sequence[SignalDifference]", title: str) -> 
 
 
 def _show(found: "SignalDifference") -> tuple[str, float]:
-    """Return unit and largest difference as they are printed; a count has no unit."""
+    """Return unit and largest difference for display; a count has no unit."""
     largest, unit = show_angle(found.largest, found.unit)
     return "" if unit == "1" else unit, largest
 
 
 def _describe_rest(signals: "Iterable[SignalDifference]", absent: Sequence[str]) -> tuple[str, ...]:
-    """Return sentences on the signals that are equal, and on those that are not there."""
+    """Return sentences on equal signals, and on missing ones."""
     equal = [found.signal for found in signals if not _is_printed(found)]
     sentences = [("Equal in every row as well", equal), ("Not in the recording", absent)]
     return tuple(f"{head}: {', '.join(names)}." for head, names in sentences if names)
@@ -412,7 +412,7 @@ def _is_printed(found: "SignalDifference") -> bool:
 
 
 def _list_counts(run: "Run", found: "LoopReplay") -> list[str]:
-    """Return how many rows there are, and why both ended."""
+    """Return the numbers of rows, and the stop reasons of both."""
     counts = [
         f"{count.recorded} {name}"
         if count.recorded == count.replayed

@@ -1,4 +1,4 @@
-"""What `turtlelog replay` is asked for: the mode, and the scenario."""
+"""Options of `turtlelog replay`: the mode, and the scenario."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from turtlelog import Run, Scenario
 
 _OF_LAW: Final = ("law", "shaping", "limits", "goal")
-"""The tables of a scenario that count where poses are given."""
+"""Tables of a scenario that have an effect if poses are given."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions:
-    """What to drive the recording through, and how to judge the result.
+    """Options for the kind of replay, and for judging the result.
 
     Attributes:
         plant: Simulate the plant with the recorded commands.
@@ -51,9 +51,9 @@ class ReplayOptions:
 
 
 def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | None]:
-    """Return the recording, and the law that takes the place of the recorded one.
+    """Return the recording, and the law that replaces the recorded one.
 
-    A word after --law is its KIND; the last one is FILE where nothing else is.
+    A word after --law is its KIND; the last word is FILE if there is no other.
     """
     words = list(options.law or ())
     if file is None and words:
@@ -68,7 +68,7 @@ def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | 
 def require_sound(
     options: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
 ) -> None:
-    """Refuse options that do not go together."""
+    """Refuse options that cannot be combined."""
     by_law = options.law is not None
     if options.plant and by_law:
         raise UsageError("--plant and --law: choose one")
@@ -92,7 +92,7 @@ def require_sound(
 def choose_replayed(
     run: "Run", options: ReplayOptions, changes: ScenarioOptions | None, kind: str | None
 ) -> "Scenario | None":
-    """Return the scenario to replay, None if it is to be the recording's own as it is."""
+    """Return the scenario to replay; None for the recording's own without changes."""
     if options.law is not None:
         _require_keys_of_law(changes)
     if changes is None and kind is None and options.scenario is None:
@@ -103,7 +103,7 @@ def choose_replayed(
     scenario = _find_base(run, options.scenario)
     if kind is not None:
         scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
-    # What is not asked of a law is read from its recording: so no code is run.
+    # Without a given law, the recording's declaration is used, so that no code runs.
     declared = run.declaration if named is None and options.scenario is None else None
     changed = change_scenario(scenario, changes, declared)
     said = [] if options.scenario is None else [f"as {Path(options.scenario).stem}"]
@@ -124,7 +124,7 @@ def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
 
 
 def _find_named_law(changes: ScenarioOptions | None) -> str | None:
-    """Return the law that --set names: nothing of the recorded one is judged before it is gone."""
+    """Return the law in --set, so that the recorded law is not checked before it is replaced."""
     if changes is None:
         return None
     kind = tl.scenario.parse_assignments(changes.assignments or (), source="--set").get("law.kind")
@@ -132,7 +132,7 @@ def _find_named_law(changes: ScenarioOptions | None) -> str | None:
 
 
 def _replace_law(run: "Run", kind: str) -> "Run":
-    """Return a run that knows nothing of a law of another kind, which need not be there to load."""
+    """Return a run without the data of its law of another kind, which need not be loadable."""
     if run.parameters.get("law.kind") in (None, kind):
         return run
     kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}

@@ -1,4 +1,4 @@
-"""How the metrics of a replay differ from those of its recording."""
+"""Differences of metrics between a replay and its recording."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricChange:
-    """A metric of the recording and of the replay; null where a status says why."""
+    """A metric of the recording and of the replay; null if a status gives the reason."""
 
     id: str
     unit: str
@@ -30,13 +30,13 @@ _OF_LOOP: Final = frozenset({"overshoot", "settling_time", "rms_error"})
 _OF_RUN: Final = frozenset(
     {
         *("final.heading_error", "final.position_error", "run.duration"),
-        *("run.speed_effort", "run.turn_rate_effort"),  # essential where there is no goal
+        *("run.speed_effort", "run.turn_rate_effort"),  # essential without a goal
     }
 )
 
 
 def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured]":
-    """Return the essential metrics of both runs, in one order; what one does not have says so."""
+    """Return the essential metrics of both runs in one order; missing ones have a status."""
     essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
     parts = ((name, name.rpartition(".")[2]) for name in essential)
     of_loops = [name for name, plain in parts if plain in _OF_LOOP]
@@ -95,7 +95,7 @@ def _subtract(was: "Measured", now: "Measured", name: str) -> float | None:
 
 
 def _list_ids(was: "Measured", now: "Measured") -> list[str]:
-    """Return the ids of both: the end, then loop by loop, then the whole run."""
+    """Return the ids of both: the end, then each loop, then the whole run."""
     names = dict.fromkeys([*was, *now])
     ranks = {"final": 0, "run": 2}
     return sorted(names, key=lambda name: ranks.get(name.partition(".")[0], 1))

@@ -1,4 +1,4 @@
-"""How replays through the plant are answered: of runs, and of commands without poses."""
+"""Answers of replays through the plant: of runs, and of commands without poses."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -89,7 +89,7 @@ def _build_pose(pose: "Sequence[float]") -> PoseAnswer:
 
 
 def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
-    """Return whether the plant reproduces the poses, its segments, and what is between them."""
+    """Return whether the plant reproduces the poses, its segments, and the breaks between them."""
     use = found.commands
     and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
     stops = f"; the plant stopped by itself {use.stops} times" if use.stops else ""
@@ -148,7 +148,7 @@ def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
 
 
 def judge_rounding(found: "PlantReplay") -> list[str]:
-    """Return whether rounding explains what differs, and whose arithmetic it is."""
+    """Return whether rounding explains the differences, and whose arithmetic it is."""
     beyond = sum(not stretch.within_rounding for stretch in found.stretches)
     if found.of_rounding == 0.0:
         sentences = ["The plant reproduces every pose."]
@@ -194,11 +194,11 @@ class CommandReplayAnswer:
         plant: Plant that was driven: turtlesim, or lagged, a robot model.
         commands: Number of recorded commands.
         taken: Number of commands that the plant took.
-        duration_s: Time that the plant was driven [s].
+        duration_s: Time for which the plant was driven [s].
         path_length_m: Length of its path [m].
-        end: Its last pose [m, rad].
+        end: Last pose of the plant [m, rad].
         wall_s: Time at which it met a wall of its world, from the first command [s]; None: never.
-        output: The recording that was written; None without one.
+        output: Written recording; None without one.
     """
 
     file: str
@@ -221,7 +221,7 @@ def replay_commands_alone(
     changes: ScenarioOptions | None,
     output: Path | None,
 ) -> tuple[CommandReplayAnswer, str]:
-    """Drive a plant with the commands of a run without poses, and write where it went."""
+    """Drive a plant with the commands of a run without poses, and write its path."""
     _require_of_commands(file, mode)
     scenario = tl.Scenario() if mode.scenario is None else tl.load_scenario(mode.scenario)
     found = tl.replay.drive_commands(run, change_scenario(scenario, changes))
@@ -245,7 +245,7 @@ def replay_commands_alone(
 
 
 def _require_of_commands(file: Path, mode: ReplayOptions) -> None:
-    """Refuse what compares with recorded poses or samples."""
+    """Refuse options that compare with recorded poses or samples."""
     given = {
         "--law": mode.law is not None,
         "--expect-equal": mode.expect_equal,
@@ -257,7 +257,7 @@ def _require_of_commands(file: Path, mode: ReplayOptions) -> None:
 
 
 def _format(file: Path, found: "CommandReplay", answer: CommandReplayAnswer) -> str:
-    """Return how far the plant drives and where it ends, and what that does not tell."""
+    """Return the path length and the end of the plant, and the limits of this answer."""
     kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
     end, name = answer.end, escape_controls(file.name)
     sentences = [

@@ -1,4 +1,4 @@
-"""`turtlelog report`: runs as one file of HTML."""
+"""`turtlelog report`: runs as one HTML file."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -124,13 +124,13 @@ class ReportedRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportAnswer:
-    """The report.
+    """Result of writing a report.
 
     Attributes:
         ending: Sentence on how the runs ended.
-        output: The file.
-        bytes: Its size.
-        runs: The runs.
+        output: Path of the report.
+        bytes: Size of the report [bytes].
+        runs: Runs in the report.
         explained: Name of the explained run; None if no run is explained.
         verdict: Verdict of all checks; None without a specification.
     """
@@ -151,7 +151,7 @@ def build_check_lines(
     Args:
         results: Results of checks.
         names: Names of runs by their files.
-        runs: By their files: those that could be read.
+        runs: Readable runs by file.
     """
     from turtlelog.check.violation import find_violated_signal
     from turtlelog.draw.report import CheckLine
@@ -190,7 +190,7 @@ def _check(spec: Path, files: Sequence[Path], runs: "Sequence[Run]") -> "list[Ch
 
 
 def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
-    """Return what caused the final error of the run that is to be explained."""
+    """Return the causes of the final error of the run to explain."""
     run = _choose_run(runs, choice)
     if run is None:
         return None

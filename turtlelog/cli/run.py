@@ -1,4 +1,4 @@
-"""`turtlelog run`: simulate a scenario; `turtlelog scenario`: print it."""
+"""`turtlelog run`: simulation of a scenario; `turtlelog scenario`: printing of it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -77,7 +77,7 @@ class LiveOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordOptions:
-    """What is written, and which code may run.
+    """Options for written files, and for trusted code.
 
     Attributes:
         output: Write the recording to this .mcap file.
@@ -134,7 +134,7 @@ def run(
         code = _answer(result, record, is_recorded=live.realtime, json=json)
         if window is not None and code == EXIT_FINE:
             flush_stdout()
-            with suppress(KeyboardInterrupt):  # all is done: only the window is to be closed
+            with suppress(KeyboardInterrupt):  # all is done: only the window is closed
                 window.wait()
     return code
 
@@ -162,7 +162,7 @@ def scenario(
 def _require_sound(
     scenario: str | None, record: RecordOptions, live: LiveOptions, *, json: bool
 ) -> None:
-    """Refuse options that do not go together, and outputs that could not be written."""
+    """Refuse options that cannot be combined, and outputs that could not be written."""
     inputs = [] if scenario is None else [make_path(scenario)]
     require_new_target(record.output, inputs, suffix=".mcap")
     require_new_target(record.rrd, inputs, suffix=".rrd")
@@ -177,7 +177,7 @@ def _require_sound(
 
 
 def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptions) -> "Scenario":
-    """Return a scenario with its law's parameters, and print what is to be known before it runs."""
+    """Return a scenario with its law's parameters, and print the notes on it."""
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
     for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(options)):
         print_note(note)
@@ -247,8 +247,8 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
 
 
 def _strip(run: "Run", path: Path) -> "Run":
-    """Return a run of which only what was observed is known: rows, goal, end, and its loops."""
-    known = tl.run.paths.PATH_KEYS  # a path was observed as the goal was: errors count from it
+    """Return a run with only its observable data: rows, goal, end, and loops."""
+    known = tl.run.paths.PATH_KEYS  # a path is observable like the goal: errors refer to it
     return replace(
         run,
         name=path.stem,
@@ -268,7 +268,7 @@ def _simulate(scenario: "Scenario", step_budget_s: float) -> "Run":
 
 @contextmanager
 def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str | None]]":
-    """Yield the window, if one was to be opened, and where the viewer takes data."""
+    """Yield the window if one is requested, and the address at which the viewer receives data."""
     if live.connect is not None or not live.live:
         yield None, live.connect
         return
@@ -277,7 +277,7 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
 
 
 def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: str | None) -> "Run":
-    """Return the run; of a law that fails, write what came before."""
+    """Return the run; if a law fails, write the part before."""
     try:
         return _drive(scenario, record.output, live, url)
     except SimulationError as err:
@@ -296,9 +296,9 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
         sinks: list[Sink] = []
         viewer = None if url is None else tl.draw.LiveViewer(scenario, url)
         if viewer is not None:
-            closing.callback(viewer.close, {})  # also where nothing comes to run
+            closing.callback(viewer.close, {})  # even if no run starts
         if live.realtime and output is not None:
-            with hold_stop():  # so that whatever is created is finished as well
+            with hold_stop():  # created files are always finished
                 recorder = tl.Recorder(output, scenario)
                 closing.callback(recorder.close)
             sinks.append(recorder)
@@ -317,7 +317,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
 
 
 class _Watcher:
-    """Shows how far a live run is."""
+    """Display of the progress of a live run."""
 
     def __init__(self, progress: ProgressLine) -> None:
         self._progress = progress
@@ -330,20 +330,20 @@ class _Watcher:
 
 
 _LONGEST: Final = 24
-"""Of a name [characters]: of a longer one the changes have a line of their own."""
+"""Longest name in a table [characters]; the changes in a longer one have a line of their own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunAnswer:
-    """How a simulated run ended.
+    """The end of a simulated run.
 
     Attributes:
         name: Name of the run.
-        file: The recording that was written; None without one.
-        rrd: The Rerun recording that was written; None without one.
+        file: Written recording; None without one.
+        rrd: Written Rerun recording; None without one.
         samples: Number of samples.
-        stop_reason: Why it ended.
-        metrics: All its metrics.
+        stop_reason: Reason why the run ended.
+        metrics: All metrics of the run.
     """
 
     name: str
@@ -367,7 +367,7 @@ def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAns
 
 
 def _write_end(run: "Run") -> str:
-    """Return how far from the goal a run ended and when, and why it ended."""
+    """Return a run's final distance from the goal, its time, and its stop reason."""
     name, changes = _split_name(run)
     lines = [f"{name}: {tl.charts.describe_end(run)}."]
     lines += [f"Changed: {changes}"] if changes else []
@@ -376,7 +376,7 @@ def _write_end(run: "Run") -> str:
 
 
 def _split_name(run: "Run") -> tuple[str, str]:
-    """Return a name that fits a table, and the changes that a longer one tells."""
+    """Return a name that fits a table, and the changes that a longer name contains."""
     base, _, changes = run.name.partition(" ")
     return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
 

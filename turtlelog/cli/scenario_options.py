@@ -1,4 +1,4 @@
-"""Options that choose a scenario and change it, shared by the commands that take one."""
+"""Options that choose a scenario and change it, shared by several commands."""
 
 import re
 from collections.abc import Mapping
@@ -58,10 +58,10 @@ class LawOptions(ScenarioOptions):
     max_download: MaxDownload = None
 
     def find_law_kind(self) -> str | None:
-        """Return the kind of law that --law or --set names.
+        """Return the kind of law in --law or --set.
 
         Raises:
-            UsageError: If they name two, or one beside --commands, which are a law themselves.
+            UsageError: If they name two laws, or one beside --commands, which replaces the law.
         """
         changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
         kind = changes.get("law.kind")
@@ -76,7 +76,7 @@ class LawOptions(ScenarioOptions):
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowOptions:
-    """A row of a table in place of SCENARIO.
+    """A row of a table instead of SCENARIO.
 
     Attributes:
         table: Run the scenario of a row of this table, which `turtlelog sweep` wrote.
@@ -87,7 +87,7 @@ class RowOptions:
     row: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
     def load(self, scenario: str | None, options: LawOptions | None) -> "Scenario":
-        """Return the scenario that is to run, with the options applied."""
+        """Return the scenario to run, with the options applied."""
         if self.table is None:
             if self.row is not None:
                 raise UsageError("--row: needs --from TABLE")
@@ -100,11 +100,11 @@ class RowOptions:
 
 
 _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
-"""How files that may hold a scenario end, beside scenario files."""
+"""Suffixes of files, besides scenario files, that may contain a scenario."""
 
 
 def find_scenario_file(name: str | None) -> Path | None:
-    """Return the scenario file that a word names, None if it names something else."""
+    """Return the scenario file named by a word; None if it names something else."""
     if name is None or name in tl.PRESETS or is_recording(make_path(name)):
         return None
     path = make_path(name)
@@ -112,7 +112,7 @@ def find_scenario_file(name: str | None) -> Path | None:
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a word names a recording, by its ending, or a bag's folder."""
+    """Return whether a word names a recording, judged by its suffix, or a bag's folder."""
     path, topic = tl.log.split_topic(path)
     return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
 
@@ -120,13 +120,13 @@ def is_recording(path: Path) -> bool:
 def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
     """Return a preset, or the scenario of a file or recording, with the options applied.
 
-    Its name tells the changes. The code of a law is loaded only where its gains are to be set, and
-    never that of a recording, which tells them itself.
+    Its name contains the changes. The code of a law is loaded only to set its gains; that of a
+    recording is never loaded, because the recording contains its gains.
 
     Args:
-        name_or_path: Where None `paper`; with a law that --law names `textbook`, whose loop adds
-            nothing to the law.
-        options: The changes.
+        name_or_path: Preset, file or recording. None: `paper`; with --law `textbook`, whose loop
+            has no effects.
+        options: Changes to apply.
     """
     options = options or LawOptions()
     named = options.find_law_kind()
@@ -138,15 +138,17 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     else:
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
-            expected = "a recording with its whole scenario"
-            raise UsageError(f"{path}: is not {expected}")
+            raise UsageError(
+                f"{path} has no whole scenario to simulate; name a preset (turtlelog list presets),"
+                " a scenario file (.toml) or a recording by turtlelog run"
+            )
         base = tl.scenario.restore_scenario(run, source=str(path))
         declared = None if named else run.declaration
     return apply_options(base, options, declared)
 
 
 def _note_robot(path: Path) -> None:
-    """Print what `identify` noted of the robot in a scenario file, before what is said of it."""
+    """Print the notes of `identify` in a scenario file before other output."""
     if path.suffix == ".toml" and path.is_file():
         text = path.read_text(encoding="utf-8", errors="replace")
         for note in tl.identify.read_robot_notes(text):
@@ -156,12 +158,12 @@ def _note_robot(path: Path) -> None:
 def apply_options(
     base: "Scenario", options: LawOptions | None, declared: "Declaration | None" = None
 ) -> "Scenario":
-    """Return a scenario with the options applied, under a name that tells them.
+    """Return a scenario with the options applied and named.
 
     Args:
-        base: To be changed.
-        options: The changes.
-        declared: What its law declares, where a recording tells; otherwise the law is asked.
+        base: Scenario to change.
+        options: Changes to apply.
+        declared: Declaration of its law from a recording; None: from the law.
     """
     options, scenario, said = options or LawOptions(), base, []
     if options.law is not None:
@@ -181,15 +183,15 @@ def list_given_keys(options: ScenarioOptions | None) -> list[str]:
 def name_by_changes(
     scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
 ) -> "Scenario":
-    """Return a scenario under the name that it was made from and what was changed.
+    """Return a scenario named after its base and the changes.
 
-    One that --set gave a name keeps it.
+    A name from --set is kept.
 
     Args:
-        scenario: With the changes.
-        base: Name of what it was made from.
-        options: The changes.
-        more: What else was changed, in words.
+        scenario: Scenario with the changes.
+        base: Name of the base scenario.
+        options: Changes that were applied.
+        more: Further changes in words.
     """
     said = [*more, *_list_changes(options)]
     is_named = any(change.partition("=")[0].strip() == "name" for change in said)
@@ -206,7 +208,7 @@ def _list_changes(options: ScenarioOptions | None) -> list[str]:
 
 
 def _tell(text: str) -> str:
-    """Return a change for a name, which is one line; a value need not be."""
+    """Return a change for a name in one line, whatever its value."""
     return text if text.isprintable() else repr(text)[1:-1]
 
 
@@ -218,9 +220,9 @@ def change_scenario(
     """Return a scenario with the options applied.
 
     Args:
-        scenario: To be changed.
-        options: The changes.
-        declaration: What its law declares, where a recording tells; otherwise the law is asked.
+        scenario: Scenario to change.
+        options: Changes to apply.
+        declaration: Declaration of its law from a recording; None: from the law.
     """
     options = options or ScenarioOptions()
     if options.commands is not None:
@@ -228,7 +230,7 @@ def change_scenario(
         scenario, declaration = tl.scenario.replay_commands(scenario, run), None
     changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
     if "law.kind" in changes:
-        # Another law has other keys: it is chosen before any of them is set.
+        # Another law has other keys, so it is chosen first.
         kind = {"law.kind": changes.pop("law.kind")}
         scenario = tl.override_scenario(scenario, kind, source="--set")
     if options.kp is not None:
@@ -253,7 +255,7 @@ def change_scenario(
 
 
 def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
-    """Return what the law of a scenario declares, once it has all values that it must have."""
+    """Return the declaration of a scenario's law, once all required values are set."""
     return tl.simulate.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
 
 _MANY_ROWS: Final = 1_000_000
-"""Beyond so many nobody is surprised later: interpreted they take hours."""
+"""Number of rows from which consent is requested: uncompiled, they take hours."""
 
 
 @Parameter(name="*")
@@ -69,10 +69,10 @@ class PlanOptions:
     latin: bool = False
 
     def build_plan(self) -> "SweepPlan":
-        """Return the rows that are asked for.
+        """Return the requested rows.
 
         Raises:
-            UsageError: If options do not go together.
+            UsageError: If options cannot be combined.
             SweepError: If there is nothing to vary, or a value cannot be read.
         """
         return tl.sweep.build_plan(self.grid or (), self.zip_ or (), self._choose_sampling())
@@ -90,7 +90,7 @@ class PlanOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepTableOptions:
-    """What is written.
+    """Options for the written files.
 
     Attributes:
         output: Write the table to this .parquet file, or behind a URL.
@@ -109,11 +109,11 @@ class SweepTableOptions:
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_patterns(self) -> list[str] | None:
-        """Return the metrics that are asked for, None if none are."""
+        """Return the requested metrics; None if there are none."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_records(self, work: WorkOptions) -> "RowRecords | None":
-        """Return which runs are to be recorded, and where, as those at work find it."""
+        """Return the settings for recording runs, with paths valid for workers."""
         if self.record is None:
             if self.record_where is not None:
                 raise UsageError("--record-where: needs --record DIR")
@@ -226,7 +226,7 @@ def _prepare(
 
 
 def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
-    """Say what a large sweep will take; go on where somebody at a terminal agrees."""
+    """Print the cost of a large sweep; continue if the user at the terminal agrees."""
     rows = prepared.plan.row_count
     found = tl.sweep.estimate_sweep(prepared, jobs=jobs)
     took = timedelta(seconds=max(1, round(found.seconds)))
@@ -245,10 +245,10 @@ class SweepAnswer:
     """Results of a sweep.
 
     Attributes:
-        output: The table.
+        output: Path of the table.
         rows: Number of rows.
-        failed: Number of those that failed.
-        samples: Samples of all runs together.
+        failed: Number of failed rows.
+        samples: Total number of samples of all runs.
         recorded: Number of recorded runs.
         elapsed_s: Time that the command took [s].
     """
@@ -296,11 +296,11 @@ def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json:
 
 
 _TOLD: Final = ("final.position_error", "run.duration")
-"""Metrics whose range is told, the first of them that has values; without them any other."""
+"""Metrics whose range is printed: the first with values, otherwise any other metric."""
 
 
 def _describe_best(output: Path) -> str:
-    """Return the range of a metric over all rows, and where it is best."""
+    """Return the range of a metric over all rows, and its best row."""
     import numpy as np
 
     for patterns in (*([name] for name in _TOLD), None):

@@ -1,4 +1,4 @@
-"""Outputs, refused before any work is done where they could not be written at its end."""
+"""Checks of outputs before any work, so that none fails at its end."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -13,20 +13,20 @@ from turtlelog.files.urls import RemotePath
 from turtlelog.libraries import load_library
 
 _LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
-"""What writes files of a suffix, where a slim installation lacks it."""
+"""Libraries that write files of a suffix, which a slim installation lacks."""
 
 PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
-"""How the names of figures end."""
+"""Suffixes of figures."""
 
 
 def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
-    """Refuse a file that could not be written, is an input, or is named as something else.
+    """Refuse a file that could not be written, is an input, or has another suffix.
 
-    A file that is there is fine: it is replaced when the new one is complete.
+    An existing file is accepted: it is replaced when the new one is complete.
 
     Raises:
         UsageError: If the file is refused.
-        LibraryError: If what writes such files is not installed.
+        LibraryError: If the library that writes such files is not installed.
     """
     if target is None:
         return
@@ -41,11 +41,11 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
 def require_pictures(
     plot: Path | None, rrd: Path | None, inputs: Sequence[Path], *, drawn: Sequence[Path], of: str
 ) -> None:
-    """Refuse pictures of a robot that could not be written, or of more than one that is drawn.
+    """Refuse pictures of a robot that could not be written, or pictures of several files.
 
     Raises:
-        UsageError: If one is refused.
-        LibraryError: If what writes it is not installed.
+        UsageError: If a picture is refused.
+        LibraryError: If the library that writes it is not installed.
     """
     for name, target in (("--plot", plot), ("--rrd", rrd)):
         if target is not None and len(drawn) > 1:
@@ -57,7 +57,7 @@ def require_pictures(
 
 
 def require_new_folder(target: Path) -> None:
-    """Refuse a folder that could not be made, or has files in it."""
+    """Refuse a folder that could not be created, or contains files."""
     with _name_target(target):
         if isinstance(target, RemotePath):
             raise UsageError("a URL names a file here, not a folder")
@@ -70,7 +70,7 @@ def require_new_folder(target: Path) -> None:
 
 
 def require_apart(targets: Sequence[Path]) -> None:
-    """Refuse outputs that are the same, or of which one would lie in another."""
+    """Refuse outputs that are equal, or of which one would be inside another."""
     places = [_resolve(target) for target in targets]
     for number, place in enumerate(places):
         for other in places[:number]:
@@ -81,7 +81,7 @@ def require_apart(targets: Sequence[Path]) -> None:
 
 
 def _resolve(target: Path) -> Path:
-    """Return where a path leads; links that lead in a circle stay as they are."""
+    """Return the target of a path; links that form a circle stay unchanged."""
     return target if isinstance(target, RemotePath) else Path(os.path.realpath(target))
 
 
@@ -92,7 +92,7 @@ def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
     if not os.access(target, os.W_OK):
         raise UsageError("this file is write-protected; name another file to write")
     for path in inputs:
-        with suppress(OSError):  # an input that is not there is told when it is read
+        with suppress(OSError):  # the reading of a missing input gives the error
             if target.samefile(tl.log.split_topic(path)[0]):
                 raise UsageError("this is the input; name another file to write")
 
@@ -107,7 +107,7 @@ def _require_writable(target: Path, inputs: Sequence[Path]) -> None:
 
 
 def _require_url(target: RemotePath, inputs: Sequence[Path]) -> None:
-    """Refuse a URL that nothing can be written to, or that is an input."""
+    """Refuse a URL that is not writable, or is an input."""
     from turtlelog.files.requests import require_writable
 
     require_writable(target.url)
@@ -116,12 +116,12 @@ def _require_url(target: RemotePath, inputs: Sequence[Path]) -> None:
 
 
 def _require_place(target: Path) -> None:
-    """Refuse what the folder does not take, found out with a file that is gone at once."""
+    """Refuse a path that cannot be written, by creating and removing a file there."""
     folder = target.absolute().parent
     if not folder.is_dir():
         raise UsageError("there is no such folder to write to; create it first")
     probe = folder / f".turtlelog-{os.urandom(6).hex()}.part"
-    # Permissions alone do not tell: the disk may be read-only, or the name too long for it.
+    # Permissions are not sufficient: the disk may be read-only, or the name too long.
     probe.touch(exist_ok=False)
     probe.unlink()
     with suppress(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""`turtlelog theory`: what the ideal loop and the sampled loop should do."""
+"""`turtlelog theory`: expected behaviour of the ideal and the sampled loop."""
 
 import re
 from dataclasses import dataclass, fields, replace
@@ -43,7 +43,7 @@ _GAINS: Final = "1,2,4,10"
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TermOptions:
-    """Terms of the controller beside P, and what its command passes.
+    """Further terms of the controller besides P, and the process of its command.
 
     Attributes:
         ki: Integral gain [1/s^2].
@@ -76,7 +76,7 @@ class TermOptions:
         )
 
     def build_process(self) -> "Process":
-        """Return what the command passes."""
+        """Return the process that the command passes through."""
         return tl.theory.Process(
             gain=1.0 if self.gain is None else self.gain,
             lag_s=self.lag or 0.0,
@@ -151,7 +151,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
 
 
 def _name_option(text: str) -> str:
-    """Return an error line about a quantity of the theory with the option that gives it."""
+    """Return an error about a quantity of the theory with the option that sets it."""
     name, colon, problem = text.partition(": ")
     if not colon or name not in _OPTIONS:
         return text
@@ -180,15 +180,15 @@ _OPTIONS: Final = {
     "overshoot_percent": "--overshoot",
     "phase_margin_rad": "--phase-margin",
 }
-"""Quantities as errors call them, and the options that give them."""
+"""Options by the names of quantities in errors."""
 
 
 _Timing = tuple[float | None, int | None]
-"""Period [s] and dead time [ticks], as they were given."""
+"""Period [s] and dead time [ticks], as given."""
 
 
 def _require_alone(terms: TermOptions, timing: _Timing) -> None:
-    """Refuse the options of a plant beside a scenario, which has its own."""
+    """Refuse options of a plant together with a scenario, which has its own."""
     given = terms.list_given()
     given += [
         name for name, value in zip(("--period", "--dead-time"), timing, strict=True) if value
@@ -224,7 +224,7 @@ def _answer_loop(
 
 
 class _Form(NamedTuple):
-    """How the answer is printed."""
+    """Format of the answer."""
 
     is_json: bool
     shows_all: bool
@@ -293,7 +293,7 @@ class _FileAnswer:
 
 
 class _Changes(NamedTuple):
-    """What of a scenario is changed."""
+    """Changes to a scenario."""
 
     kp: str | None
     assignments: list[str] | None
@@ -326,7 +326,7 @@ def _answer_file(
 def _read_models(
     word: str, changes: _Changes, topics: ReadingOptions | None
 ) -> "tuple[str, str, Sequence[LoopModel]]":
-    """Return the name of a scenario or a recording, which of them it is, and its loops."""
+    """Return the name of a scenario or a recording, its kind, and its loops."""
     path = make_path(word)
     if is_recording(path):
         if changes.kp is not None or changes.assignments:
@@ -342,7 +342,7 @@ def _read_models(
 
 
 def _identify(run: "tl.Run") -> dict[str, Any]:
-    """Return gains that a recording does not tell, as its commands do."""
+    """Return gains from the commands of a recording that does not contain them."""
     gains = [loop.gain for loop in run.declaration.loops if loop.gain]
     keys = [key for key in gains if key not in run.parameters]
     if not keys or not len(run.samples):

@@ -1,4 +1,4 @@
-"""What `turtlelog theory` prints: recommended gains and limits first, then the loops."""
+"""Text of `turtlelog theory`: recommended gains and limits first, then the loops."""
 
 import shlex
 from collections.abc import Iterator, Sequence
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from turtlelog.theory import Recommendation, SampledLoop
 
 _MOST_COLUMNS: Final = 3
-"""Loops beside each other: a line has no room for more."""
+"""Largest number of loops side by side in a line."""
 
 _IDEAL: Final = "without command limits"
-"""What recommended gains hold for."""
+"""Condition of recommended gains."""
 
 _UNLIMITED: Final = "Commands are not clipped: limits change overshoot and settling time."
 
@@ -37,10 +37,11 @@ def format_integrator(
     """Return the answer for P on 1/s.
 
     Args:
-        loops: At each gain.
+        loops: Loops at each gain.
         recommended: Gains for that plant and dead time.
-        wishes: What they shall give.
-        shows_all: Show the plant, the ideal loop, limits at other dead times and published rules.
+        wishes: Requirements for the gains.
+        shows_all: Whether to show the plant, the ideal loop, limits at other dead times and
+            published rules.
     """
     head = [
         *_list_recommended(
@@ -68,10 +69,10 @@ def format_terms(
     """Return the answer for a loop with more than P on 1/s, at each Kp.
 
     Args:
-        answers: At each Kp.
+        answers: Answers at each Kp.
         recommended: Gains for that plant and dead time.
-        wishes: What they shall give.
-        shows_all: Show published rules, and why rules give no gains.
+        wishes: Requirements for the gains.
+        shows_all: Whether to show published rules, and the reasons of rules without gains.
     """
     head = [
         *_list_recommended(recommended, wishes),
@@ -98,11 +99,11 @@ def format_file(
 
     Args:
         name: Name of the scenario or the run.
-        word: As it was given.
+        word: Scenario or recording as typed.
         answers: Answers of each loop.
-        groups: Gains, for loops that are alike together.
-        wishes: What they shall give.
-        shows_all: Show published rules, and where values come from.
+        groups: Recommended gains; equal loops share them.
+        wishes: Requirements for the gains.
+        shows_all: Whether to show published rules, and the sources of values.
     """
     known = [one for one in answers if one.found]
     if not known:
@@ -132,7 +133,7 @@ def format_file(
 
 
 class _Advice(NamedTuple):
-    """Recommended gains of a loop beside its own, and whether its own need no change."""
+    """Recommended gains of a loop with its own gains, and whether its own need no change."""
 
     loop: str
     best: "Recommendation | None"
@@ -141,7 +142,7 @@ class _Advice(NamedTuple):
 
 
 def _conclude(name: str, advice: Sequence[_Advice], wishes: Wishes) -> str:
-    """Return the recommended gains of each loop, and which need no change."""
+    """Return the recommended gains of each loop, and the loops that need no change."""
     changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
     kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
     rule = next((one.best.rule for one in advice if one.best), None)
@@ -155,7 +156,7 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: Wishes) -> str:
 
 
 def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:
-    """Return gains with the loops that they are of: `Kp = 4 1/s (rotate and translate)`."""
+    """Return gains with their loops: `Kp = 4 1/s (rotate and translate)`."""
     found: dict[str, list[str]] = {}
     for loop, one in loops:
         if one and one.gains:
@@ -164,7 +165,7 @@ def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:
 
 
 def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
-    """Return what recommended gains change, or how a loop answers, and where it is stable."""
+    """Return the effect of recommended gains, or a loop's response and its stability limits."""
     loop = answer.found
     if loop is None:
         return ""
@@ -184,7 +185,7 @@ def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -
 
 
 def _narrow(table: "Table") -> "Table":
-    """Return a table whose least important columns give room to the others."""
+    """Return a table with fewer of the least important columns."""
     ranks = [0 if column.title in {"damping", "stable"} else None for column in table.columns]
     return tl.compare.narrow_table(table, find_width(), ranks)
 
@@ -192,12 +193,12 @@ def _narrow(table: "Table") -> "Table":
 def _list_recommended(
     recommended: Recommended, wishes: Wishes, *, ideal: str = _IDEAL
 ) -> Iterator[str]:
-    """Yield whether given gains need a change, and the recommended ones; else why there are none.
+    """Yield whether given gains need a change, and recommended gains; or a reason why not.
 
     Args:
         recommended: Gains for a plant.
-        wishes: What they shall give.
-        ideal: What they hold for.
+        wishes: Requirements for the gains.
+        ideal: Condition of the gains.
     """
     (given,) = recommended.given
     best = recommended.find_best(given.controller)
@@ -216,13 +217,13 @@ def _list_recommended(
 
 
 def _list_stable(answers: Sequence[LoopAnswer]) -> Iterator[str]:
-    """Yield for which Kp the loop is stable, which the other gains decide."""
+    """Yield the range of Kp in which the loop is stable, which depends on the other gains."""
     if answers and answers[0].found:
         yield f"Stable for Kp {_show_range(answers[0])}."
 
 
 def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
-    """Yield how the loop answers at each Kp; of many those together that answer alike."""
+    """Yield the response of the loop at each Kp; gains with similar responses share a sentence."""
     known = [(one.title.removeprefix("Kp = "), one.found) for one in answers if one.found]
     groups: dict[str, list[str]] = {}
     for kp, found in known:
@@ -238,7 +239,7 @@ def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
 
 
 _MOST_SAID: Final = 4
-"""Gains of which each has its own sentence."""
+"""Largest number of gains with a sentence each."""
 
 
 def _show_range(answer: LoopAnswer) -> str:

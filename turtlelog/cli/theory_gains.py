@@ -1,4 +1,4 @@
-"""Recommended gains as one small table and as JSON."""
+"""Recommended gains as a small table and as JSON."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WishOptions:
-    """What recommended gains shall give.
+    """Requirements for recommended gains.
 
     Attributes:
         overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100. Default:
@@ -32,7 +32,7 @@ class WishOptions:
     phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
 
     def read(self) -> "Wishes":
-        """Return what is wanted.
+        """Return the requirements.
 
         Raises:
             UsageError: If a number is out of its range.
@@ -54,11 +54,11 @@ class WishOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """What is wanted, None: nothing.
+    """Requirements; None: no requirement.
 
     Attributes:
         overshoot_percent: Overshoot of the step [%].
-        phase_margin_rad: In rad.
+        phase_margin_rad: Phase margin [rad].
     """
 
     overshoot_percent: float | None
@@ -72,7 +72,7 @@ class Wishes:
         *,
         given: "Sequence[PidGains]" = (),
     ) -> "Recommended":
-        """Return gains for a process with all dead time in it, and what given gains do."""
+        """Return gains for a process with all dead time, and the results of given gains."""
         found = tl.theory.recommend_gains(
             process,
             period_s=period_s,
@@ -84,9 +84,9 @@ class Wishes:
         return Recommended(found, tuple(measured))
 
     def recommend_for(self, models: "Sequence[LoopModel]") -> "list[Recommended]":
-        """Return gains for the declared loops that theory knows, alike loops together.
+        """Return gains for the declared loops that theory knows; equal loops share them.
 
-        They are for the most dead time that a loop may have, and for its largest steps.
+        The gains are for the largest dead time of a loop, and for its largest steps.
         """
         groups: dict[tuple[Process, float, float], dict[str, LoopModel]] = {}
         for model in tl.theory.list_known(models):
@@ -115,7 +115,7 @@ class Wishes:
         return f"{one.controller} by {_RULE_NAMES[one.rule]}"
 
     def describe(self, rule: str) -> str:
-        """Return what a rule gives: `5 % overshoot`, `60 deg phase margin`, or its name."""
+        """Return the result of a rule: `5 % overshoot`, `60 deg phase margin`, or its name."""
         if rule == "overshoot":
             return f"{self.overshoot_percent:g} % overshoot"
         if rule == "phase-margin" and self.phase_margin_rad is not None:
@@ -124,14 +124,14 @@ class Wishes:
 
 
 class Recommended(NamedTuple):
-    """Recommended gains beside given ones.
+    """Recommended gains, with given ones.
 
     Attributes:
-        found: The recommended gains.
-        given: What given gains do, of loops in their order.
-        loops: The names of the loops that they are for.
-        most_dead_time_s: The most dead time, if it may grow [s].
-        ramp_s: By how much their time constant is longer for limits of the acceleration [s].
+        found: Recommended gains.
+        given: Results of the given gains, by loops in order.
+        loops: Names of the loops of the gains.
+        most_dead_time_s: Largest dead time, if it may grow [s].
+        ramp_s: Increase of the time constant due to acceleration limits [s].
     """
 
     found: "tuple[Recommendation, ...]"
@@ -141,7 +141,7 @@ class Recommended(NamedTuple):
     ramp_s: float = 0.0
 
     def find_best(self, controller: str) -> "Recommendation | None":
-        """Return the first gains of a controller, or of P, for what is wanted; None without any."""
+        """Return a controller's first gains for the requirements, or those of P; None if none."""
         known = {one.controller: one for one in reversed(self.found) if one.gains}
         return known.get(controller) or known.get("P")
 
@@ -151,11 +151,11 @@ class Recommended(NamedTuple):
         return best is not None and tl.theory.is_no_worse(given, best)
 
     def choose_given(self) -> "Recommended":
-        """Keep, of several given gains, those that the recommended ones are compared with."""
+        """Keep, of several given gains, those with which the recommended ones are compared."""
         return self._replace(given=tuple(sorted(self.given, key=self._rank)[:1]))
 
     def _rank(self, given: "Recommendation") -> tuple[bool, float, float]:
-        """Return what puts kept gains first, then those that overshoot least beyond the wish."""
+        """Return a sort key: gains without change first, then those with the least overshoot."""
         if given.motion is None:
             return True, math.inf, math.inf
         best = self.find_best(given.controller)
@@ -174,7 +174,7 @@ def show_gains(gains: "PidGains") -> str:
 
 
 def tell_step(overshoot_percent: float | None, settling_time_s: float | None) -> str:
-    """Return how far a stable loop overshoots after a step, and when it settles."""
+    """Return overshoot and settling time of a stable loop after a step, as text."""
     said = []
     if overshoot_percent is not None:
         is_none = overshoot_percent < NO_OVERSHOOT
@@ -185,17 +185,17 @@ def tell_step(overshoot_percent: float | None, settling_time_s: float | None) ->
 
 
 NO_OVERSHOOT: Final = 0.005
-"""In %: less is none in the digits that are shown."""
+"""Overshoot below which a loop has none in the digits that are shown [%]."""
 
 
 def tell_gains(one: "Recommendation") -> str:
-    """Return how far a loop with these gains overshoots after a step, and when it settles."""
+    """Return overshoot and settling time of a loop with these gains after a step, as text."""
     motion = one.motion
     return "" if motion is None else tell_step(motion.overshoot_percent, motion.settling_time_s)
 
 
 def compare_gains(best: "Recommendation", given: "Recommendation") -> str:
-    """Return in which figures recommended gains are better than given ones, and in which worse."""
+    """Return the figures in which recommended gains are better than given ones, and worse."""
     name = show_gains(given.gains) if given.gains else ""
     if given.margins is None:
         return f"{name} is unstable."
@@ -215,9 +215,9 @@ def compare_gains(best: "Recommendation", given: "Recommendation") -> str:
 
 
 class _Figure(NamedTuple):
-    """A figure of gains: what it is, its value, None if unknown, and whether more is better.
+    """A figure of gains: name, value (None if unknown), and whether more is better.
 
-    A margin has no unit: its value is left to the table.
+    A margin has no unit, so its value is only in the table.
     """
 
     noun: str
@@ -231,7 +231,9 @@ class _Figure(NamedTuple):
 
 def _list_figures(one: "Recommendation") -> list[_Figure]:
     motion, margins = one.motion, one.margins
-    overshoot = None if motion is None else max(motion.overshoot_percent, 0.0)
+    overshoot = None if motion is None else motion.overshoot_percent
+    if overshoot is not None and overshoot < NO_OVERSHOOT:
+        overshoot = 0.0
     settles_s = None if motion is None else motion.settling_time_s
     factor = None if margins is None else margins.gain_margin
     phase_rad = None if margins is None else margins.phase_margin_rad
@@ -245,14 +247,14 @@ def _list_figures(one: "Recommendation") -> list[_Figure]:
 
 
 _RULES: Final = ("overshoot", "phase-margin")
-"""Those that compute gains for what is wanted."""
+"""Rules that compute gains for given requirements."""
 
 _RULE_NAMES: Final = {"simc": "SIMC", "ziegler-nichols": "Ziegler-Nichols"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecommendedGains:
-    """Gains of a rule as JSON has them; None if the reason says why."""
+    """JSON entry of a rule's gains; None if the reason explains why there are none."""
 
     rule: str
     controller: str
@@ -302,8 +304,8 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all:
 
     Args:
         recommended: The gains.
-        wishes: What they shall give.
-        shows_all: With published rules, and why rules give no gains.
+        wishes: Requirements for the gains.
+        shows_all: Whether to include published rules, and reasons of rules without gains.
     """
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
     found = [*dict.fromkeys(recommended.given)]

@@ -1,4 +1,4 @@
-"""Sampled loops of any kind as tables and JSON: those of options, scenarios and recordings."""
+"""Sampled loops of any kind as tables and JSON: from options, scenarios and recordings."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,8 +22,8 @@ class LoopAnswer:
 
     Attributes:
         title: Title above its column.
-        found: Values that were found; None if nothing is known.
-        model: Model of a declared loop, which says where values come from.
+        found: Values of the loop; None if unknown.
+        model: Model of a declared loop, with the sources of its values.
     """
 
     title: str
@@ -32,7 +32,7 @@ class LoopAnswer:
 
 
 def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
-    """Return what theory says of declared loops."""
+    """Return theory's answers for declared loops."""
     return [
         LoopAnswer(
             title=model.loop.name, found=None if model.reason else model.analyse(), model=model
@@ -43,7 +43,7 @@ def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PidAnswer:
-    """A sampled loop as JSON has it; None if there is no such number."""
+    """JSON entry of a sampled loop; None if there is no such number."""
 
     kp: float
     ki: float
@@ -102,17 +102,17 @@ class DeclaredLoopAnswer:
     """A loop that a law declares.
 
     Attributes:
-        loop: Its name.
+        loop: Name of the loop.
         signal: Controlled signal.
         command: Command by which the loop acts.
-        status: `ok`, or `unknown` if its gains or its plant are not known.
-        reason: Why it is unknown.
+        status: `ok`, or `unknown` if its gains or its plant are unknown.
+        reason: Reason why it is unknown.
         sources: Sources of the values.
         left_out: Settings that theory's linear loop leaves out.
-        most_dead_time_s: The dead time that queues may let it grow to [s].
+        most_dead_time_s: Largest dead time that queues may cause [s].
         sampled: The sampled loop; None if it is unknown.
-        recommended: Gains.
-        kept_kp: The Kp in use if it needs no change [1/s].
+        recommended: Recommended gains.
+        kept_kp: Present Kp if it needs no change [1/s].
     """
 
     loop: str
@@ -134,7 +134,7 @@ def build_declared_loop(
     recommended: list[RecommendedGains],
     kept_kp: float | None,
 ) -> DeclaredLoopAnswer:
-    """Return a declared loop for JSON: where values come from, and they, where it is known."""
+    """Return a declared loop for JSON, with its sources and, if known, its values."""
     return DeclaredLoopAnswer(
         loop=model.loop.name,
         signal=model.loop.signal,
@@ -151,7 +151,7 @@ def build_declared_loop(
 
 
 def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
-    """Return a table with a column for each loop; rows that are zero in all are left out."""
+    """Return a table with a column for each loop; rows that are zero in all loops are left out."""
     known = [answer.found for answer in answers if answer.found]
     rows = []
     for name, is_optional, write in _ROWS:
@@ -169,11 +169,11 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
 
 
 def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> list[str]:
-    """Return which loops are unknown, what is left out, and where values come from.
+    """Return unknown loops, omitted settings, and sources of values.
 
     Args:
         answers: Answers of declared loops.
-        shows_all: Say where the values of known loops come from.
+        shows_all: Whether to include the sources of known loops.
     """
     notes = []
     for answer in answers:
@@ -197,15 +197,15 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
 
 
 def tell_motion(loop: "PidLoop") -> str:
-    """Return whether a loop is stable, how far it overshoots and when it settles."""
+    """Return whether a loop is stable, with its overshoot and settling time, as text."""
     if not loop.stable:
         return "unstable"
     step = tell_step(loop.overshoot_percent, loop.settling_time_s)
-    return f"stable, {step}" if step else "stable"
+    return f"stable, {step or 'but its slowest part hardly decays'}"
 
 
 def _tell_sources(model: "LoopModel") -> str:
-    """Return where values come from, those of one source together."""
+    """Return the sources of values; values of one source share an entry."""
     found: dict[str, list[str]] = {}
     for key, words in model.sources.items():
         found.setdefault(words, []).append(_NAMES[key])
@@ -285,4 +285,4 @@ _ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
     ),
     ("delay margin [ticks]", False, _tell_margin(lambda found: found.delay_margin_ticks, ".1f")),
 )
-"""Rows of the table: name, whether it is left out where it is 0 in all, and how it is written."""
+"""Rows of the table: name, whether it is left out if all loops have 0, and its format."""

@@ -1,4 +1,4 @@
-"""P on the plant 1/s, ideal and sampled, as tables and JSON."""
+"""P control of the plant 1/s, ideal and sampled, as tables and JSON."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -74,7 +74,7 @@ class _End:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantAnswer:
-    """The plant 1/s: whether it is stable, and where its responses end."""
+    """The plant 1/s: whether it is stable, and the final values of its responses."""
 
     transfer_function: _Transfer
     bibo_stable: bool
@@ -84,7 +84,7 @@ class PlantAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IntegratorAnswer:
-    """P on the plant 1/s."""
+    """P control of the plant 1/s."""
 
     period_s: float
     dead_time_ticks: int
@@ -175,7 +175,7 @@ def _compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
 
 
 def _list_dead_times(loop: "SampledLoop") -> list[int]:
-    """Return the dead times [ticks] that a table of limits shows, that of the loop among them."""
+    """Return the dead times [ticks] in a table of limits, including that of the loop."""
     return sorted({*range(_LIMITS_UP_TO + 1), loop.dead_time_ticks})
 
 
@@ -287,7 +287,7 @@ def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
 
 
 def summarise_gains(loops: "list[SampledLoop]") -> list[str]:
-    """Return where overshoot and instability begin, and on which side the gains are."""
+    """Return the gains at which overshoot and instability begin, and the given gains' side."""
     overshoot, stability = _compute_limits(loops[0].period_s, loops[0].dead_time_ticks)
     groups = {
         "no overshoot": [loop for loop in loops if loop.stable and not loop.overshoots],

@@ -27,7 +27,7 @@ _MOST_VARIANTS: Final = 1_000_000
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoalOptions:
-    """What is tuned, and for what.
+    """Options for the keys and the goal of tuning.
 
     Attributes:
         grid: A key with its bounds, and perhaps a step. Examples: law.kp_linear=0.5:12,
@@ -54,7 +54,7 @@ class GoalOptions:
     seed: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
     def parse_goal(self) -> "TuningGoal":
-        """Return what is tuned for."""
+        """Return the goal of tuning."""
         if self.minimise is not None and self.maximise is not None:
             raise UsageError("tune takes --minimise or --maximise, not both")
         if self.minimise is None and self.maximise is None:
@@ -68,7 +68,7 @@ class GoalOptions:
         )
 
     def count_evaluations(self, keys: int) -> int:
-        """Return how many candidates there are to be."""
+        """Return the requested number of candidates."""
         found = tl.sweep.tune.FOR_EACH_KEY * keys if self.evaluations is None else self.evaluations
         if found < tl.sweep.tune.FEWEST:
             raise UsageError(f"--evaluations {found}: must be at least {tl.sweep.tune.FEWEST}")
@@ -85,7 +85,7 @@ class GoalOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobustnessOptions:
-    """How the best values are tried where the loop is not quite the same.
+    """Options for testing the best values with variants of the loop.
 
     Attributes:
         monte_carlo: Number of variants of the best candidate to simulate: with other seeds, if the
@@ -103,7 +103,7 @@ class RobustnessOptions:
     robot: Annotated[Place | None, Parameter(metavar="FILE")] = None
 
     def count_runs(self) -> int:
-        """Return how many variants are asked for; 0 where none are."""
+        """Return the requested number of variants; 0 if there are none."""
         if self.monte_carlo is None:
             for name, is_given in (("--spread", self.spread), ("--robot", self.robot)):
                 if is_given:
@@ -211,7 +211,7 @@ def tune(
 def _parse_keys(
     scenario: "Scenario", vary: list[str], options: LawOptions | None, *, trust_law: bool
 ) -> "tuple[Scenario, tuple[SearchedKey, ...]]":
-    """Return the keys, and the scenario with a value for each: a law need not have defaults."""
+    """Return the keys, and the scenario with a value for each, as laws may lack defaults."""
     given = list_given_keys(options)
     for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
         if key.key == "kp" and options is not None and options.kp is not None:

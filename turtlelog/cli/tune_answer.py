@@ -1,4 +1,4 @@
-"""What `tune` answers, as text and as JSON."""
+"""The answer of `tune` as text and as JSON."""
 
 import math
 from collections.abc import Mapping
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True, kw_only=True)
 class Answer:
-    """What is answered.
+    """Data of the answer.
 
     Attributes:
-        scenario: With the best values.
-        keys: That varied.
-        goal: What they were tuned for.
-        tuned: What the search came to.
+        scenario: Scenario with the best values.
+        keys: Varied keys.
+        goal: Goal of tuning.
+        tuned: Result of the search.
         around: Range of each key with good values; None if no candidate fulfils the constraints.
         spread: Results of the variants; None if none were simulated.
     """
@@ -37,14 +37,14 @@ class Answer:
 
     @property
     def unit(self) -> str:
-        """Of the objective, where it is a metric; otherwise empty."""
+        """Unit of the objective if it is a metric; otherwise empty."""
         if self.goal.metric is None:
             return ""
         known = tl.measure.list_metrics(tl.simulate.declare_scenario(self.scenario))
         return known[self.goal.metric].unit
 
     def tell_name(self) -> str:
-        """Return a name that tells the best values, as that of `--set` does."""
+        """Return a name that contains the best values, as that of `--set` does."""
         told = [
             f"{key.key}={value:.6g}"
             for key, value in zip(self.keys, self.tuned.best.point, strict=True)
@@ -54,7 +54,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConstraintAnswer:
-    """A constraint at the best values; the margin is negative where it does not hold."""
+    """A constraint at the best values; the margin is negative if it fails."""
 
     expression: str
     value: float | None
@@ -64,7 +64,7 @@ class ConstraintAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeAnswer:
-    """Range of one key alone, and what ends it."""
+    """Range of a single key, with the reasons for its ends."""
 
     key: str
     low: float
@@ -94,14 +94,14 @@ class TuneAnswer:
     Attributes:
         best: Values by key.
         objective: Value of the objective; None if no run has a value.
-        minimise: Objective to minimise; None if something was to be large.
-        maximise: Objective to maximise; None if something was to be small.
+        minimise: Objective to minimise; None if one is maximised.
+        maximise: Objective to maximise; None if one is minimised.
         unit: Unit of the objective.
         is_feasible: Whether all constraints hold.
-        constraints: Each of them.
+        constraints: Constraints at the best values.
         evaluations: Number of simulated candidates.
-        failed: Number of those that failed.
-        failure: Why the first failed.
+        failed: Number of failed candidates.
+        failure: Reason of the first failure.
         feasible: Number of candidates that fulfil the constraints.
         at_bounds: Keys whose best value is at a bound.
         is_flat: Whether all candidates have one value.
@@ -129,7 +129,7 @@ class TuneAnswer:
 
 
 def build_answer(answer: Answer) -> TuneAnswer:
-    """Return the answer as JSON has it."""
+    """Return the answer for JSON."""
     tuned, spread = answer.tuned, answer.spread
     return TuneAnswer(
         best=dict(zip((key.key for key in answer.keys), tuned.best.point, strict=True)),
@@ -182,7 +182,7 @@ def _build_spread(spread: "Spread") -> SpreadAnswer:
 
 
 def format_answer(answer: Answer) -> str:
-    """Return the answer as text: the best values and what they bring, in the first line."""
+    """Return the answer as text; the first line has the best values and their result."""
     tables = [_tabulate_best(answer)]
     if answer.tuned.best.constraints:
         tables.append(_tabulate_constraints(answer))
@@ -193,7 +193,7 @@ def format_answer(answer: Answer) -> str:
 
 
 def _conclude(answer: Answer) -> str:
-    """Return the best values and what they bring, or that no values fulfil the constraints."""
+    """Return the best values and their result, or that no values satisfy the constraints."""
     tuned, best = answer.tuned, answer.tuned.best
     values = ", ".join(
         f"{key.key} = {format_number(value)}"
@@ -256,7 +256,7 @@ def _list_notes(answer: Answer) -> list[str]:
 
 
 def _tell_sign(goal: "TuningGoal", objective: float | None) -> list[str]:
-    """Say what is meant by the least of a metric of which neither sign is better."""
+    """Return a note on the minimum of a signed metric without a better direction."""
     kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)
     if kind is None or kind.better is not None or goal.is_maximised or (objective or 0.0) >= 0.0:
         return []

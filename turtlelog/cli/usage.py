@@ -1,4 +1,4 @@
-"""How help looks, and what is wrong with the words of a command."""
+"""Layout of help, and errors of command lines."""
 
 import re
 import textwrap
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 
 
 _WIDEST: Final = 100
-"""Longer lines are hard to read [characters]."""
+"""Longest line of help [characters]; longer lines are hard to read."""
 
 
 class HelpFormatter:
-    """Cyclopts' panels, of texts whose line ends are those of the source code.
+    """Cyclopts' panels for texts with the line breaks of source code.
 
-    It knows nothing of a command that nobody has loaded yet: those are described by summaries.
-    What draws panels is loaded where help is printed, not by every command.
+    Commands that are not loaded are described by summaries. The code that draws panels is loaded
+    only for help.
     """
 
     shows_all: bool = False
-    """Whether to show every option and paragraph, as --help-all asks; otherwise the usual ones."""
+    """Whether to show every option and paragraph, as for --help-all, or the usual ones."""
 
     def __init__(self, summaries: Mapping[str, str], usual: Mapping[str, Collection[str]]) -> None:
-        """Take what commands do, in one sentence each, and their usual options."""
+        """Store the summaries of commands, one sentence each, and their usual options."""
         self._summaries, self._usual = summaries, usual
         self._command = ""
 
@@ -57,18 +57,18 @@ class HelpFormatter:
             DefaultFormatter()(console, options, described)
 
     def _is_shown(self, entry: "HelpEntry") -> bool:
-        """Return whether help shows an option: a usual one, any where all are asked for."""
+        """Return whether help shows an option: a usual one, or any with --help-all."""
         usual = self._usual.get(self._command)
         if self.shows_all or usual is None or entry.positional_label or entry.required:
             return True
         return not usual.isdisjoint(entry.positive_names)
 
     def render_usage(self, console: "Console", options: "ConsoleOptions", usage: Any) -> None:
-        """Print how a command is called."""
+        """Print the usage line of a command."""
         from cyclopts.help import DefaultFormatter
 
         words = (usage if isinstance(usage, str) else _find_text(usage)).split()
-        # Behind `Usage: turtlelog`.
+        # The word after `Usage: turtlelog`.
         self._command = next((word for word in words[2:3] if word in self._usual), "")
         DefaultFormatter().render_usage(console, options, usage)
 
@@ -85,7 +85,7 @@ class HelpFormatter:
         return entry.copy(description=description, positional_label=label)
 
     def _choose(self, paragraphs: list[str]) -> list[str]:
-        """Return the paragraphs to show: what a command does, and an example."""
+        """Return the paragraphs to show: the purpose of a command, and an example."""
         if self.shows_all or self._command not in self._usual:
             return paragraphs
         examples = [text for text in paragraphs if text.startswith("Example: ")]
@@ -98,7 +98,7 @@ class HelpFormatter:
         options: "ConsoleOptions",  # noqa: ARG002
         description: Any,
     ) -> None:
-        """Print what a command does, then its examples."""
+        """Print the purpose of a command, then its examples."""
         width = min(console.width, _WIDEST)
         text = "\n\n".join(
             textwrap.fill(paragraph, width, break_long_words=False, break_on_hyphens=False)
@@ -108,7 +108,7 @@ class HelpFormatter:
 
 
 def show_default(value: object) -> str | None:
-    """Return how help shows a default; that an option is not given goes without saying."""
+    """Return the text of a default in help; None for options that are off by default."""
     return None if value is False or value is None else str(value)
 
 
@@ -127,7 +127,7 @@ _WORDS: Final[dict[Any, str]] = {
 }
 
 _SHORT: Final = 40
-"""Letters of a value that an error line repeats without quotes."""
+"""Longest value that an error line repeats [letters]."""
 
 _OPTIONS: Final = MappingProxyType(
     {
@@ -139,26 +139,26 @@ _OPTIONS: Final = MappingProxyType(
         "--maximize": "--maximise", "--constraint": "--subject-to", "--filter": "--where",
     }
 )  # fmt: skip
-"""Options of other commands and programs, and what they are called here."""
+"""Options of other commands and programs, with their names here."""
 
 
 def describe_usage_error(err: CycloptsError) -> str:
-    """Return an error of the command line's parser as one line: what is wrong, what to type.
+    """Return an error of the command line's parser as one line, with what to type.
 
     Args:
-        err: What cyclopts raised.
+        err: Error raised by cyclopts.
     """
     for kind, describe in _DESCRIPTIONS.items():
         if isinstance(err, kind):
             return describe(err)
     err.verbose = False
-    # Cyclopts writes in several lines.
+    # Cyclopts writes errors in several lines.
     text = " ".join(str(err).split())
     return f"{_name_command(err)}: {text}"
 
 
 def find_split_pair(tokens: Sequence[str]) -> str | None:
-    """Return what is wrong where a goal is two words, as in `--goal 8 3`; None if none is."""
+    """Return the error of a goal in two words, as in `--goal 8 3`; None if there is none."""
     found = re.search(r"(?:^|\n)--goal\n([-+.\de]+)\n([-+.\de]+)(?:\n|$)", "\n".join(tokens))
     if found is None:
         return None
@@ -196,14 +196,22 @@ def _describe_unknown_option(err: Any) -> str:
     return f"{text}; all options: {command} --help-all"
 
 
+_UNITS: Final = re.compile(r"^max_|(_m|_rad|_s|_s2|_ticks)+$")
+"""What a key of a scenario has beside its plain name: `--duration` means max_duration_s."""
+
+
 def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> list[str]:
-    """Return how a key of a scenario is set that was given as an option, as `--kp-linear 2`."""
+    """Return how to set a scenario key that was typed as an option, as `--kp-linear 2`."""
     if "--set" not in options:
         return []
-    from turtlelog.scenario import Scenario, flatten_scenario  # Only mistakes pay for it.
+    from turtlelog.scenario import Scenario, flatten_scenario  # needed only for mistakes
 
     name = word.removeprefix("--").replace("-", "_")
-    keys = [key for key in flatten_scenario(Scenario()) if key.partition(".")[2] == name]
+    known = [*flatten_scenario(Scenario())]
+    keys = [key for key in known if (key.partition(".")[2] or key) == name]
+    keys = keys or [
+        key for key in known if _UNITS.sub("", key.rpartition(".")[2]) == _UNITS.sub("", name)
+    ]
     joined = "\n".join(tokens)
     value = re.search(rf"^{re.escape(word)}[=\n]([^\n]+)", joined, re.MULTILINE)
     return [f"--set {key}={'VALUE' if value is None else value[1]}" for key in keys]
@@ -216,7 +224,7 @@ def _describe_unused(err: Any) -> str:
 
 
 def _show_usage(err: Any) -> str:
-    """Return how the command is called, in one line."""
+    """Return the usage of a command in one line."""
     app = err.app
     for name in err.command_chain or ():
         if name in {command for command in app if not command.startswith("-")}:
@@ -268,7 +276,7 @@ def _takes_no_value(argument: "Argument") -> bool:
 
 
 def _describe_value(argument: "Argument") -> str:
-    """Return what a place takes: its choices, its metavar, or a word for its type."""
+    """Return the expected value of an argument: its choices, its metavar, or its type."""
     choices = argument.get_choices(force=True)
     if choices:
         return join_names(choices)
@@ -290,4 +298,4 @@ _DESCRIPTIONS: Final = {
     CoercionError: _describe_value_error,
     RepeatArgumentError: _describe_repeated,
 }
-"""By the kind of error; a kind stands before those that it is one of."""
+"""Functions that describe errors by class; subclasses come before their bases."""

@@ -1,4 +1,4 @@
-"""`turtlelog view`: look at recordings in Rerun."""
+"""`turtlelog view`: recordings in the Rerun viewer."""
 
 import re
 import sys
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
 _ROUNDING_S = 1e-3
-"""The end is printed in milliseconds."""
+"""The end is printed in milliseconds [s]."""
 
 _USUAL_SIZE = "1600x900"
 _LEAST_SIZE = 480, 320
-"""Width and height of a picture at least [pixels]: titles and axes take 40 of every row of plots,
-and what is left of it is 45 high."""
+"""Smallest width and height of a picture [pixels]: titles and axes take 40 of every row of plots,
+which leaves a height of 45."""
 
 
 @Parameter(name="*")
@@ -116,7 +116,7 @@ def view(
     require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)
     if window.follow:
-        with suppress(KeyboardInterrupt):  # as closing the window does
+        with suppress(KeyboardInterrupt):  # as if the window was closed
             _follow(files[0], window.connect)
         return
     if movie.movie is not None:
@@ -136,7 +136,7 @@ def view(
                     size=width_and_height,
                 )
         _tell([path for path in (save, picture.snapshot) if path is not None], runs)
-        with suppress(KeyboardInterrupt):  # a look ends so, too
+        with suppress(KeyboardInterrupt):  # the user ends the view
             if window.web:
                 _serve(rrds)
             elif save is None and picture.snapshot is None:
@@ -144,14 +144,14 @@ def view(
 
 
 def _require_view(save: Path | None) -> None:
-    """Refuse a picture or a movie where a view is written, and name the option that writes one."""
+    """Refuse a picture or a movie in place of a view's file, and name the right option."""
     if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
         other = "--snapshot" if save.suffix == ".png" else "--movie"
         raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
 
 
 def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
-    """Say how the runs ended that a file shows, and what was written."""
+    """Print how the runs in a file ended, and the written files."""
     if written:
         ending = [fill_lines([tl.charts.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
@@ -254,7 +254,7 @@ def _prepare_rrds(
 
 
 def _look_around(file: Path, run: "Run") -> "Surroundings | None":
-    """Return what the robot of a bag saw, and say where that comes from."""
+    """Return the surroundings of a bag's robot, and print their source."""
     if "pose_topic" not in run.notes:
         return None
     seen = tl.log.read_surroundings(file, run)
@@ -264,7 +264,7 @@ def _look_around(file: Path, run: "Run") -> "Surroundings | None":
 
 
 def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
-    """Return where the first pose and the longest run's end are [s]; None without runs."""
+    """Return the time of the first pose and the end of the longest run [s]; None without runs."""
     if not runs:
         return None
     start_ns = min(int(run.poses.time_ns[0]) - run.start_ns for run in runs)
@@ -272,7 +272,7 @@ def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
 
 
 def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) -> float | None:
-    """Return the time of the picture: a view is a little longer than its runs."""
+    """Return the time of the picture; a view is slightly longer than its runs."""
     if picture.timeline != "sim_time" or span_s is None:
         return picture.at
     start_s, end_s = span_s

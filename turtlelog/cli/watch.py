@@ -1,4 +1,4 @@
-"""`turtlelog run --watch`: runs again on every save, and says what changed."""
+"""`turtlelog run --watch`: a new run on every save, with the changes."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from turtlelog import Run, Scenario
 
 _POLL_S: Final = 0.1
-"""Time between two looks at the files [s]: too short to notice, and long enough that reading some
-kilobytes each time costs nothing that could be measured."""
+"""Time between two checks of the files [s]: too short to notice, and long enough that reading some
+kilobytes takes no measurable time."""
 
 _Texts = Mapping[Path, tuple[int, bytes] | None]
 
 
 def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
-    """Return the files that decide what a run does: the scenario's, and that of the law.
+    """Return the files that determine a run: that of the scenario, and that of the law.
 
     Raises:
         UsageError: If no such file is named, or one is missing.
@@ -56,17 +56,17 @@ def watch_runs(
     *,
     is_over: Callable[[], bool],
 ) -> int:
-    """Run, and run again whenever a file is saved, until Ctrl-C; return the exit code.
+    """Run, and run again after each save of a file until Ctrl-C; return the exit code.
 
     An error of the law or the scenario is printed in one line; the next save runs again.
 
     Args:
-        files: Watched until a scenario has been loaded.
-        load: Returns the scenario as it is now, and the files to watch from then on.
-        simulate: Runs the scenario.
-        answer: Prints a run beside the previous one and returns an exit code; any but 0 ends the
-            watch.
-        is_over: Whether to stop, asked between looks at the files.
+        files: Files to watch until a scenario is loaded.
+        load: Function that returns the present scenario, and the files to watch.
+        simulate: Function that runs the scenario.
+        answer: Function that prints a run beside the previous one and returns an exit code; any
+            except 0 ends the watch.
+        is_over: Function that returns whether to stop, called between checks.
     """
     before: Run | None = None
     told: Sequence[Path] = ()
@@ -111,10 +111,10 @@ def describe_change(run: "Run", before: "Run") -> str:
 
 
 def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bool]) -> Path | None:
-    """Return the first file that was saved, once two looks found all files alike; None at the end.
+    """Return the first saved file after two equal checks of all files; None at the end.
 
-    Editors write in several steps, or delete a file and write it anew: a file that changed since
-    the last look may change again, and one that is missing is not saved yet.
+    Editors write in several steps, or delete a file and write it again. A file that has changed
+    since the last check may change again, and a missing file is not saved yet.
     """
     last: _Texts = {}
     while not is_over():
@@ -128,10 +128,10 @@ def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bo
 
 
 def _read_texts(files: Sequence[Path]) -> _Texts:
-    """Return time and content of each file, None if it cannot be read.
+    """Return time and content of each file; None if it cannot be read.
 
-    The time shows a save that changes nothing; the content shows a second save within one tick of
-    the file system's clock, which may be two seconds long.
+    The time shows a save without changes; the content shows a second save within one tick of the
+    file system's clock, which may be two seconds long.
     """
     found: dict[Path, tuple[int, bytes] | None] = {}
     for file in files:

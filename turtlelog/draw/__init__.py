@@ -1,4 +1,7 @@
-"""Rerun recordings, figures, tables. Public names are in `__init__.pyi` and load on first use."""
+"""Drawing of runs: Rerun recordings, figures, movies, reports and tables.
+
+Public names are in `__init__.pyi` and load on first use.
+"""
 
 from turtlelog.libraries import attach_names
 

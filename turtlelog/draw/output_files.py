@@ -28,7 +28,7 @@ def replace_file(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path]]:
-    """Yield what writes files into a folder, by name; all take their places at the end together.
+    """Yield a function that writes files into a folder by name; all appear together at the end.
 
     If the block fails, nothing is left: no file, and no new folder.
 
@@ -57,7 +57,7 @@ def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path
 
 
 def _remove_folder(folder: Path) -> None:
-    with suppress(OSError):  # somebody else writes there, too
+    with suppress(OSError):  # another program may write there, too
         folder.rmdir()
 
 
@@ -68,14 +68,15 @@ _SOURCES: Final = {
     "base_uri": "'none'",
     "form_action": "'none'",
 }
-"""Bokeh and Rerun write styles while they draw. What a style could fetch is refused by the rest."""
+"""Allowed sources: Bokeh and Rerun write styles while they draw; other rules keep styles from
+loading anything."""
 
 
 def write_policy(scripts: Iterable[str], **more: str) -> str:
-    """Return a policy: the scripts that stand in the page, by their hashes, and nothing remote.
+    """Return a policy that allows the scripts in the page by their hashes, and nothing remote.
 
     Args:
-        scripts: The text of each; data blocks, as of JSON, are no scripts.
+        scripts: Text of each script; data blocks, as of JSON, are not scripts.
         more: Further sources by directive, with `_` for `-`, as `connect_src="'self'"`.
     """
     hashes = (b64encode(sha256(code.encode()).digest()).decode() for code in scripts)
@@ -89,6 +90,6 @@ def write_policy(scripts: Iterable[str], **more: str) -> str:
 
 
 def write_policy_tag(*scripts: str) -> str:
-    """Return the tag for the head of a page that is a file, before all else that loads."""
+    """Return the policy as a tag for the head of a page, to be placed before all that loads."""
     policy = write_policy(scripts)
     return f'<meta http-equiv="Content-Security-Policy" content="{policy}">'

@@ -1,4 +1,4 @@
-"""A run as a notebook shows it."""
+"""Display of a run in a notebook."""
 
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 
 def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figure":
-    """Return a run in Rerun's viewer, as a widget; without the extra `notebook` its figure `panel`.
+    """Return a run as a widget of Rerun's viewer; without the extra `notebook` as figure `panel`.
 
-    Either one shows itself as the last line of a cell.
+    Both show themselves as the last line of a cell.
 
     Args:
         run: Run to show.
@@ -22,13 +22,13 @@ def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figu
         height: Height of the widget [pixels].
 
     Raises:
-        ShowError: If width or height is below 1, or the environment switches Rerun off.
+        ShowError: If width or height is below 1, or the environment disables Rerun.
     """
     for name, value in (("width", width), ("height", height)):
         if value < 1:
             raise ShowError(f"{name}: must be at least 1 pixel, not {value}")
     if any(find_spec(module) is None for module in ("rerun", "rerun_notebook")):
-        from turtlelog.draw.figures import draw_figure  # not needed beside the widget
+        from turtlelog.draw.figures import draw_figure  # not needed for the widget
 
         return draw_figure("panel", run)
     from turtlelog.draw.rerun.run_scene import build_run_widget

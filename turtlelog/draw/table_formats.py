@@ -1,7 +1,6 @@
 """Tables as text for a terminal, Markdown, CSV and LaTeX.
 
-Written by hand, so that printed and stored tables stay the same to the byte with any version of a
-library.
+Written without a library, so that printed and stored tables do not change with its version.
 """
 
 import csv
@@ -31,12 +30,12 @@ class _Column:
     """A column as text.
 
     Attributes:
-        titles: Its head, line by line.
-        unit: In brackets, or empty.
-        cells: Row by row.
-        is_numeric: Whether it stands to the right.
-        is_joined: Whether it stays beside the column before it.
-        width: Characters that it is given; what is longer is broken into lines.
+        titles: Lines of its head.
+        unit: Unit in brackets; empty if there is none.
+        cells: Text of each row.
+        is_numeric: Whether it is aligned to the right.
+        is_joined: Whether it must stay beside the previous column.
+        width: Available width [characters]; longer text is broken into lines.
     """
 
     titles: tuple[str, ...]
@@ -48,7 +47,7 @@ class _Column:
 
     @property
     def least_width(self) -> int:
-        """What it cannot do with less: values stay whole, names may be broken."""
+        """Smallest possible width [characters]: values stay complete, names may be broken."""
         if not self.is_numeric:
             return min(self.width, _LEAST_TEXT)
         return min(self.width, max(_LEAST_NUMBER, len(self.unit), *map(len, self.cells)))
@@ -91,7 +90,7 @@ def format_markdown(table: Table) -> str:
 
 
 def format_csv(table: Table) -> str:
-    """Return a table as CSV with full precision, units in the head; empty if no value is."""
+    """Return a table as CSV with full precision, units in the head; missing values are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([guard_cell(_join_title(column)) for column in table.columns])
@@ -102,7 +101,7 @@ def format_csv(table: Table) -> str:
 
 
 def format_latex(table: Table) -> str:
-    """Return a table as LaTeX for the booktabs package; a wide one spans both of two columns."""
+    """Return a table as LaTeX for the booktabs package; a wide table spans two columns."""
     alignment = "".join("r" if _is_numeric(table, i) else "l" for i in range(len(table.columns)))
     rows = _format_rows(table, "tex")
     size = r"\footnotesize" if _is_wide(table) else r"\small"
@@ -133,7 +132,7 @@ _FORMATS: Final[Mapping[str, Callable[[Table], str]]] = MappingProxyType(
 )
 
 TABLE_FORMATS: Final = tuple(_FORMATS)
-"""The formats of tables, named as the suffixes of their files."""
+"""Formats of tables, named as the suffixes of their files."""
 
 
 def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -> str:
@@ -154,7 +153,7 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
 
 
 def _format_rows(table: Table, kind: str) -> list[list[str]]:
-    """Return the cells as a format writes them, escaped and marked."""
+    """Return the cells in a format, escaped and marked."""
     return [
         [
             _mark(table, row, index, _format(cell, column, kind), kind)
@@ -172,7 +171,7 @@ def _format(cell: Cell, column: Column, kind: str) -> str:
 
 
 def _mark(table: Table, row: int, index: int, text: str, kind: str) -> str:
-    """Return a cell's text with its mark, where it has one."""
+    """Return a cell's text with its mark, if it has one."""
     return _MARKS[kind].get(table.marks.get((row, index)), "{}").format(text)
 
 
@@ -192,7 +191,7 @@ def _join_title(column: Column) -> str:
 
 
 def _is_wide(table: Table) -> bool:
-    """Return whether the cells of a row are more than one of two columns has room for."""
+    """Return whether a row is too long for one of two columns."""
     rows = [list(map(format_cell, row, table.columns)) for row in table.rows]
     titles = [max(column.lines or (column.title,), key=len) for column in table.columns]
     columns = zip(titles, *rows, strict=True)
@@ -200,7 +199,7 @@ def _is_wide(table: Table) -> bool:
 
 
 def _list_heads(table: Table) -> list[list[str]]:
-    """Return the lines of the head: titles, broken where they are long, and the units below."""
+    """Return the lines of the head: titles, broken if they are long, and the units below."""
     titles = [list(map(_escape_latex, column.lines or (column.title,))) for column in table.columns]
     height = max(map(len, titles))
     heads = [[*[""] * (height - len(title)), *title] for title in titles]
@@ -209,7 +208,7 @@ def _list_heads(table: Table) -> list[list[str]]:
 
 
 def _drop_number(title: str) -> str:
-    """Return a title without the number of its table, which LaTeX puts before the caption."""
+    """Return a title without the number of its table, which LaTeX adds to the caption."""
     found = _NUMBERED.match(title)
     return title if found is None else title[found.end() :].capitalize()
 
@@ -218,13 +217,13 @@ _NUMBERED: Final = re.compile(r"Table \d+: ")
 
 
 def _join_latex(cells: list[str]) -> str:
-    # After a rule or the end of a row LaTeX would take `[` or `*` for its own.
+    # After a rule or the end of a row LaTeX would read `[` or `*` as an argument.
     guard = "{}" if cells[0][:1] in {"[", "*"} else ""
     return f"    {guard}{' & '.join(cells)} \\\\"
 
 
 def _typeset_number(text: str) -> str:
-    """Return a number with a minus that is none of a hyphen, and its power of ten."""
+    """Return a number with a minus sign instead of a hyphen, and its power of ten typeset."""
     mantissa, _, power = text.partition("e")
     if power:
         return rf"${mantissa} \times 10^{{{int(power)}}}$"
@@ -242,7 +241,7 @@ def _escape_latex(text: str) -> str:
 
 def _build_column(table: Table, index: int) -> _Column:
     column = table.columns[index]
-    # Figures stand below figures and marks below marks.
+    # Numbers are aligned with numbers, and marks with marks.
     marked = {row for row, place in table.marks if place == index}
     room = " " if marked else ""
     cells = tuple(
@@ -263,7 +262,7 @@ def _build_column(table: Table, index: int) -> _Column:
 
 
 def _fit(columns: Sequence[_Column], width: int) -> list[list[_Column]]:
-    """Return blocks of columns that are no wider than `width`, where that can be."""
+    """Return blocks of columns that are no wider than `width`, if possible."""
     if _measure([replace(column, width=column.least_width) for column in columns]) <= width:
         return [_shrink(columns, width)]
     capped = [
@@ -292,7 +291,7 @@ def _group(columns: Sequence[_Column]) -> Iterator[list[_Column]]:
 
 
 def _shrink(columns: Sequence[_Column], width: int) -> list[_Column]:
-    """Take from the widest columns that can be broken until all fit, or none is left."""
+    """Narrow the widest columns that can be broken until all fit, or none is left."""
     shrunk = list(columns)
     while _measure(shrunk) > width:
         wide = [i for i, column in enumerate(shrunk) if column.width > column.least_width]
@@ -313,7 +312,7 @@ def _format_block(columns: Sequence[_Column], breaks: Collection[int]) -> list[s
         for column in columns
     ]
     height = max(map(len, titles))
-    # The last line of a title stands above its unit.
+    # The last line of a title is directly above its unit.
     heads = [[*[""] * (height - len(title)), *title] for title in titles]
     units = [[column.unit] for column in columns]
     rule = "-" * _measure(columns)
@@ -334,8 +333,8 @@ def _join(columns: Sequence[_Column], cells: Sequence[Sequence[str]]) -> Iterato
 
 
 def _break(text: str, width: int) -> list[str]:
-    """Return the lines of a name: broken behind a sign where there is one, else anywhere."""
-    if len(text) <= width:  # as it is: room for a mark is part of a figure
+    """Return the lines of a name, broken after punctuation if possible, else anywhere."""
+    if len(text) <= width:  # unchanged: room for a mark is part of a number
         return [text]
     lines = [""]
     for part in re.findall(r"[^\s_./-]*[\s_./-]*", text):
@@ -353,7 +352,7 @@ def _wrap_notes(notes: Sequence[str], width: int) -> Iterator[str]:
 
 
 _NARROW_LETTERS: Final = 42
-"""What one of two columns holds in a row [letters]."""
+"""Longest row of one of two columns [letters]."""
 
 _MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = MappingProxyType(
     {
@@ -362,7 +361,7 @@ _MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = MappingProxyType(
         "tex": {"best": r"\textbf{{{}}}", "worst": r"\textit{{{}}}"},
     }
 )
-"""How the best and the worst of a column are marked."""
+"""Marks of the best and worst values of a column, by format."""
 
 _LEGENDS: Final[Mapping[str, str]] = MappingProxyType(
     {

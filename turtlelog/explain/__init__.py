@@ -1,4 +1,7 @@
-"""From a log to the reason, in numbers. Names are in `__init__.pyi` and load on first use."""
+"""Explanation of a run's metric: causes of a value, and of differences between runs.
+
+The names are in `__init__.pyi` and load on first use.
+"""
 
 from turtlelog.libraries import attach_names
 

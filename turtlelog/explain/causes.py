@@ -25,10 +25,10 @@ from turtlelog.simulate import simulate_run
 from turtlelog.simulate.streams import RANDOM_KEYS, STREAMS
 
 FINER: Final = 8
-"""Steps that a tick is divided into without sampling: 2 ms each."""
+"""Number of steps per tick without sampling: 2 ms each."""
 
 SAMPLING: Final = "sampling"
-"""The property that no setting is: without it the plant has a finer clock."""
+"""Name of the design parameter without a setting: without it, the plant has a finer clock."""
 
 LOOP_CAUSES: Final = (
     *(cause for effect in EFFECTS for cause in effect.causes),
@@ -39,24 +39,24 @@ LOOP_CAUSES: Final = (
         meaning=f"a clock {FINER} times finer, each pose answered, delays unchanged",
     ),
 )
-"""What lies between law and plant, whatever the law."""
+"""Causes between law and plant, for every law."""
 
 PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = MappingProxyType(
     {kind: part.causes for kind, part in PLANTS.items() if part.causes}
 )
-"""Limits of a plant, by its kind. Dead time and time constant of a robot are its own."""
+"""Causes in a plant, by its kind; dead time and time constant of a robot are not among them."""
 
 RANDOM_EFFECTS: Final = frozenset(
     one.name for one in LOOP_CAUSES if not RANDOM_KEYS.isdisjoint(one.neutral)
 )
-"""Names of those that draw random numbers."""
+"""Names of the causes that draw random numbers."""
 
 
 def draws_random(scenario: Scenario) -> bool:
     """Return whether the run of a scenario depends on its seed."""
     values = flatten_scenario(scenario)
     return any(
-        # What is certain draws nothing that counts: a probability of 1.
+        # A probability of 0 or 1 has no random effect.
         values.get(key, 0.0) not in ({0.0, 1.0} if stream.is_chance else {0.0})
         for stream in STREAMS.values()
         for key in stream.keys
@@ -124,7 +124,7 @@ def find_cause(name: str, table: Mapping[str, Cause], scenario: Scenario) -> Cau
 
 
 def describe_no_sampling(scenario: Scenario) -> str:
-    """Return why the clock cannot be made finer, in one clause; empty if it can."""
+    """Return the reason why the clock cannot be made finer, in one clause; empty if it can."""
     if list_sample_counters(find_law(scenario.law.kind)) is None:
         return (
             f"sampling is not taken out, as the law {scenario.law.kind} does not say which of its"
@@ -149,7 +149,7 @@ def take_out(scenario: Scenario, causes: Iterable[Cause]) -> Scenario:
 def simulate_finer(scenario: Scenario) -> Run:
     """Simulate a scenario with a plant whose clock is `FINER` times finer."""
     facts = scenario.plant.facts
-    # A robot's period need not be a multiple of anything: its steps are whole nanoseconds.
+    # The period of a robot model may be any whole number of nanoseconds, so it is divided as such.
     plant = replace(facts, period_ns=facts.period_ns // FINER, steps_per_tick=FINER)
     run = simulate_run(_stretch_counts(scenario), plant)
     return replace(run, parameters=flatten_scenario(scenario))

@@ -1,4 +1,4 @@
-"""What poses and commands show of a recording without a controller's samples."""
+"""Facts from the poses and commands of a recording without a controller's samples."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -14,7 +14,7 @@ from turtlelog.replay import PlantReplay, follow_commands, moves_as_turtlesim, r
 from turtlelog.run import Run
 
 _SPREAD: Final = (5.0, 95.0)
-"""Percentiles between which the usual periods lie: nine of ten."""
+"""Percentiles that bound the central 90 % of periods."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +84,8 @@ class MotionFacts:
         jumps: Steps that a robot cannot have driven; for turtlesim they are in the replay.
         gaps: Segments without poses; for turtlesim they are in the replay.
         replay: Result of replaying the commands in turtlesim's plant; None for another robot.
-        refused: Why the replay in turtlesim's plant failed; empty if it worked, or for another
-            robot.
+        refused: Reason why the replay in turtlesim's plant failed; empty if it worked, or for
+            another robot.
         delays: Delays of turtlesim; None if no pose shows a command.
     """
 
@@ -103,7 +103,7 @@ class MotionFacts:
 
 
 def read_motion_facts(run: Run) -> MotionFacts:
-    """Return what the poses and commands of a run show, with or without samples."""
+    """Return facts from the poses and commands of a run, with or without samples."""
     is_turtlesim = find_plant(run).name != LAGGED and moves_as_turtlesim(run)
     replay, refused = None, ""
     if is_turtlesim:
@@ -162,8 +162,8 @@ def _measure_delays(run: Run) -> Delays | None:
     if not len(command):
         return None
     published_ns = run.commands.time_ns[command]
-    # A command may answer the pose of its own time. A recorder may stamp one behind the pose
-    # that shows it: that is no dead time.
+    # A command may answer the pose at its own time. A recorder may write a command after the pose
+    # that shows it, which is no dead time.
     ticks = np.maximum(pose - np.searchsorted(run.poses.time_ns, published_ns, "right"), 0)
     delay_ns = run.poses.time_ns[pose] - published_ns
     values, counts = np.unique(ticks, return_counts=True)

@@ -1,4 +1,4 @@
-"""A robot's dynamics from commands and motion.
+"""Identification of a robot's dynamics from its commands and motion.
 
 The public names are in `__init__.pyi` and load on first use.
 """

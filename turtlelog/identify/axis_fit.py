@@ -14,53 +14,54 @@ from turtlelog.identify.held_response import FIRST_ORDER, LaggedResponse, Struct
 from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, estimate_noise
 
 _GRID_S: Final = 0.04
-"""Between the dead times that are tried first [s]: a quarter of a usual delay."""
+"""Distance of the dead times in the first search [s]: a quarter of a usual delay."""
 
 _GRID_LAGS_S: Final = (0.0, 0.05, 0.15, 0.4, 1.0)
 
 _GRID_STEPS: Final = 20_000
-"""Most steps that choose among these; all of them decide in the end."""
+"""Largest number of steps in the first search; the final fit uses all."""
 
 _SPIKE_STEPS: Final = 2
-"""Neighbours on either side that say where a step is a jump when the grid is searched: one heading
-that is wrong makes two wrong steps, there and back."""
+"""Steps on either side that show whether a step is a jump in the first search: one wrong heading
+makes two wrong steps, there and back."""
 
 _STARTS: Final = 2
-"""How many of the best are refined."""
+"""Number of the best grid points that are refined."""
 
 _SOFT: Final = 3.0
-"""Standard deviations beyond which a residual counts less than its square (soft L1)."""
+"""Standard deviations from which a residual counts less than its square (soft L1)."""
 
 _OUTLIER: Final = 8.0
-"""Robust standard deviations beyond which a step is an outlier and does not count: normal noise
-makes one in 1e15, stamp jitter at the highest speed five times the usual residual."""
+"""Robust standard deviations from which a step is an outlier and does not count: normal noise
+exceeds them once in 1e15 steps, stamp jitter at the highest speed has five times the usual
+residual."""
 
 _LAG_STEP_S: Final = 1e-4
-"""For differences with respect to the lag [s]."""
+"""Step for derivatives with respect to the time constant [s]."""
 
 _MOST_ROUNDS: Final = 40
 
 _ROUND_ENDS: Final = 1e-9
-"""Share by which another round must lower the cost."""
+"""Share of the cost that another round must save."""
 
 _SCORE_LAGS: Final = 12
-"""Over how many steps the covariance allows for what whitening leaves."""
+"""Number of steps over which the covariance includes correlations left by whitening."""
 
 _UNSEEN: Final = 1e-12
-"""Least change of all steps by a parameter's unit, in standard deviations of the noise."""
+"""Smallest effect of a parameter's unit on all steps, in standard deviations of the noise."""
 
 _ROUNDED: Final = 1e-14
-"""Share of what parameters change together that rounding leaves of nothing."""
+"""Share of joint changes of parameters that is only rounding."""
 
 GAIN, DEAD_TIME, LAG, EXTRA = range(4)
-"""Places of the parameters."""
+"""Indices of the parameters."""
 
 TOTAL: Final = DEAD_TIME
-"""Place of the total delay in a covariance."""
+"""Index of the total delay in a covariance."""
 
 
 class NoGainError(IdentifyError):
-    """No positive gain explains any of a motion."""
+    """Error of a motion that no positive gain explains."""
 
 
 class StepModel:
@@ -193,9 +194,9 @@ def _finish(model: StepModel, parameters: Values) -> AxisFit:
 
 
 def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
-    """Return how badly a fit to the first part of the steps predicts the rest.
+    """Return the misfit of a prediction of the rest of the steps by a fit to the first part.
 
-    It is twice the negative log-likelihood, with the noise of the first part.
+    The misfit is twice the negative log-likelihood, with the noise of the first part.
     """
     model = StepModel(first, fit.model.structure)
     whitening, _ = _learn_noise(model, fit.parameters)
@@ -209,7 +210,7 @@ def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[Ax
 
 
 def measure_badness(fit: AxisFit) -> float:
-    """Return how badly a fit explains its own steps: twice the negative log-likelihood."""
+    """Return the misfit of a fit to its own steps: twice the negative log-likelihood."""
     return fit.cost + fit.whitening.log_size
 
 
@@ -265,7 +266,7 @@ def _conclude(
     modelled, slopes = model.linearise(parameters)
     residual = model.moved - modelled
     white = whitening.apply(residual)
-    # At one total delay, a longer lag is a shorter dead time.
+    # At constant total delay, a longer time constant is a shorter dead time.
     slopes[:, LAG] -= slopes[:, DEAD_TIME]
     covariance, dispersion = _estimate_covariance(white, whitening.apply(slopes))
     return AxisFit(
@@ -375,9 +376,9 @@ def _sum_softly(white: Values) -> float:
 def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
     """Return the covariance, and its excess over that of normal noise for the time constant.
 
-    It is the larger of the model covariance and a sandwich estimate.
+    The covariance is the larger of the model covariance and a sandwich estimate.
 
-    The sandwich estimate allows for correlated neighbours; if a few steps carry all information it
+    The sandwich estimate allows for correlated neighbours. If a few steps carry all information, it
     is too small, but the model covariance is not.
     """
     bent = 1.0 + (white / _SOFT) ** 2
@@ -392,7 +393,7 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
     plain = inverse * squares
     ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-100), 1.0))
     covariance = np.asarray(sandwich * np.outer(ratio, ratio))
-    # A parameter that no step depends on has no scores, and yet it is not known.
+    # A parameter without any effect has no scores, but is unknown nevertheless.
     np.fill_diagonal(covariance, np.maximum(np.diag(covariance), np.diag(plain)))
     excess = np.diag(covariance)[LAG] / float(np.diag(inverse)[LAG])
     return covariance, max(float(excess), 1.0)
@@ -401,7 +402,7 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
 def _invert(matrix: Values) -> Values:
     """Return the inverse of a matrix of squares, independent of the units of its rows.
 
-    It is large, not 0, in a direction in which the matrix has no information.
+    The inverse is large, not 0, in a direction in which the matrix has no information.
     """
     size = np.maximum(np.sqrt(np.diag(matrix)), _UNSEEN)
     scale = np.outer(size, size)

@@ -24,25 +24,26 @@ NAMES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "speed", "turn_rat
 """Names of the axes in sentences."""
 
 LARGEST_DEAD_TIME_S: Final = 1.5
-"""The largest dead time that is looked for [s]: ten times that of a usual robot. A larger one is of
-two clocks that do not agree."""
+"""Largest dead time that is searched [s]: ten times the usual one. A larger one comes from clocks
+that disagree."""
 
 _CLOSEST_S: Final = 1e-3
-"""Poses closer than this, and than half the usual step, were received late: the later of two is
-left out [s]."""
+"""Distance in time below which poses, if also below half the usual step, were received late; the
+later one is left out [s]."""
 
 _LONGEST_STEP_S: Final = 1.0
-"""A longer step hides what happened in it: a heading may have turned round once [s]."""
+"""Longest step that is used [s]: in a longer one a heading may turn by a full turn."""
 
 _MOST_TURN_RAD: Final = 1.0
-"""A step that turns further has no one direction [rad]: an arc is its chord to 4 % there, which
-is mended, but not to more."""
+"""Largest turn of a step [rad]: there an arc differs from its chord by 4 %, which is corrected; a
+larger turn has no single direction."""
 
 _MEMORY_S: Final = 3.0
-"""For how long an earlier command counts [s]: the largest dead time, and 1.5 s of lag."""
+"""Time for which an earlier command matters [s]: the largest dead time and 1.5 s of time
+constants."""
 
 _STANDING: Final = 0.02
-"""Mean rate, as a share of the largest command, below which a robot stands."""
+"""Mean rate below which a robot is at rest, as a share of the largest command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +139,7 @@ def measure_axis_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, 
     middle_rad = heading_rad[:-1] + 0.5 * turned
     step_m = np.diff(xy_m, axis=0)
     chord_m = step_m[:, 0] * np.cos(middle_rad) + step_m[:, 1] * np.sin(middle_rad)
-    # The way along an arc is longer than its chord.
+    # An arc is longer than its chord.
     return (
         time_s,
         chord_m / np.sinc(turned / (2.0 * np.pi)),
@@ -188,21 +189,22 @@ _SILENCE_S: Final = 0.4
 """Shortest silence after which a robot may stop by itself [s]: bases wait for 0.5 s and more."""
 
 _LOOK_S: Final = 0.3
-"""How long before the end of a silence the robot must stand [s]."""
+"""Time before the end of a silence for which the robot must be at rest [s]."""
 
 _JOINED_S: Final = 0.1
-"""Over what rates are averaged [s]: the noise of poses would hide when a robot stops."""
+"""Time over which rates are averaged [s]; otherwise noise of poses would hide when a robot
+stops."""
 
 _STOPPED: Final = 0.1
-"""Share of its largest rate within the silence below which it stands."""
+"""Share of the largest rate in a silence below which the robot is at rest."""
 
 _OBEYS: Final = 0.25
-"""Share of the held command from which on the robot still follows it: gains are 0.5 and more. What
-it did before a small command may be ten times as fast."""
+"""Share of the held command from which a robot still follows it: gains are 0.5 and more. Before a
+small command the robot may have been ten times as fast."""
 
 _ABOVE_NOISE: Final = 3.0
-"""How far a robot must go in a silence, by how far its poses wander at the end: the noise of 1,000
-poses goes 2.5 times as far as that of six."""
+"""Smallest motion in a silence, as a multiple of the poses' wander at its end: noise of 1,000 poses
+spreads 2.5 times as far as that of six."""
 
 
 def find_silent_stops(
@@ -242,7 +244,7 @@ def _look_at_silence(
     is_whole = at_s >= at_s[0] + _JOINED_S
     rate = np.abs(way - before)[is_whole] / _JOINED_S
     rate_s = at_s[is_whole] - 0.5 * _JOINED_S
-    # The mean: of a slow command the noise of poses looks like motion.
+    # The mean, because at a slow command noise of poses looks like motion.
     left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / _LOOK_S
     largest = float(rate.max(initial=0.0))
     still_moves = left > min(_STOPPED * largest, _OBEYS * held)

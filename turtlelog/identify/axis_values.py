@@ -12,10 +12,10 @@ from turtlelog.identify.held_response import FIRST_ORDER, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
 
 NORMAL_95: Final = 1.96
-"""Standard deviations on either side that hold 95 % of normal noise."""
+"""Standard deviations on either side that contain 95 % of normal noise."""
 
 _SHORT_LAG: Final = 2.0
-"""A lag of so many steps between poses or less may as well be none."""
+"""Time constant in steps between poses up to which it may be 0."""
 
 _ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
     {"limited_before": "before_lag", "limited_within": "within_lag"}
@@ -41,7 +41,7 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         _estimate(float(parameters[DEAD_TIME]), _measure_dead_time_error(fit)),
         _estimate(float(parameters[LAG]), float(errors[LAG])),
     )
-    # Neither is below 0, so neither is above their sum.
+    # Dead time and time constant are not negative, so neither exceeds their sum.
     return AxisModel(
         axis=axis,
         status="ok",
@@ -101,7 +101,7 @@ def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
 
 
 def _take(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
-    """Return a further parameter."""
+    """Return an estimate of a further parameter; None if the structure lacks it."""
     if place is None:
         return None
     error = float(np.sqrt(max(fit.covariance[place, place], 0.0)))

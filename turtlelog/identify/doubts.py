@@ -25,38 +25,38 @@ from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _LIMITS: Final = ("rate_limit", "bound", "deadband", "reverse_gain", "friction")
-"""What structures may have beside these; of two that both have it, the values may differ."""
+"""Further parameters of structures; their values may differ between two structures."""
 
 _FEWEST: Final = 50
-"""Steps of a part of the motion from which it has values of its own."""
+"""Smallest number of steps of a part of the motion with values of its own."""
 
 _APART: Final = 4.0
-"""Standard deviations by which two parts of the motion must differ to be a curve that the model
-leaves: by chance in 1 of 800 robots, of 20 differences each."""
+"""Smallest difference between two parts of the motion that the model does not explain, in standard
+deviations: by chance in 1 of 800 robots with 20 differences each."""
 
 _LIKELY: Final = 2.0
-"""The same where the model leaves a curve, so that something must differ."""
+"""The same if the residual is a curve, so that some difference is likely."""
 
 _CURVE: Final = 4.0
-"""Standard deviations above which neighbours that are off alike are a curve: of 240 robots that a
-model explains one has more than 3, of those that it does not most have more than 10."""
+"""Correlation of neighbouring residuals from which they are a curve, in standard deviations. Of 240
+robots that the model explains, one exceeds 3; most others exceed 10."""
 
 _IN_TURNS: Final = 0.1
-"""Correlation by which the nearest must be off in turns: slip that is taken for no less than
-something makes a hundredth or two, which a long log shows surely and which changes nothing."""
+"""Smallest negative correlation of the nearest residuals that matters. The lower bound of the
+assumed slip alone causes 0.01 or 0.02, which is significant in a long log but harmless."""
 
 _NEIGHBOURS_S: Final = 0.5
-"""How far apart neighbours are at most [s]: a step of a usual robot lasts so long."""
+"""Largest time between neighbours [s]: the length of a usual robot's step response."""
 
 _MOST: Final = 3.0
-"""Standard deviations to which residuals are clipped there."""
+"""Limit of residuals there, in standard deviations."""
 
 _TELLS: Final = 1.05
-"""By how much an interval must become wider to be told."""
+"""Growth of an interval from which it is reported."""
 
 _MATTERS: Final = 0.01
-"""Half-width of an interval, as a share of the gain or of the total delay, from which a doubt is
-told: below it no recommended gain changes by more than 1 %. A simulated log without noise shows a
+"""Half-width of an interval from which a doubt is reported, as a share of the gain or of the total
+delay: below it no recommended gain changes by more than 1 %. A simulated log without noise has a
 curve in the eighth digit."""
 
 
@@ -106,10 +106,10 @@ def _list_parts(structure: Structure) -> list[str]:
 def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     """Return an axis with intervals that cover the differing values of parts of the motion.
 
-    Small and large commands, positive and negative, rising and falling ones, both halves of the
-    log, and commands with and without the other axis give one set of values if the model explains
-    the motion. If the residual is a curve, they count as different sooner, and all intervals grow
-    by the correlation of neighbours.
+    If the model explains the motion, all parts give one set of values: small and large commands,
+    positive and negative, rising and falling ones, both halves of the log, and commands with and
+    without the other axis. If the residual is a curve, they count as different sooner, and all
+    intervals grow by the correlation of neighbours.
     """
     excess = _measure_curve(fit)
     is_curve = excess > _CURVE
@@ -202,7 +202,7 @@ def _compare_parts(
     for field, weights in _list_contrasts(len(fit.parameters)).items():
         moves = [float(weights @ moved) for moved, _ in solved]
         variances = [float(weights @ covariance @ weights) for _, covariance in solved]
-        if min(variances) <= 0.0:  # a part that does not show the value at all, to rounding
+        if min(variances) <= 0.0:  # a part without information on the value, up to rounding
             continue
         error = float(np.sqrt(sum(variances)))
         if abs(moves[0] - moves[1]) > apart * error:
@@ -276,26 +276,27 @@ def _is_wider(found: AxisModel, covered: AxisModel) -> bool:
 
 
 _LARGEST_S: Final = 3.0
-"""The largest delay that is looked for [s]: the largest dead time and as much lag."""
+"""Largest delay that is searched [s]: the largest dead time and an equal time constant."""
 
 _COARSE_S, _FINE_S = 0.05, 0.005
-"""Between the delays that are tried [s]: first all, then those beside the best and the ends."""
+"""Distances of tried delays [s]: first over the whole range, then near the best one and the
+ends."""
 
 _MOST_STEPS: Final = 20_000
 
 _PART_S: Final = 1.0
-"""Parts of the log so long are taken as independent of one another [s]: a usual lag has faded."""
+"""Length of parts of the log that count as independent [s]: a usual time constant has faded."""
 
 _FEWEST_PARTS: Final = 8
-"""Fewer do not tell how far they differ by chance."""
+"""Smallest number of parts whose scatter is meaningful."""
 
 _CHANCE: Final = 0.05
-"""Probability with which the range lacks the delay that is best in the long run."""
+"""Probability that the range does not contain the true best delay."""
 
 _NEAR: Final = 0.6
-"""Share of Student's t from which a delay is worse than the best. What a delay leaves more grows
-with the square of its distance, and how far that varies with the distance: half of t holds the best
-delay in the long run. The rest is for delays far away: of 391 ranges 96.9 % held."""
+"""Factor of Student's t from which a delay is worse than the best. The excess residual grows with
+the square of the distance, and its scatter with the distance, so half of t is sufficient near the
+best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
 
 
 def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | None, str]:
@@ -316,7 +317,7 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
         )
     if repetition := find_repetition(motions):
         shift_s, sign = repetition
-        # Commands that repeat with the other sign repeat as they are after twice that time.
+        # Commands that repeat with opposite sign repeat equally after twice that time.
         period_s = shift_s if sign > 0 else 2.0 * shift_s
         return None, (
             f"the correlation of commands and motion says nothing: the commands repeat every"
@@ -364,12 +365,12 @@ class _Misfit:
         self._motions = motions
         self.duration_s = np.concatenate([motion.duration_s for motion in motions])
         rate = np.concatenate([motion.moved for motion in motions]) / self.duration_s
-        # A single jump must not decide.
+        # Clipped, so that a single jump does not decide.
         rate = np.clip(rate, *np.quantile(rate, [0.01, 0.99]))
         self._rate = rate - rate.mean()
         counts = [int(motion.duration_s.sum() / _PART_S) for motion in motions]
         first = np.cumsum([0, *counts])
-        # What is left of a run at its end belongs to its last part.
+        # The rest at the end of a run belongs to its last part.
         parts = [
             begin + np.minimum(np.cumsum(motion.duration_s) // _PART_S, max(count, 1) - 1)
             for begin, count, motion in zip(first.tolist(), counts, motions, strict=False)
@@ -405,7 +406,7 @@ class _Misfit:
         asked = asked / self.duration_s
         asked -= asked.mean()
         size, along = float(asked @ asked), float(asked @ self._rate)
-        # A motion against the commands is no correlation.
+        # A motion against the commands is not a correlation.
         gain = along / size if size > 0.0 and along > 0.0 else 0.0
         return np.asarray((self._rate - gain * asked) ** 2)
 

@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 Values = NDArray[np.float64]
 
 _FADED: Final = 1e-18
-"""Share of an earlier transient that no double can tell any more."""
+"""Share of an earlier transient below the resolution of doubles."""
 
 _LEAST_LAG_S: Final = 1e-9
-"""What stands for no lag: faded within any time that a clock tells [s]."""
+"""Time constant that stands for none [s]: it fades within the resolution of any clock."""
 
 _APART: Final = 1e-3
-"""Two lags that differ by less than this share are moved apart: their parts would cancel. It
-changes the response by less than a millionth."""
+"""Relative difference below which two time constants are separated, because their parts would
+cancel. This changes the response by less than a millionth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
-    """Times, and the command that holds at each of them.
+    """Times with the held command at each of them.
 
     Attributes:
         held: Row of that command, shape (m,).
@@ -66,7 +66,7 @@ class HeldInput:
     way: Values
 
     def place(self, time_s: Values) -> Places:
-        """Return the command that holds at each time; before the first command, the first."""
+        """Return the command that is held at each time; before the first command, the first."""
         held = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
         since_s = time_s - self.time_s[held]
         slope = self.slope[held]
@@ -195,7 +195,7 @@ class LaggedResponse:
         Args:
             commands: Commands to follow.
             lag_s: Sum of its time constants, b [s].
-            product_s2: Their product, c [s^2]; 0 for a first-order lag.
+            product_s2: Product of its time constants, c [s^2]; 0 for first order.
         """
         self._product_s2 = product_s2
         self._commands, self._lag_s = commands, lag_s
@@ -205,12 +205,12 @@ class LaggedResponse:
         ]
 
     def place(self, time_s: Values) -> Places:
-        """Return the command that holds at times minus the dead time [s]."""
+        """Return the command that is held at each time minus the dead time [s]."""
         return self._commands.place(time_s)
 
     def evaluate(self, places: Places) -> tuple[Values, Values]:
         """Return the integral of the rate, up to a constant, and the rate itself."""
-        # What is left where all transients have faded: late by the lag on a ramp.
+        # Rate after all transients have faded: on a ramp it lags by the time constant.
         rate = places.value - self._lag_s * places.slope
         way = places.way - self._lag_s * rate - self._product_s2 * places.slope
         for share, lag, transients in self._parts:
@@ -236,8 +236,8 @@ def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
 def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
     """Return the initial difference between the rate of a first-order lag and each command.
 
-    It decays by a factor until the next command, which adds its own: a linear recurrence, solved by
-    doubling.
+    Each difference decays by a factor until the next command, which adds its own. This is a linear
+    recurrence, solved by doubling.
     """
     fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
     fading[0] = 0.0
@@ -253,17 +253,19 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
 
 
 Order = Literal["first_order", "second_order", "limited_before", "limited_within"]
-"""A robot with one lag; with two, whose product is a further parameter [s^2]; with one, that
-changes its rate no faster than a limit, before the lag (the command becomes a ramp) or within its
-loop (the rate does): the time that it needs per unit of the command is a further parameter
-[s^2/m] or [s^2/rad]."""
+"""Order of a robot model.
+
+`first_order`: one time constant. `second_order`: two, with their product as a further parameter
+[s^2]. `limited_before` and `limited_within`: one time constant and a limit of the change of rate,
+before the lag (the command becomes a ramp) or within its loop (the rate does). Their further
+parameter is the time per unit of the command [s^2/m] or [s^2/rad]."""
 
 Bound = Literal["", "command", "rate"]
 
 _STEPS: Final = MappingProxyType(
     {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "reverse": 1e-4, "friction": 1e-5}
 )
-"""For differences with respect to the further parameters, in their units."""
+"""Steps for derivatives with respect to the further parameters, in their units."""
 
 _OF_ORDER: Final = MappingProxyType(
     {

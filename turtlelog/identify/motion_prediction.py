@@ -12,7 +12,7 @@ from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
 
 _JOINED_S: Final = 0.1
-"""Over what rates are averaged to be shown [s]."""
+"""Time over which rates are averaged for display [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,7 +95,7 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
 def predict_response(
     model: AxisModel, commands: HeldInput, time_s: Values
 ) -> tuple[Values, Values]:
-    """Return the same for given commands.
+    """Return displacement or turn, and rate, of a model for given commands.
 
     Raises:
         IdentifyError: If the axis of the model is unknown.

@@ -1,4 +1,4 @@
-"""Why commands and motion do not identify an axis, as for periodic commands, and what would."""
+"""Reasons why commands and motion do not identify an axis, such as periodic commands; advice."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -29,27 +29,27 @@ from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
 
 _OPPOSITE_EXPLAINS: Final = 0.5
-"""Share of the variance that a gain below 0 must explain to be told, and below which one above 0
-may be wrong: a robot that turns the wrong way explains nearly all, another robot's commands or an
-echo of a period little."""
+"""Smallest explained share of the variance for a negative gain to be reported, and below which a
+positive gain may be wrong. A robot that turns the wrong way explains nearly all; another robot's
+commands or an echo of a period explain little."""
 
 _OPPOSITE_CLEARLY: Final = 30.0
-"""By how much it must lower twice the negative log-likelihood: by chance in 1 of a million robots,
-were both signs as likely."""
+"""Smallest advantage of the negative gain in twice the negative log-likelihood: by chance in 1 of a
+million robots, if both signs were equally likely."""
 
 _SUDDEN_S: Final = 0.1
-"""Within this time a change of the command counts as one step [s]: a usual robot's delay."""
+"""Time within which a change of the command counts as one step [s]: a usual robot's delay."""
 
 _SUDDEN_SHARE: Final = 0.05
-"""Share of the range of commands that changes within that time, below which they are ramps: a ramp
-over the range then takes more than 2 s, and shows no beginning."""
+"""Share of the range of commands that must change within that time; otherwise they are ramps. A
+ramp over the range then takes more than 2 s, and shows no start."""
 
 _ABSURD: Final = 1e9
-"""Commands and steps above this are no robot's [m/s], [rad/s], [m] or [rad]: light takes 3 s so
-far. They come from bytes that are no number."""
+"""Value above which commands and steps are not a robot's [m/s], [rad/s], [m] or [rad]: light needs
+3 s for it. Such values come from bytes that are not numbers."""
 
 _NEGLIGIBLE: Final = 1e-9
-"""Commands below this move no robot [m/s] or [rad/s]: a millimetre in twelve days."""
+"""Value below which commands move no robot [m/s] or [rad/s]: a millimetre in twelve days."""
 
 _OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
     {
@@ -60,7 +60,7 @@ _OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
 
 
 def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
-    """Return why the commands of the runs cannot identify an axis; empty if they can."""
+    """Return the reason why the commands of runs cannot identify an axis; empty if they can."""
     name = NAMES[axis]
     commands = [get_commands(run, axis) for run in runs]
     if not any(len(command) for command in commands):
@@ -84,7 +84,7 @@ def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
 
 
 def find_absurd(runs: Sequence[Run], motions: Sequence[AxisMotion], axis: Axis) -> str:
-    """Return which value of an axis is implausible for a robot; empty if none is."""
+    """Return the implausible value of an axis as text; empty if there is none."""
     unit = UNITS[axis]
     columns = (
         ("commands", unit, [get_commands(run, axis) for run in runs]),
@@ -159,7 +159,7 @@ def find_opposite(
 
 
 def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
-    """Return why fitted values are invalid; a total delay within a step is well known."""
+    """Return the reason why fitted values are invalid; a delay within a step is well known."""
     if fit.parameters[DEAD_TIME] >= LARGEST_DEAD_TIME_S:
         return (
             f"the best dead time is the largest that is tried, {LARGEST_DEAD_TIME_S:g} s:"
@@ -185,26 +185,27 @@ def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
 
 
 _SAMPLE_S: Final = 0.01
-"""Between the times at which commands are compared with earlier ones [s]."""
+"""Sampling time for the comparison of commands with earlier ones [s]."""
 
 _MOST_S: Final = 120.0
-"""How much of each run is compared [s]."""
+"""Length of each run that is compared [s]."""
 
 _ALIKE: Final = 0.8
-"""Correlation from which commands repeat: a switch that comes 5 % of a period early or late leaves
-so much. Whether another delay really explains as much, the motion decides."""
+"""Correlation from which commands repeat: a switch that is 5 % of a period early or late reduces it
+to this value. The motion decides whether another delay explains as much."""
 
 _DIPS: Final = 0.5
-"""Correlation that is fallen below before they repeat: of slow commands near times look alike."""
+"""Correlation that must be undercut before commands repeat, because slow commands resemble those
+shortly before."""
 
 _DIFFERS: Final = 0.25
-"""Share of the largest step by which two models must differ in a step for it to decide."""
+"""Smallest difference of two models in a decisive step, as a share of the largest step."""
 
 _FEWEST: Final = 3
-"""Steps that decide, at least: fewer may be jumps."""
+"""Smallest number of decisive steps: fewer may be jumps."""
 
 _BETTER: Final = 0.5
-"""Share of the other's error that a model leaves in those steps if it is the right one."""
+"""Largest error of the right model in these steps, as a share of the other's."""
 
 
 def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
@@ -221,7 +222,7 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
     plain = np.array([_correlate(commands, 0.0, lag) for lag in lags.tolist()])
     centred = np.array([_correlate(commands, mean, lag) for lag in lags.tolist()])
     has_dipped = np.maximum.accumulate(centred < _DIPS)
-    # With a mean, the other sign goes the other way.
+    # Mean values of opposite sign go the other way.
     for alike, sign in ((-plain, -1), (np.where(has_dipped, centred, 0.0), 1)):
         if alike.max() >= _ALIKE:
             begin = int(np.argmax(alike >= _ALIKE))

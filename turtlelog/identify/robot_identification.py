@@ -1,4 +1,4 @@
-"""A robot's dynamics from the commands and the motion of its runs; for turtlesim tick by tick."""
+"""Identification of a robot's dynamics from commands and motion; for turtlesim tick by tick."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,18 +37,18 @@ from turtlelog.replay.taken_commands import follow_commands, place_commands
 from turtlelog.run import Run
 
 _DIFFERENT: Final = 3.0
-"""Standard deviations by which two runs must differ to be called different: by chance in 0.3 % of
-pairs."""
+"""Standard deviations by which two runs must differ: by chance in 0.3 % of pairs."""
 
 _ALIKE: Final = 0.05
-"""Share by which commands of one size differ at most: less shows no other gain than noise does."""
+"""Largest relative difference of commands of one size: a smaller one does not show whether the gain
+varies."""
 
 _FEWEST_STEPS: Final = 50
-"""Fewest steps between poses from which noise can be told [1]: a second and a half at 30 Hz."""
+"""Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
 
 MOST_STEPS: Final = 100_000
-"""Steps that are used of each axis: half an hour at 50 Hz, in about 5 s. Of a longer log the first
-part of each run; more would tell what no robot keeps for so long."""
+"""Largest number of steps that are used of each axis: half an hour at 50 Hz, in about 5 s. Of a
+longer log, the first part of each run is used; the robot would change over a longer time."""
 
 
 def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
@@ -195,7 +195,8 @@ def _tell_differences(name: str, alone: AxisModel, together: AxisModel) -> list[
     told = []
     for field in ("gain", "dead_time_s", "lag_s", "total_delay_s"):
         one, other = getattr(alone, field), getattr(together, field)
-        # All of them together may be wider for what differs, but never tell less than one.
+        # The interval of all runs may be wider because of their differences, but never less
+        # certain.
         half = one.high - one.value
         error = float(np.hypot(half, min(half, other.high - other.value))) / NORMAL_95
         if abs(one.value - other.value) > _DIFFERENT * error:
@@ -212,8 +213,8 @@ def _tell(value: Estimate) -> str:
 
 
 _MOST_UNEXPLAINED: Final = 0.05
-"""Share of the moving ticks that no recorded command explains, above which the poses are not of
-turtlesim, or of other commands. A recorder that began late misses the first command only."""
+"""Largest share of moving ticks without an explaining command; if it is exceeded, poses or commands
+are not turtlesim's. A recorder that starts late misses only the first command."""
 
 _HERE: Final = "turtlesim moves by the command of a tick, whole and at once"
 
@@ -253,7 +254,7 @@ class _Shown:
     """The commands of a run that are visible in poses.
 
     Attributes:
-        commands: Rows of the commands, rising, shape (n,).
+        commands: Rows of the commands, increasing, shape (n,).
         delays_s: Time from each command to the first pose that shows it [s], shape (n,).
     """
 

@@ -1,4 +1,4 @@
-"""A robot's dynamics as values with intervals and in words, or the reason why they are unknown."""
+"""Values of a robot's dynamics with intervals and in words, or the reason why they are unknown."""
 
 import math
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ class Estimate:
     """A value and its 95 % interval; it compares with a number as its value does.
 
     Attributes:
-        value: The likeliest.
+        value: Likeliest value.
         low: Lower end of the interval.
         high: Upper end of the interval.
         unit: Unit of all three.
@@ -76,21 +76,21 @@ class AxisModel:
     Attributes:
         axis: `speed` or `turn_rate`.
         status: Whether its values are known.
-        reason: Why they are not, in a sentence; empty if they are.
-        advice: Test drive that would identify them; empty likewise.
+        reason: Reason why they are unknown, in a sentence; empty if they are known.
+        advice: Test drive that would identify them; empty if they are known.
         model: `second_order`: rate = gain exp(-dead_time s) / (product s^2 + lag s + 1).
         gain: Steady-state rate per command [1].
         dead_time_s: Time from a command until the rate begins to follow [s].
         lag_s: Time constant of the response [s]; for second order the sum of both [s].
         total_delay_s: Sum of dead time and time constant, which is known better than either [s].
         lag_product_s2: Product of both time constants for second order [s^2].
-        rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], where the motion shows one.
+        rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], if the motion shows one.
         limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
             its loop, so that the rate itself is a ramp; empty if there is none.
-        bound: Largest rate [m/s] or [rad/s], where commands go beyond it.
-        bound_acts: Quantity that ends there: the command, which the low-pass then follows, or the
-            rate, which until then follows larger commands; empty if there is none.
-        deadband: Command up to which nothing moves [m/s] or [rad/s], where the motion shows one.
+        bound: Largest rate [m/s] or [rad/s], if commands exceed it.
+        bound_acts: Limited quantity: the command, which the low-pass then follows, or the rate,
+            which follows larger commands until it reaches the limit; empty if there is none.
+        deadband: Command up to which nothing moves [m/s] or [rad/s], if the motion shows one.
         reverse_gain: Gain of negative commands, if it differs [1].
         friction: Part of the magnitude of every command that has no effect [m/s] or [rad/s], if the
             motion shows it; the gain is that of the rest.
@@ -102,7 +102,7 @@ class AxisModel:
         correlation_delay_s: The delay with the largest correlation of commands and motion, and the
             range of delays that the correlation cannot distinguish from it [s]: a second estimate
             without a time constant.
-        correlation_reason: Why the correlation names no delay; empty if it does.
+        correlation_reason: Reason why the correlation shows no delay; empty if it does.
         steps: Number of steps between poses that were used.
         steps_in_all: Number of steps between poses in which commands act.
         changes: Number of changes of the command.
@@ -178,7 +178,7 @@ class AxisModel:
 
     @property
     def advised_delay_s(self) -> float | None:
-        """The total delay for the design of a controller: if in doubt, the longest [s]."""
+        """Total delay for the design of a controller [s]; if in doubt, the longest."""
         total = self.total_delay_s
         if total is None:
             return None
@@ -186,7 +186,7 @@ class AxisModel:
 
     @property
     def advised_gain(self) -> float | None:
-        """The gain for the design of a controller: if in doubt, the largest [1]."""
+        """Gain for the design of a controller [1]; if in doubt, the largest."""
         return self._take_advised(self.gain)
 
     @property
@@ -263,7 +263,7 @@ class RobotEvent:
 
     @property
     def text(self) -> str:
-        """One sentence."""
+        """The event as one sentence."""
         unit = UNITS[self.axis].removesuffix("/s")
         what = "way" if self.axis == "speed" else "turn"
         return (
@@ -278,11 +278,11 @@ class RobotModel:
 
     Attributes:
         files: Names of the runs.
-        clock: Clock that times the poses of the first run; None if there is but one clock.
+        clock: Clock that times the poses of the first run; None if there is only one clock.
         speed: Axis of the speed along the heading.
         turn_rate: Axis of the turn rate, counter-clockwise positive.
-        tick_delays: Tick delays of turtlesim, whose poses show which tick took which command; None
-            for other robots.
+        tick_delays: Tick delays of turtlesim, whose poses show the tick of each command; None for
+            other robots.
         events: Jumps of the motion, in order.
         notes: Further notes, in sentences.
     """
@@ -320,7 +320,7 @@ class RobotModel:
 
 
 _WHOLE_MS: Final = 10.0
-"""Width of an interval above which tenths of a millisecond tell nothing [ms]."""
+"""Width of an interval from which tenths of a millisecond are not printed [ms]."""
 
 
 def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
@@ -377,4 +377,4 @@ def list_model_values(axis: AxisModel) -> tuple[str, str, str, str]:
 
 
 HEADS: Final = ("axis", "gain [1]", "dead time [ms]", "time constant [ms]")
-"""Titles of what `list_model_values` returns."""
+"""Titles of the columns of `list_model_values`."""

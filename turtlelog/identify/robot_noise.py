@@ -23,47 +23,49 @@ from turtlelog.identify.robot_model import RobotModel
 from turtlelog.run import Run
 
 _SHORTEST_STAND_S: Final = 1.0
-"""Shortest stretch of standing that is used [s]: 30 poses of a usual robot."""
+"""Shortest rest that is used [s]: 30 poses of a usual robot."""
 
 _SETTLED_S: Final = 0.5
-"""How long after the dead time and five lags of the last command a robot stands [s]."""
+"""Time until a robot is at rest, after dead time and five time constants of the last command
+[s]."""
 
 _FADED: Final = 5.0
-"""Lags after which less than 1 % of a rate is left."""
+"""Time constants after which less than 1 % of a rate is left."""
 
 _MOST_RATE: Final = 0.05
-"""Mean rate, as a share of the largest command, above which a robot does not stand."""
+"""Mean rate above which a robot is not at rest, as a share of the largest command."""
 
 _SHORTEST_S, _LONGEST_S = 0.1, 5.0
-"""Times over which the model's error is looked at [s]: shorter ones show the noise of poses and of
-their times, longer ones a log does not hold often enough."""
+"""Range of times over which the model's error is evaluated [s]: shorter ones show the noise of
+poses and stamps, longer ones occur too rarely in a log."""
 
 _FEWEST_WAYS: Final = 10.0
-"""So often a time must fit into a log to be looked at: the mean square is then right to a half."""
+"""Number of times that a time must fit into a log: the mean square is then accurate to a half."""
 
 _SURE: Final = 3.0
-"""Standard deviations above chance from which noise is reported: of robots without noise 1 in 700
-is then said to have some."""
+"""Standard deviations above chance from which noise is reported: it is reported for 1 in 700 robots
+without noise."""
 
 _MATTERS: Final = 0.3
-"""How much the error must grow in the longest time, as a share of the part that does not grow: less
-changes no prediction, and small errors of dead times and lags at every step look like it."""
+"""Smallest growth of the error over the longest time, as a share of the constant part. A smaller
+growth changes no prediction, and looks like small errors of dead times and time constants."""
 
 _HIDES: Final = 2.0
-"""A growth by so many times what is told would have been told: so few ways of the longest time are
-right to a half."""
+"""Growth that would have been reported, as a multiple of the reported one: with few intervals of
+the longest time, it is accurate to a half."""
 
 _STILL_HIDES: Final = 4.0
-"""A noise of poses whose square is so many times what chance makes shows in 39 of 40 robots."""
+"""Square of the poses' noise that would have been seen in 39 of 40 robots, as a multiple of
+chance."""
 
 _LEAST: Final = 1e-6
-"""Least noise that is reported [m] or [rad]: a tenth of the step of the finest odometry."""
+"""Smallest noise that is reported [m] or [rad]: a tenth of the step of the finest odometry."""
 
 _FEWEST_HORIZONS: Final = 3
-"""Times that are looked at, each twice the one before: with two a curve passes for growth."""
+"""Smallest number of times, each twice the previous one: with two, a curve looks like growth."""
 
 Stretch = NDArray[np.float64]
-"""What is summed up from pose to pose, after its times: shape (n, 1 + k)."""
+"""Times and sums of some quantities from pose to pose, shape (n, 1 + k)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,7 +101,8 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
     places, headings, standing_s = [], [], 0.0
     for run in runs:
         for rows in _list_standing(model, run):
-            # The log of a simulated robot holds true poses too; the noise is that of sensed ones.
+            # The log of a simulated robot also contains true poses; the noise is that of sensed
+            # ones.
             sensed = np.flatnonzero(~run.poses.dropped_out[rows]) + rows.start
             time_s = run.poses.time_ns[sensed] / 1e9
             turned = np.unwrap(run.poses.read_heading_rad[sensed])
@@ -130,7 +133,7 @@ def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> No
     weight = np.sqrt(in_line) / squares
     terms = np.column_stack([horizons_s, np.ones(len(horizons_s))]) * weight[:, None]
     power, still = scipy.optimize.nnls(terms, squares * weight)[0].tolist()
-    # Noise of poses alone gives each mean square alike, but for the chance of its many poses.
+    # With noise of poses alone, all mean squares are equal, apart from chance.
     sure = max(_SURE * float(np.sqrt(2.0 / in_all[-1])), _MATTERS)
     noise = float(np.sqrt(power))
     shows = power * horizons_s[-1] > sure * still and noise > _LEAST
@@ -151,7 +154,7 @@ def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
     moves = np.logical_or(*(get_commands(run, axis) != 0.0 for axis in AXES))
     edges = np.flatnonzero(np.diff(moves, prepend=True))
     ends_s = np.append(command_s[edges], np.inf)[1:].tolist()
-    # What held before the first command is not known; the motion tells.
+    # The command before the first one is unknown; the motion shows it.
     stretches = [(-np.inf, float(command_s[0]))]
     stretches += [
         (float(command_s[row]) + settle_s, end_s)
@@ -237,21 +240,21 @@ def _measure_growth(stretches: Sequence[Stretch]) -> tuple[Values, Values, Value
 
 
 _LEAST_SLIP: Final = 1e-5
-"""Slip, as a share of what poses are off, that always counts: what lies further apart than 30 poses
-is not compared. No odometry keeps its place for good."""
+"""Smallest slip, as a share of the poses' error: steps more than 30 poses apart are not compared,
+and every odometry drifts."""
 
 _LONGEST: Final = 32
-"""Most steps over which slip is told from the noise of poses."""
+"""Largest number of steps over which slip is separated from the noise of poses."""
 
 LEAST_STEP: Final = 1e-12
-"""Least deviation of a step [m] or [rad]: doubles do not resolve less in poses some kilometres from
-their origin. A robot without noise may leave exactly 0, which no weight can be made from."""
+"""Smallest deviation of a step [m] or [rad]: the resolution of doubles some kilometres from the
+origin. A robot without noise may have a deviation of exactly 0, which gives no weight."""
 
 _EXCLUDED: Final = 1e6
-"""By how much the variance of an outlier is larger: it counts no more."""
+"""Factor of an outlier's variance, so that it no longer counts."""
 
 NORMAL_MAD: Final = 1.4826
-"""Standard deviation of normal noise by the median of its magnitude."""
+"""Standard deviation of normal noise divided by the median of its magnitude."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,7 +296,7 @@ def estimate_noise(
 
 
 class Whitening:
-    """Transforms the residuals of steps to independent values with a variance of 1.
+    """A transform of the residuals of steps to independent values with a variance of 1.
 
     Attributes:
         noise: Noise of the steps.

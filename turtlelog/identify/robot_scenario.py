@@ -1,4 +1,4 @@
-"""A scenario with the robot of a model, and the source of each of its numbers."""
+"""A scenario with an identified robot, and the source of each of its numbers."""
 
 import math
 import textwrap
@@ -20,54 +20,54 @@ from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.scenario import Scenario, format_scenario, get_preset, override_scenario
 
 _DIGITS: Final = 6
-"""Significant digits of what is written: a hundredth of the narrowest interval."""
+"""Significant digits of written numbers: a hundredth of the narrowest interval."""
 
 _REGULAR: Final = 0.2
-"""Share of the median by which intervals of a timer differ from it at most: a busy computer shifts
-a message of 10 Hz by some milliseconds, a hand at a keyboard by tenths of a second."""
+"""Largest relative difference of a timer's intervals from their median: a busy computer shifts a
+message at 10 Hz by some milliseconds, manual input by tenths of a second."""
 
 _MOSTLY: Final = 0.8
 """Share of the intervals that must be regular; the others are lost messages and pauses."""
 
 _FEWEST: Final = 10
-"""Fewest intervals from which a period is computed."""
+"""Smallest number of intervals from which a period is computed."""
 
 _DOUBT: Final = "Doubt: "
 _NOTE: Final = "Note: "
-"""What sentences begin with that later answers repeat: notes of the identification."""
+"""Prefix of sentences that later answers repeat: notes of the identification."""
 
 _WHOLE: Final = 0.05
-"""Share by which the timer's period may be off a multiple of the poses' to be made one: two clocks
-of one robot agree to less than a tenth of that, its scheduler shifts a period by some percent."""
+"""Largest relative difference of the timer's period from a multiple of the poses', for using the
+multiple. Two clocks of one robot agree to less than a tenth of it; a scheduler shifts a period by
+some percent."""
 
 _FEWEST_ARRIVALS: Final = 3
-"""A limit is where commands arrive at exactly one largest value so often: two may be two steps of
+"""Number of commands at exactly the largest value from which it is a limit: two may be two steps of
 one drive."""
 
 _EXACT: Final = 1e-6
-"""Share by which commands that are meant to be equal differ: single precision, and sums of steps.
-"""
+"""Relative difference of equal commands: single precision, and sums of steps."""
 
 _TOLERANCE: Final = 0.01
-"""Tolerance of the goal [m] and [rad]: wheeled robots keep about that."""
+"""Tolerance of the goal [m] and [rad], usual for wheeled robots."""
 
 _ABOVE_NOISE: Final = 5.0
-"""Least tolerance, in standard deviations of the noise of poses: a smaller one is never kept."""
+"""Smallest tolerance in standard deviations of the poses' noise: a smaller one is never met."""
 
 _DRIVE_S: Final = 5.0
-"""For how long a robot drives towards the goal, and its heading drifts [s]."""
+"""Duration of a drive towards the goal, in which the heading drifts [s]."""
 
 _ABOVE_DRIFT: Final = 2.0
-"""Standard deviations of that drift that the tolerance allows: 1 drive of 20 drifts further."""
+"""Standard deviations of that drift within the tolerance: 1 drive of 20 drifts further."""
 
 _PLACE: Final = ("x_m", "y_m")
 
 _AHEAD_M: Final = 1.0
-"""How far ahead and to the left a goal is set where the bag has none [m]."""
+"""Distance of the goal ahead and to the left, if the bag has none [m]."""
 
 _LONGEST_PERIOD_S: Final = 1.0
 _SHORTEST_PERIOD_S: Final = 0.001
-"""What a scenario takes as a period [s]."""
+"""Shortest period of a scenario [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,7 +116,7 @@ def _wrap(note: str) -> list[str]:
 def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotScenario:
     """Return a scenario whose plant follows commands as the robot does.
 
-    An axis that is never commanded is assumed to follow at once, and a note says so.
+    An axis that is never commanded is assumed to follow at once, with a note.
 
     Args:
         model: Model of the robot.
@@ -150,7 +150,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         "The law and its gains are not those of the log: they are sequential-p and 1."
         " `turtlelog theory` recommends gains for this file."
     )
-    # The plant first: its world has no walls.
+    # The plant first, because its world has no walls.
     base = replace(get_preset(LAGGED), name=LAGGED)
     try:
         scenario = override_scenario(base, values, source="identified robot")
@@ -271,7 +271,7 @@ def _list_periods(runs: Sequence[Run]) -> Part:
     times = round(timer_s / pose_s)
     period_s = _round(pose_s)
     if times and abs(timer_s / pose_s - times) <= _WHOLE * times:
-        # Down to a whole nanosecond: a pose is there before the timer that reads it.
+        # Rounded down to whole nanoseconds, so that a pose comes before the timer that reads it.
         period_s = round(timer_s * 1e9) // times / 1e9
         if abs(period_s - pose_s) > 1e-4 * pose_s:
             part = "that period" if times == 1 else f"1/{times} of that"

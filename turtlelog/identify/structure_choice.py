@@ -1,9 +1,8 @@
 """Structures beyond one time constant: a second one, limits of acceleration or speed, a deadband.
 
-More parameters always reduce the residual. Therefore another structure must reduce it clearly,
-change the robot's response by more than is negligible, and, fitted to the first part of the log
-only, predict the rest better than the simpler one. Structures that the log cannot distinguish are
-rivals.
+More parameters always reduce the residual. Therefore another structure must reduce it clearly, and
+change the robot's response noticeably. Fitted to the first part of the log only, it must predict
+the rest better than the simpler one. Structures that the log cannot distinguish are rivals.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,53 +31,53 @@ _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest is predicted."""
 
 _ASKS: Final = 8.0
-"""By how much a further parameter must be able to lower the sum of squares, in variances, for it to
-be tried: by chance it could in 0.5 % of robots."""
+"""Possible decrease of the sum of squares from which a further parameter is tried, in variances: by
+chance in 0.5 % of robots."""
 
 _CLEARLY: Final = 15.0
-"""By how much it must lower twice the negative log-likelihood: by chance in 1 of 10,000 robots."""
+"""Required decrease of twice the negative log-likelihood: by chance in 1 of 10,000 robots."""
 
 _MATTERS: Final = 0.02
-"""By how much of the largest rate another model must change some step between poses to be told: 2 %
-is what counts as settled. What changes less is not seen, though a log without noise would show it.
-"""
+"""Required change of some step between poses, as a share of the largest rate: 2 % counts as
+settled. A smaller change is invisible, even if a log without noise shows it."""
 
 _SEEN: Final = 1.96
-"""Standard deviations by which a further parameter must differ from 0: its interval of 95 % begins
-above."""
+"""Standard deviations by which a further parameter must differ from 0, so that its 95 % interval
+excludes 0."""
 
 _PREDICTED: Final = 2.0
-"""By how much it must lower that of the rest: noise alone makes it larger on average."""
+"""Required decrease of the same for the rest of the log: noise alone increases it on average."""
 
 _STARTS_S: Final = (0.1, 0.5)
-"""Durations of the largest change of the command that a limit is looked for from [s]."""
+"""Durations of the largest change of the command at which the search for a limit starts [s]."""
 
 _BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
-"""Shares of the largest command that a bound is looked for from."""
+"""Shares of the largest command at which the search for a bound starts."""
 
 _FRICTIONS: Final = (0.05, 0.15)
-"""Shares of the largest command that friction is looked for from."""
+"""Shares of the largest command at which the search for friction starts."""
 
 _DEADBANDS: Final = 12
-"""Magnitudes of commands that are tried as deadband, up to half of the largest; then as many
-between the neighbours of the best one, until these are the next magnitudes."""
+"""Magnitudes of commands that are tried as deadband, up to half of the largest. As many are then
+tried between the neighbours of the best one, until these are adjacent magnitudes."""
 
 _REFINED: Final = 2
-"""How many of the starts are refined, the most promising."""
+"""Number of the most promising starts that are refined."""
 
 _RIVAL: Final = 10.0
 """Difference of twice the negative log-likelihood up to which a log does not decide between two
-structures of as many parameters: odds of 150 to 1."""
+structures with equally many parameters: odds of 150 to 1."""
 
 _DOUBTFUL: Final = 6.0
-"""By how much a structure with a further parameter that is not taken must lower it to be a rival
-all the same: by chance in 1.5 % of robots."""
+"""Decrease from which a rejected structure with a further parameter is a rival nevertheless: by
+chance in 1.5 % of robots."""
 
 _MOST_CHANGES: Final = 20_000
-"""Changes of the command up to which a limit is looked for: it follows them one by one."""
+"""Largest number of changes of the command for the search of a limit, which follows them one by
+one."""
 
 _LEAST_LAG_S: Final = 0.02
-"""The lag that a second one is looked for beside, where the first is next to nothing [s]."""
+"""Time constant at which the search for a second one starts, if the first is nearly 0 [s]."""
 
 
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
@@ -105,7 +104,7 @@ def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
             tried[structure] = refit_axis(fit, structure, chosen)
     near = min(tried.values(), key=measure_badness)
     if near is not fit:
-        # Where another has escaped from a local minimum, this one may follow.
+        # If another structure has left a local minimum, this one may follow.
         fit = min(fit, restart_axis(fit, near.parameters), key=measure_badness)
         tried[fit.model.structure] = fit
     return fit
@@ -122,7 +121,7 @@ def _is_better(
 
 
 def measure_score(fit: AxisFit) -> float:
-    """Return how badly a fit explains its steps, and its number of parameters."""
+    """Return a measure of a fit's misfit and number of parameters."""
     return measure_badness(fit) + _CLEARLY * fit.model.structure.size
 
 
@@ -158,7 +157,7 @@ def measure_effect(fit: AxisFit, other: AxisFit) -> float:
 
 
 Starts = list[tuple[float, ...]]
-"""Values of further parameters to begin from."""
+"""Start values of further parameters."""
 
 
 def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:

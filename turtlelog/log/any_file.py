@@ -1,4 +1,4 @@
-"""Reading of any file as a run; the content of the file determines its kind."""
+"""Reading of any file as a run; the file's content determines its kind."""
 
 import warnings
 from dataclasses import replace
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from turtlelog.run import Run
 
 LOG_SUFFIXES: Final = frozenset({".json", ".csv", ".parquet", ".tsv", ".tum", ".txt"})
-"""How the names of logs and tables end."""
+"""Suffixes of logs and tables."""
 
 
 def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
@@ -52,7 +52,8 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
         return _read(path, choice)
     choice = replace(choice, pose_topic=topic)
     run = _read(path, choice, names_topic=True)
-    # Two topics of one bag are told apart by their names; one of ours is called as ever.
+    # A topic in the name distinguishes two topics of one bag. A recording by turtlelog keeps its
+    # name.
     return replace(run, name=f"{run.name}:{topic}") if CHOSEN in run.notes else run
 
 
@@ -77,7 +78,8 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     if is_log:
         run = _aim(path, importers.import_other(path, choice.columns), choice)
         return _note_unused(run, choice, "table")
-    # A recording of ours holds more than its poses and commands: asking for these loses nothing.
+    # A recording by turtlelog contains more than poses and commands: asking for these loses
+    # nothing.
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
     asked = [None if name is None else match_topic(name, {usual}) for name, usual in pairs]
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
@@ -87,7 +89,7 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
         *(choice.wheel_joints, choice.wheels),
     )
     is_usual = is_usual and all(one is None for one in others)
-    # What should be a recording, and is no MCAP file, is told so.
+    # A file that should be a recording and is not MCAP gets an error that says so.
     if is_usual or not (is_folder or is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
@@ -96,7 +98,7 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
-"""The robot of a recording of ours; any other one is looked for as in a bag."""
+"""The robot in turtlelog's recordings; any other robot is looked up as in a bag."""
 
 
 def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":

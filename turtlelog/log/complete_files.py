@@ -33,7 +33,7 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
         with _put_when_complete(path) as temporary:
             yield temporary
         return
-    # Renaming over a device would replace the device.
+    # Renaming a file to the name of a device would replace the device.
     if path.exists() and not path.is_file():
         kind = "folder" if path.is_dir() else "device"
         raise LogError(f"{path}: expected the name of a file to write, found a {kind}")
@@ -43,12 +43,12 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
         raise LogError(f"{path}: expected the name of a file to write, found a link to itself")
     temporary = _name_beside(target)
     try:
-        # Made at once, so that a place that cannot be written fails before any work is done.
+        # Created at once: if the place is not writable, the error comes before any work is done.
         temporary.touch(exist_ok=False)
-        # What only its owner may read is not shown to others on the way, either.
+        # A file that only its owner may read stays private while it is written.
         _copy_rights(target, temporary, extra=stat.S_IRUSR | stat.S_IWUSR)
         yield temporary
-        _refuse_live(path)  # it may have begun meanwhile
+        _refuse_live(path)  # a recording may have begun meanwhile
         _copy_rights(target, temporary)
         temporary.replace(target)
     except OSError as err:
@@ -67,7 +67,7 @@ def remove_leftovers(folder: Path) -> None:
     Use it only if no other process writes to the folder: its temporary files are removed, too.
     """
     for leftover in folder.glob(".turtlelog-" + "[0-9a-f]" * 12 + ".part"):
-        with suppress(OSError):  # a folder, or it is renamed at this moment
+        with suppress(OSError):  # a folder, or a file that is being renamed
             leftover.unlink()
 
 
@@ -100,7 +100,7 @@ def _copy_rights(source: Path, target: Path, *, extra: int = 0) -> None:
     if hasattr(os, "chown"):
         with suppress(PermissionError):
             os.chown(target, found.st_uid, found.st_gid)
-    with suppress(PermissionError):  # a disk without permissions of its own
+    with suppress(PermissionError):  # a disk without permissions
         target.chmod(stat.S_IMODE(found.st_mode) | extra)
 
 
@@ -126,7 +126,7 @@ def create_folder(path: str | Path) -> Iterator[Path]:
     if (path.exists() or path.is_symlink()) and not is_empty:
         kind = "a folder with files" if path.is_dir() else "a file"
         raise LogError(f"{path}: expected the name of a new folder, found {kind}")
-    # An absolute path has a name also where it was given as "." or "run/..".
+    # "." and "run/.." get a name only as absolute paths.
     target = path.resolve()
     temporary = _name_beside(target)
     try:
@@ -142,21 +142,21 @@ def create_folder(path: str | Path) -> Iterator[Path]:
 
 
 if sys.platform == "win32":
-    # There nobody can replace a file that is open.
+    # On this system nobody can replace an open file.
     def mark_live(stream: BinaryIO) -> None:
         """Do nothing."""
 
     def is_live(path: Path) -> bool:  # noqa: ARG001
-        """Return False: the system itself refuses."""
+        """Return False: the system itself refuses to replace an open file."""
         return False
 
 else:
     import fcntl
 
     def mark_live(stream: BinaryIO) -> None:
-        """Lock a file for as long as it is open, so that `is_live` tells; where it can be locked.
+        """Lock a file while it is open, so that `is_live` detects it, if the system can lock files.
 
-        The lock hinders no reader, and nobody who does not ask.
+        Readers are not affected; only programs that test the lock see it.
         """
         try:
             fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -164,7 +164,7 @@ else:
             return  # no file, or a file system without locks
 
     def is_live(path: Path) -> bool:
-        """Return whether somebody records to the file that has this name, if any."""
+        """Return whether a process is recording to the file with this name; False without one."""
         try:
             with path.open("rb") as stream:
                 fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -13,7 +13,7 @@ from turtlelog.files.urls import RemotePath, make_path
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
 
 _POINTER_BYTES: Final = 1024
-"""A file as large as this is no pointer, as the specification of Git LFS says [bytes]."""
+"""Size from which on a file is not a pointer, by the specification of Git LFS [bytes]."""
 
 
 class DamageError(LogError):
@@ -41,7 +41,7 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
     except _DEFECTS:
         raise
     except FileNotFoundError as err:
-        from turtlelog.scenario import PRESETS  # only mistakes need them
+        from turtlelog.scenario import PRESETS  # only errors need them
 
         raise LogError(f"{path}: {describe_missing(path, PRESETS)}") from err
     except OSError as err:

@@ -211,7 +211,7 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
 
 
 _PLACES: Final = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_xy_m": GOAL}
-"""Topics of a recording of ours, by the names of `Run`."""
+"""Topics of a turtlelog recording, by the names of `Run`."""
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:

@@ -100,13 +100,13 @@ def _handle(handler: Handler, numbers: Iterable[signal.Signals]) -> Iterator[Non
         if threading.current_thread() is threading.main_thread():
             for number in numbers:
                 before[number] = signal.getsignal(number)
-                if before[number] is not None:  # None: set by somebody outside Python
+                if before[number] is not None:  # None: set outside Python
                     signal.signal(number, handler)
         yield
     finally:
         try:
             _restore(before)
-        except BaseException:  # a handler that is set again may raise before the others are
+        except BaseException:  # restored handlers may raise an error before the others are restored
             _restore(before)
             raise
 

@@ -146,7 +146,7 @@ def _drive(
         for sink in sinks:
             sink.receive(last)
         if is_over and not is_answered:
-            raise KeyboardInterrupt  # without a sample there is no run to return
+            raise KeyboardInterrupt  # a run needs at least one sample
         yield last
         if is_over:
             return

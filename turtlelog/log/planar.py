@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 Values = NDArray[np.float64]
 
 MOST_HEIGHT_M: Final = 0.05
-"""Range of heights that counts as a plane [m]: a door sill, or the noise of a tracking camera."""
+"""Range of heights that counts as a plane [m]: a door sill, or noise of a tracking camera."""
 
 MOST_TILT_RAD: Final = 0.1
-"""Tilt that counts as upright [rad]: at 0.1 rad a way seen from above is 0.5 % too short."""
+"""Tilt that counts as upright [rad]: at 0.1 rad a path seen from above is 0.5 % too short."""
 
 
 LEAST_LEVEL: Final = math.cos(math.radians(85.0))
-"""Level part of a forward axis of length 1 below which it points up or down and tells no heading:
-at 85 deg of pitch 1 deg of noise turns it by 11 deg."""
+"""Smallest horizontal part of a forward axis of length 1 that gives a heading.
+
+At 85 deg of pitch, 1 deg of noise turns the heading by 11 deg."""
 
 
 def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
@@ -36,7 +37,7 @@ def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
         ends = (f"{math.degrees(end):.3g}" for end in (tilts.min(), tilts.max()))
         tilt = f"{' to '.join(dict.fromkeys(ends))} deg"
         if not found and float(np.ptp(tilts)) <= MOST_TILT_RAD:
-            # As in a frame whose z points down, or that of a camera.
+            # For example a frame whose z axis points down, or that of a camera.
             return f"the robot or its frame is tilted by {tilt} throughout; {_SEEN}"
         found.append(f"it tilts by {tilt}")
     if not found:
@@ -87,7 +88,7 @@ def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
         z: z of the quaternions.
         w: Scalar part of the quaternions.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # of lengths beyond 1e154 there is none
+    with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
         left, ahead = 2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2
         level = np.hypot(left, ahead) >= LEAST_LEVEL * (w**2 + x**2 + y**2 + z**2)
         return np.where(level, np.arctan2(left, ahead), np.nan)

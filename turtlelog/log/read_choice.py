@@ -11,7 +11,7 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 
 TimeSource = Literal["auto", "log", "stamp"]
-"""What times poses: the recorder's clock, their stamps mapped to it, or what the bag suggests."""
+"""Source of pose times: recorder's clock, stamps mapped to it, or chosen from the bag (`auto`)."""
 
 
 class ReadOptions(TypedDict, total=False):
@@ -84,7 +84,7 @@ class ReadChoice:
 
 
 CHOSEN: Final = "chosen"
-"""Note in one line on the topics that were chosen, for who asked; it goes into no recording."""
+"""Name of a note, in one line, on the chosen topics; shown on request and never recorded."""
 
 UNUSED: Final = "unused"
 """Note in one line on options that a file does not use; it goes into no recording either."""

@@ -164,7 +164,7 @@ def _recover_mcap(
 
     copied = copy()
     if copied.is_described_late:
-        # Behind its messages, by a later chunk: now it is known from the start.
+        # A schema or channel came later than its messages: the copy starts again with those known.
         output.seek(0)
         output.truncate()
         first = copied.rewriter.numbering
@@ -185,7 +185,7 @@ def _recover_sqlite(source: Path, found: Damaged, output: BinaryIO) -> RecoveryR
         size = found.place.stat().st_size
         copied.lose(Loss(start=size, end=size, reason=found.fault))
     report = _build_report(str(source), copied, None)
-    # Nothing counts the messages of a bag, but a tree of pages without a gap lacks none.
+    # A bag has no message counts, but a tree of pages without a gap is complete.
     return _finish(replace(report, missing={} if report.complete else None), copied)
 
 
@@ -196,7 +196,7 @@ def _finish(report: RecoveryReport, copied: "_Copied") -> RecoveryReport:
 
 
 def _find_file(source: Path) -> Path:
-    """Return the file to read: of a folder the only one in it."""
+    """Return the file to read; for a folder, its only file."""
     files = list_present_files(source) if source.is_dir() else (source,)
     if len(files) != 1:
         names = ", ".join(file.name for file in files)
@@ -209,15 +209,15 @@ def _find_file(source: Path) -> Path:
 
 @dataclass(slots=True, kw_only=True)
 class _Copied:
-    """What came of a pass over the source.
+    """Result of a pass over the source.
 
     Attributes:
-        rewriter: What took the records.
-        lost: What could not be read.
-        data_end: Byte behind the end of the data, None if there is none.
-        is_vouched: Whether the checksum of the whole data section holds.
-        mismatch: Place of the checksum if it does not agree.
-        summary: Place of the summary if it is not sound.
+        rewriter: Writer of the records.
+        lost: Segments that could not be read.
+        data_end: Offset after the end of the data; None if the end is missing.
+        is_vouched: Whether the checksum of the whole data section is correct.
+        mismatch: Offset of the checksum if it is wrong.
+        summary: Offset of the summary if it is damaged.
     """
 
     rewriter: Rewriter
@@ -228,7 +228,7 @@ class _Copied:
     summary: Loss | None = None
 
     def lose(self, loss: Loss) -> None:
-        """Note a loss; what follows on one of the same reason is part of it."""
+        """Note a loss; if it continues the previous loss for the same reason, they are merged."""
         last = self.lost[-1] if self.lost else None
         is_place = loss.start == loss.end
         if last and last.reason == loss.reason and (is_place or last.end == loss.start):
@@ -250,13 +250,13 @@ def _copy_records(
     schemas: tuple[Schema, ...],
     channels: tuple[Channel, ...],
 ) -> _Copied:
-    """Copy what a walk over a file of some size finds, with what is known of it beforehand."""
+    """Copy the sections of a walk over a file; `schemas` and `channels` are known beforehand."""
     allowance = Allowance(stored_size)
     rewriter = Rewriter(output, Numbering(schemas, channels, allowance), allowance)
     copied = _Copied(rewriter=rewriter)
     for found in walk:
         if isinstance(found, Loss):
-            # Behind the end of the data all that is told is that their checksum fails.
+            # After the end of the data, the walk only reports that their checksum is wrong.
             if copied.data_end is None:
                 copied.lose(found)
             else:
@@ -282,7 +282,7 @@ def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) ->
 
 
 def _walk(source: Path, found: Damaged) -> Iterator[Section | Loss]:
-    # Errors of writing what comes are not this file's.
+    # Errors of writing the new file do not concern this file.
     with name_file(source, expected="an MCAP file"), open_place(found) as stream:
         yield from walk_sections(stream)
 

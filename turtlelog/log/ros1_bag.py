@@ -1,9 +1,9 @@
-"""A bag of ROS 1 -> an MCAP file of the same messages, which is read like any other.
+"""Conversion of a ROS 1 bag to an MCAP file with the same messages.
 
-The format is wiki.ros.org/Bags/Format/2.0: records of a header and data, each behind its length;
-messages stand in chunks, plain or compressed. It is read once, from its beginning to its end, and
-believed no more than its size lets expect. The messages stay as they are:
-`engine/ros1_messages.py` reads those of the topics that are asked for.
+The format is described at wiki.ros.org/Bags/Format/2.0: records have a header and data, each after
+its length. Messages are in chunks, plain or compressed. The bag is read once, from start to end,
+within limits in proportion to its size. Messages are not changed: `engine/ros1_messages.py` reads
+those of the requested topics.
 """
 
 import bz2
@@ -31,36 +31,42 @@ _LENGTH: Final = struct.Struct("<I")
 _PLACE: Final = struct.Struct("<Q")
 _TIME: Final = struct.Struct("<II")
 _RECORD: Final = struct.Struct("<BQHIQQ")
-"""Of MCAP: opcode, length, channel, sequence, log and publish time."""
+"""Front of an MCAP message: opcode, length, channel, sequence, log and publish time."""
 
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
 _CHUNK_BYTES: Final = 2**20
 _STEP: Final = 2**20
 _LONGEST_HEADER: Final = 2**20
-"""Bytes of the header of a record: a few names, or a definition with all its types."""
+"""Longest header of a record [bytes]: a few names, or a definition with all its types."""
 
 _MESSAGES: Final = (2**18, 1 / 20)
-"""Messages that a bag may hold in any case, and more by byte: each takes 5 us, those of a bag of
-10 MB some 4 s. A message takes 45 bytes before it is compressed."""
+"""Largest number of messages in any bag, and further messages per byte.
+
+Each message takes 5 us; those of a bag of 10 MB take about 4 s. A message has 45 bytes before
+compression."""
 
 _BZ2_BYTES: Final = (48 * 2**20, 8.0)
-"""Bytes that may be unpacked by bz2, likewise: 30 MB take 1 s, those of a bag of 10 MB some 4 s.
-Messages of robots pack to a fifth or a tenth."""
+"""Largest number of bytes that bz2 may unpack, and further bytes per byte of the bag.
+
+Unpacking 30 MB takes 1 s; a bag of 10 MB takes about 4 s. Messages of robots pack to a fifth or a
+tenth."""
 
 _LARGEST_CHUNK: Final = (2**25, 1.0)
-"""Bytes of a chunk, likewise: a message as large as it stands in memory four times. The recorder
-closes a chunk at 768 kB, so it is larger only for one large message."""
+"""Largest size of a chunk in any bag [bytes], and further bytes per byte of the bag.
+
+A message of this size is in memory four times. The recorder closes a chunk at 768 kB, so a larger
+chunk contains one large message."""
 
 _MOST_CONNECTIONS: Final = 2**16 - 1
 
 
 class _EndError(Exception):
-    """The file ends within a record."""
+    """Error of a file that ends within a record."""
 
 
 @dataclass(slots=True)
 class _Copy:
-    """The copy so far, and the chunk that is being filled."""
+    """The copy so far, with the chunk that is being filled."""
 
     file: McapFile
     allowance: Allowance
@@ -94,16 +100,16 @@ class _Copy:
 
 
 def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
-    """Write the messages of a bag of ROS 1 as an MCAP file.
+    """Write the messages of a ROS 1 bag as an MCAP file.
 
     Args:
         stream: The bag.
-        place: The file to write.
-        stored_size: Of the bag, before it is unpacked [bytes]: so much it may ask for.
+        place: Path of the file to write.
+        stored_size: Size of the bag before unpacking [bytes], which sets the limits.
 
     Raises:
-        LogError: If it is no bag of version 2.0, is damaged, cut or was never finished, or asks for
-            far more than its size.
+        LogError: If the file is not a bag of version 2.0, is damaged, truncated or unfinished, or
+            exceeds the limits for its size.
     """
     allowance = Allowance(stored_size)
     if stream.read(len(_START)) != _START:
@@ -129,7 +135,7 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
 
 
 def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
-    """Copy all records, and return whether the bag was finished and is whole."""
+    """Copy all records; return whether the bag was finished and is complete."""
     index_byte = 0
     while True:
         byte = stream.tell()
@@ -140,7 +146,7 @@ def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
             size = _unpack_length(stream.read(_LENGTH.size), None)
             operation = _find(header, "op", 1)[0]
             if operation in {_INDEX, _CHUNK_INFO, _BAG}:
-                if operation == _BAG:  # an index that was never written is at byte 0
+                if operation == _BAG:  # an index that was never written has offset 0
                     index_byte = _PLACE.unpack(_find(header, "index_pos", 8))[0]
                 stream.seek(size, 1)
                 continue
@@ -268,11 +274,11 @@ def _take_message(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> None
 
 
 _RECORD_HEAD: Final = 9
-"""Opcode and length, which the length does not count [bytes]."""
+"""Size of opcode and length, which the length does not count [bytes]."""
 
 
 def _read_header(data: bytes) -> dict[str, bytes]:
-    """Return the fields of a header: each is a length, a name, `=` and a value."""
+    """Return the fields of a header; each has a length, a name, `=` and a value."""
     found, place = {}, 0
     while place < len(data):
         start = place + _LENGTH.size
@@ -303,7 +309,7 @@ def _unpack_length(data: bytes, most: int | None) -> int:
 
 
 def _read(stream: BinaryIO, size: int) -> bytes:
-    """Return so many bytes, a step at a time: a damaged length may claim anything."""
+    """Return `size` bytes, read in steps: a damaged length may claim any size."""
     found = bytearray()
     while len(found) < size:
         part = stream.read(min(_STEP, size - len(found)))

@@ -35,15 +35,18 @@ from turtlelog.run.trajectory import (
 Times = NDArray[np.int64]
 
 _FRAME_NS: Final = 1_000_000_000
-"""From pose to pose of a trajectory without times, so that times and numbers are one kind."""
+"""Time between poses of a trajectory without times [ns], so that times and indices are of one
+kind."""
 
 _MOST_SKEW: Final = 0.01
-"""Largest entry of R^T R - 1 of a matrix that is taken for a rotation: KITTI's files have six
-digits after the point, which leaves 1e-5; another layout of twelve numbers leaves 1."""
+"""Largest entry of R^T R - 1 of a matrix that is accepted as a rotation.
+
+KITTI's files have six digits after the point, which gives 1e-5; another layout of twelve numbers
+gives about 1."""
 
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
 _LONGEST_TIMES: Final = 64 * 2**20
-"""Bytes of a file of times: 2 million lines of 32 bytes, beyond 50 hours at 10 Hz."""
+"""Largest file of times [bytes]: 2 million lines of 32 bytes, more than 50 hours at 10 Hz."""
 
 
 def read_trajectory(
@@ -74,7 +77,7 @@ def read_trajectory(
                 return _build_from_table(file, table, choice)
     bag = _open_bag(file)
     is_own = bag is not None and any(info.format_version is not None for info in bag.infos.values())
-    # A recording of turtlelog's is read as a run; a topic of it that is named, as that of any bag.
+    # A turtlelog recording is read as a run; if a topic is named, like any bag.
     asked = choice if topic is None else replace(choice, pose_topic=topic)
     if bag is not None and (asked.pose_topic is not None or not is_own):
         found = _read_bag(bag, asked, names_topic=topic is not None)
@@ -88,7 +91,7 @@ def read_trajectory(
 
 
 def _open_bag(path: Path) -> Bag | None:
-    """Return a bag, None for what is none or cannot be read whole: its reader says which."""
+    """Return a bag; None for other or unreadable files, whose reader gives the error."""
     if not path.exists() or not (path.is_dir() or is_bag_file(path)):
         return None
     try:
@@ -98,7 +101,7 @@ def _open_bag(path: Path) -> Bag | None:
 
 
 def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
-    """Return whether a file is a table of no layout of turtlelog's or the paper's."""
+    """Return whether a file is a table that is neither turtlelog's nor the paper's."""
     if isinstance(path, RemotePath) or path.suffix.lower() == ".json" or path.is_dir():
         return False
     if not path.exists() or (path.suffix.lower() not in LOG_SUFFIXES) or is_bag_file(path):
@@ -162,7 +165,7 @@ def _build_kitti(path: Path, table: PlainTable, times: Path | None) -> Trajector
 
 
 def _read_times(path: Path, count: int) -> Times:
-    """Return the times of poses, one a line [s] -> [ns].
+    """Return the times of poses [ns] from a file with one time [s] per line.
 
     Raises:
         LogError: If the number of times differs, or a line is not a time.
@@ -202,14 +205,14 @@ class _Rows:
 
 
 def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory | None:
-    """Return the poses of a bag as its messages have them; None if its fields are no such poses."""
+    """Return the poses of a bag, with all their fields; None if it has no such poses."""
     with name_file(bag.path, expected="a bag"):
         is_asked = choice.pose_topic is not None and choice.robot is None
         topics = bag.topics if is_asked else select_robot(bag.topics, choice.robot)[0]
         try:
             source = find_poses(bag, topics, choice)
         except NoPosesError:
-            return None  # of commands alone a run may be made
+            return None  # a run may be made of commands alone
         rows = _Rows([], [], [], [])
         is_spatial = True
         for of_file in source.found:
@@ -235,7 +238,7 @@ def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory 
                 f"topic {source.topic.topic}: expected times of poses, found 0 or before 1970 in"
                 f" all {len(never)}"
             )
-        turns[never if never.sum() > 1 else []] = np.nan  # a simulation begins at 0, once
+        turns[never if never.sum() > 1 else []] = np.nan  # a simulation begins at 0 once
         name = bag.path.name if bag.path.is_dir() else bag.path.stem
         notes = {CHOSEN: f"poses from {source.notes['pose_topic']}", "timed_by": clock}
         found = _build(
@@ -249,7 +252,7 @@ def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory 
 
 
 def _choose_times(rows: _Rows, choice: ReadChoice) -> tuple[Times, str]:
-    """Return the times of poses and the clock that they are of."""
+    """Return the times of poses and the name of their clock."""
     log_ns = np.concatenate(rows.log_ns)
     if choice.time == "log" or len(rows.stamp_ns) < len(rows.log_ns):
         return log_ns, "the recorder's clock"
@@ -278,7 +281,7 @@ def _collect(rows: _Rows, fields: Mapping[str, NDArray[np.generic]], shape: Pose
 def _build(
     name: str, time_ns: Times, xyz_m: Values, turns: Values, *, notes: Mapping[str, str]
 ) -> Trajectory:
-    """Return a trajectory of the rows that are numbers, in order of time, one of each time."""
+    """Return a trajectory of the finite rows in order of time, one for each time."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
     is_pose = np.isfinite(xyz_m).all(axis=1) & np.isfinite(turns).all(axis=1)

@@ -1,4 +1,7 @@
-"""Run -> metrics. The public names are in `__init__.pyi` and load on first use."""
+"""Measurement of runs: signals and metrics.
+
+The public names are in `__init__.pyi` and load on first use.
+"""
 
 from turtlelog.libraries import attach_names
 

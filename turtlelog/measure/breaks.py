@@ -3,7 +3,7 @@
 For turtlesim, whose poses contain the applied command, a replay through its plant shows more.
 
 Between two poses a robot moves about as far as just before and just after. A correction of its pose
-adds a step that neither neighbour has: the excess. This holds at any speed.
+adds a step that neither neighbour has: the excess. This is true at any speed.
 """
 
 from collections.abc import Sequence
@@ -26,25 +26,27 @@ from turtlelog.run import PoseColumns, Run, take_rows
 Values = NDArray[np.float64]
 
 _USUAL: Final = 0.95
-"""Share of steps in time that are usual: some robots publish at two rates, or while they move."""
+"""Share of time steps that count as usual: some robots publish at two rates, or only while they
+move."""
 
 _FAST: Final = 3.0
-"""A step is a jump from this many times the greatest rate that lasts: a robot on the brink of that
-rate, and a pose that is late by a whole step, make 2 together."""
+"""Ratio to the greatest lasting rate from which a step is a jump. A robot near that rate, and a
+pose that is late by a whole step, together give a ratio of 2."""
 
 _STRAYS: Final = 0.05
-"""Share of steps up to which those that lead out and back at once are stray poses, and no rate that
-lasts. Noise and a second program lead out and back all the time."""
+"""Largest share of steps that lead out and back at once and count as stray poses. Noise and a
+second program lead out and back all the time."""
 
 _TOLD: Final = 0.1
-"""Share of a jump from which on the way that was driven meanwhile is said."""
+"""Share of a jump from which the distance driven meanwhile is mentioned."""
 
 _TURNED_RAD: Final = 0.1
-"""A jump that turns further has no mean heading: the way is then along the heading before it. The
-two are 3 deg apart here, which is 5 % of the way to the side."""
+"""Turn of a jump from which the displacement is measured along the heading before it, because there
+is no mean heading. At this turn, both directions differ by 3 deg, 5 % of the displacement to the
+side."""
 
 _ROUNDING: Final = 1e-5
-"""What the 32-bit rounding of two poses makes of a step [m, rad]."""
+"""Largest effect of the 32-bit rounding of two poses on a step [m, rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +115,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     strays), or a correction of the pose (`find_corrections`).
     """
     poses = run.poses
-    if _has_courses(run):  # a course turns as positions do, and tells nothing of its own
+    if _has_courses(run):  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = _find_changing_rows(poses)
     poses = poses if len(rows) == len(poses) else _take_poses(poses, rows)
@@ -134,7 +136,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     beyond_ahead_m, beyond_aside_m, beyond_turned_rad = _find_excess_steps(poses)
     beyond_m, beyond_rad = np.hypot(beyond_ahead_m, beyond_aside_m), np.abs(beyond_turned_rad)
     for row in np.flatnonzero(is_jump & (beyond_rad > _TURNED_RAD)).tolist():
-        # Ahead and aside turned with it: what compares is how far the robot goes.
+        # The axes turned with the robot, so only the size of the displacement is compared.
         near = moved[row - NEIGHBOURS : row + NEIGHBOURS + 1]
         beyond_m[row] = abs(moved[row] - np.median(near))
     steps = _face_before(steps, beyond_turned_rad)
@@ -205,7 +207,7 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool)
     least_m = _ROUNDING
     beyond_s2 = largest.excess_m / ACCELERATION[0], largest.excess_rad / ACCELERATION[1]
     if largest.excess_m <= _TOLD * way_m and beyond_s2[0] < beyond_s2[1]:
-        least_m = np.inf  # of a heading that jumps on the way, the way is no part
+        least_m = np.inf  # the displacement has no meaning if the heading jumps
     parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
     if abs(largest.turned_rad) > _ROUNDING:
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
@@ -233,7 +235,7 @@ def _find_far_steps(
         acceleration: Rate that the robot reaches from rest in 1 s [m/s^2 or rad/s^2].
     """
     both = np.minimum(way[1:], way[:-1])
-    # A pose that strays is two steps, out and back: together they lead no further.
+    # A stray pose gives two steps, out and back, which together lead no further.
     for lasting in (np.minimum(both, net), both):
         rate = float((lasting / usual_ns[1:]).max()) * 1e9
         rate = rate if seen is None else max(rate, float(np.abs(seen).max()))
@@ -245,7 +247,7 @@ def _find_far_steps(
 
 
 _LATE: Final = 1.5
-"""A step that takes this many times the usual time lost poses: the robot may have stopped in it."""
+"""Ratio to the usual time from which a step lost poses: the robot may have stopped in it."""
 
 
 def _find_excess_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:

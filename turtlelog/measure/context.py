@@ -1,4 +1,4 @@
-"""A run while its metrics are measured: a value that several metrics need is computed once."""
+"""A run during measurement: values that several metrics need are computed once."""
 
 import math
 from collections.abc import Callable, Hashable
@@ -25,10 +25,10 @@ Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
 
 _MOST_SAMPLES: Final = 20_000
-"""As much of a loop's stretch as its dead time is looked for in: five minutes of ticks."""
+"""Largest number of samples of a loop in which its dead time is searched: five minutes of ticks."""
 
 _WHITE: Final = 0.5
-"""The least whiteness of noise, whose own is 1: a lag leaves a curve, below 0.1."""
+"""Smallest whiteness of noise, whose own is 1: a time constant leaves a curve, below 0.1."""
 
 
 class RunContext:
@@ -105,7 +105,7 @@ class RunContext:
 
     @property
     def first_row(self) -> int:
-        """Row of the first pose at or after the first sample (time zero), else the last row."""
+        """Row of the first pose at or after the first sample (time zero), or else the last row."""
         first = int(np.searchsorted(self.run.poses.time_ns, self.run.start_ns))
         return min(first, len(self.run.poses) - 1)
 
@@ -134,7 +134,7 @@ class RunContext:
 
     @property
     def memory(self) -> None:
-        """None: ordinary Python makes the arrays that it needs."""
+        """Work arrays; None, because ordinary Python creates arrays as needed."""
         return
 
     @cached_property
@@ -205,14 +205,14 @@ class RunContext:
         if isinstance(found, Missing) or found.whiteness > _WHITE:
             return found
         reason = (
-            f"no single dead time explains the motion, {found.ticks} ticks are the nearest: what"
-            " they leave is no noise, as where the robot has a lag"
+            f"no single dead time explains the motion ({found.ticks} ticks come nearest): commands"
+            " were lost, or their delay changed"
         )
         return Missing(status=Status.UNDETERMINED, reason=reason)
 
 
 _EARLIER_SAMPLES: Final = 1000
-"""Samples before the stretch that are kept: more than can still wait in any queue."""
+"""Samples before the segment that are kept: more than can wait in any queue."""
 
 
 def take_beginning(run: Run, loop: ControlLoop, most_samples: int) -> Run:

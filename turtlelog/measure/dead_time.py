@@ -1,4 +1,4 @@
-"""The dead time of a loop, read from a log, and the loops of a run as `theory` models them."""
+"""The dead time of a loop in a log, and the loops of a run as `theory` models them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,34 +29,35 @@ from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.theory import LoopModel, MeasuredTiming, model_loop
 
 LARGEST_TICKS: Final = 40
-"""The largest dead time that is looked for."""
+"""Largest dead time that is searched [ticks]."""
 
 _CANDIDATES: Final = range(LARGEST_TICKS + 1)
 
 _BEGUN: Final = 0.1
-"""Share of the way after which a loop's first commands, which may be lost, are behind it."""
+"""Share of the motion after which a loop's first commands, which may be lost, no longer matter."""
 
 _EXPLAINED: Final = 0.05
-"""Residual above which nothing is explained, as a share of the way."""
+"""Residual as a share of the motion above which nothing is explained."""
 
 _KNOWN: Final = 0.5
-"""Share of the steps whose commands must be known to a dead time that explains them exactly."""
+"""Smallest share of steps with known commands, for a dead time that explains them exactly."""
 
 _SCREENED: Final = 64
-"""Steps, over the whole segment, that rule out most dead times at a tenth of the work."""
+"""Number of steps, over the whole segment, that rule out most dead times with a tenth of the
+work."""
 
 _FEW: Final = 8
-"""Dead times that are looked at one by one: more are sooner looked at together."""
+"""Largest number of dead times that are tested one by one: more are faster together."""
 
 _TELLING_STEPS: Final = 3
-"""Steps that each other dead time must fail to explain where the dead time seems to change: at a
-constant command all explain all, but for a step or two where it begins."""
+"""Steps that each other dead time must fail to explain at a change of the dead time. During a
+constant command, all dead times explain all steps except one or two at its beginning."""
 
 _EXPLAINS_BETTER: Final = "explains the motion better than"
-"""In the reason of a dead time that is none, as the robot has a lag."""
+"""Part of the reason if there is no dead time because the robot has a time constant."""
 
 _FEWEST_STEPS: Final = 12
-"""The shortest segment that counts as one of another dead time."""
+"""Smallest number of steps of a segment with another dead time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,9 +89,9 @@ class DeadTime:
         rows: Steps compared.
         is_exact: Whether the dead time explains every step to the rounding of the poses.
         changes: Changes of the dead time within the segment, in order.
-        whiteness: With noise, mean square of the changes of the residuals divided by twice their
-            mean square: 1 for noise, near 0 for a curve. 1 if every step is explained, or if only
-            rounding remains.
+        whiteness: Mean square of the changes of the residuals divided by twice their mean square: 1
+            for noise, near 0 for a curve. Also 1 if every step is explained, or if only rounding
+            remains.
         least_ticks: The smallest dead time that, with a time constant, explains the motion as well.
             Noise hides which of the two it is; equal to `ticks` if the plant is known to have no
             time constant.
@@ -148,7 +149,7 @@ def find_dead_time(
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:
         return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {loop.name}")
-    # Of a step of several ticks the first to move may have moved in some of them only.
+    # In a step of several ticks, the robot may have moved during some of them only.
     first = int(moves.argmax()) + (motion.step_ticks > 1)
     may_lag = not run.scenario_is_complete
     found = (_find_only(motion, first) if is_short else None) or _choose(
@@ -218,7 +219,7 @@ def _choose(motion: LoopMotion, first: int, *, may_lag: bool) -> DeadTime | Miss
     errors = motion.moved - predicted
     fits = (np.abs(errors) <= motion.rounding) | ~sure
     fits[:, :first] = True
-    # A dead time whose commands are not known for most steps fits whatever moves.
+    # A dead time with unknown commands for most steps would fit any motion.
     fits &= sure[:, first:].mean(axis=1, keepdims=True) >= _KNOWN
     exact = np.flatnonzero(fits.all(axis=1))
     if len(exact) > 1:
@@ -274,7 +275,7 @@ def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
         others = np.delete(fits[:, end - int(lengths.max()) : end], best, axis=0)
         if not stretches and (~others).sum(axis=1).min(initial=_FEWEST_STEPS) < _TELLING_STEPS:
             return []
-        # What fits alike is told by the nearer of the dead times on either side.
+        # If several dead times fit equally, the one nearest to the neighbouring segment's is taken.
         near = stretches[0][1] if stretches else int(best[0])
         end -= int(lengths.max())
         stretches.insert(0, (end, int(best[np.abs(best - near).argmin()])))
@@ -357,9 +358,9 @@ def model_run_loops(
 ) -> tuple[LoopModel, ...]:
     """Return the loops of a run as `theory` models them, one per declared loop.
 
-    Gains and plant come from the scenario, period and dead time from the samples and poses. For a
-    robot with a time constant, or a law triggered by a timer, the timing comes from the scenario,
-    because a time constant looks like dead time.
+    Gains and plant come from the scenario, period and dead time from the samples and poses. Because
+    a time constant looks like dead time, the timing comes from the scenario for a robot with a time
+    constant, or a law triggered by a timer.
 
     Args:
         run: Any run.

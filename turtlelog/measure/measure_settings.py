@@ -12,13 +12,13 @@ from turtlelog.errors import MeasureError
 from turtlelog.run.loops import Declaration
 
 SETTLING_BAND: Final = 0.02
-"""Half-width of the settling band, as a fraction of the step."""
+"""Default half-width of the settling band, as a fraction of the step."""
 
 MOST_TICKS: Final = 1000
-"""The largest dead time that the delayed ideal loop is computed for."""
+"""Largest dead time for which the delayed ideal loop is computed [ticks]."""
 
 Target = float | Literal["reference", "last"]
-"""What the step of a loop leads to."""
+"""Final value of a loop's step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -27,7 +27,7 @@ from turtlelog.run.tables import Tabular, refuse_array
 
 
 class Status(enum.StrEnum):
-    """Whether a metric has a value, and if not, why."""
+    """Whether a metric has a value, and otherwise the kind of reason."""
 
     OK = "ok"
     NOT_REACHED = "not_reached"
@@ -35,21 +35,21 @@ class Status(enum.StrEnum):
     NO_STEP = "no_step"
     """The phase begins at its reference: there is nothing to respond to."""
     NO_MOTION = "no_motion"
-    """The turtle did not get from one place to another: there is nothing to divide by."""
+    """The turtle did not move from one place to another: there is nothing to divide by."""
     NO_PHASE = "no_phase"
     """The run has no such phase."""
     TOO_SHORT = "too_short"
-    """Too few rows, or a run that was cut before the time asked for."""
+    """There are too few rows, or the run was cut before the required time."""
     TOO_LARGE = "too_large"
-    """Beyond the largest number that a computer holds."""
+    """The value exceeds the largest floating-point number."""
     ABSENT = "absent"
-    """The recording does not hold what it is computed from."""
+    """The recording does not contain the required data."""
     UNDETERMINED = "undetermined"
-    """The recording fits several values alike, or none."""
+    """Several values fit the recording equally, or none fits."""
 
 
 class MetricWatch(Protocol):
-    """Object that is called when a metric is compared: a recording whose checks are reported."""
+    """Object that is called when a metric is compared, for example by checks that are reported."""
 
     def compare(self, metric: "Metric", operator: str, other: object) -> bool:
         """Return the result of a comparison."""
@@ -86,7 +86,7 @@ class Numeric(ABC):
         """Compute with the float; comparisons use the object's own operators on either side."""
         compared = _OF_NUMPY.get(function.__name__)
         if compared and method == "__call__" and len(inputs) == 2 and not named:
-            # numpy hands its numbers over as arrays without a dimension.
+            # numpy passes its numbers as arrays without a dimension.
             left, right = (one[()] if isinstance(one, np.ndarray) else one for one in inputs)
             if isinstance(left, Numeric):
                 return OPERATORS[compared](left, right)
@@ -138,20 +138,21 @@ class Numeric(ABC):
 class Metric(Numeric):
     """Metric of a run: a number with a unit, or the reason why there is none.
 
-    It computes, sorts, formats and compares as the float `value`. A metric without a value raises
-    MissingValueError when it is used as a number, also by `!=`, so that no test passes by mistake.
-    `==` compares value and unit of two metrics, or status and reason if both lack a value; it never
-    raises. `hash` is that of the value. `bool` raises, because a metric of 0 is not a failure.
+    A metric computes, sorts, formats and compares as the float `value`. A metric without a value
+    raises MissingValueError when it is used as a number, also by `!=`, so that no test passes by
+    mistake. `==` compares value and unit of two metrics, or status and reason if both lack a value;
+    it never raises. `hash` is that of the value. `bool` raises, because a metric of 0 is not a
+    failure.
 
     Attributes:
         id: `<phase, final or run>.<metric>`.
         value: Value in `unit`; None exactly if `status` is not `ok`.
         unit: `s`, `m`, `deg`, `%`, `1` or a product of units, as in `m^2 s`.
         status: Whether there is a value.
-        reason: Clause that says why there is no value, otherwise empty.
+        reason: Reason why there is no value, as a clause; otherwise empty.
         at_s: Time of the value from the first sample [s]: of a peak, the end of a rise, the largest
             jump; None if the value has no time.
-        watch: Object that is told of comparisons; None for most metrics. With a watch, `==` and
+        watch: Object that is called at comparisons; None for most metrics. With a watch, `==` and
             `!=` of a metric without a value raise too.
     """
 
@@ -284,14 +285,14 @@ _OF_NUMPY: Final = MappingProxyType(
     }
 )
 
-Real.register(Metric)  # pytest.approx compares with nothing else
+Real.register(Metric)  # pytest.approx accepts no other types
 
 if TYPE_CHECKING:
     _MetricMapping = Mapping[str, Metric]
 else:
 
     class _MetricMapping:
-        """Has the methods of a Mapping but is no instance: polars would read that as columns."""
+        """Base with the methods of a Mapping but no subclass: polars would read one as columns."""
 
         __slots__ = ()
         __contains__, get = Mapping.__contains__, Mapping.get
@@ -342,7 +343,7 @@ class Metrics(_MetricMapping, Tabular):
     def _tabulate(self) -> Mapping[str, Any]:
         listed = [metric.to_dict() for metric in self.values()]
         table = {name: [one[name] for one in listed] for name in _ENTRIES}
-        # A column without a number is one of numbers all the same.
+        # A column without any number is a column of numbers, too.
         numbers = {name: np.array(table[name], dtype=np.float64) for name in ("value", "at_s")}
         return table | numbers
 
@@ -363,7 +364,7 @@ class Metrics(_MetricMapping, Tabular):
 
 
 _ANSWERS: Final = ("final.position_error", "run.duration")
-"""Told first where they have a value."""
+"""Metrics in the first line if they have a value."""
 
 _ENTRIES: Final = ("id", "value", "unit", "status", "reason", "at_s")
 
@@ -405,14 +406,13 @@ class Found:
 Result = Found | Missing
 
 Outcome = tuple[float, float, int]
-"""What a metric is in numbers, which functions return that run plain and compiled.
+"""Result of a metric as numbers, from functions that run plain and compiled.
 
-The value, its moment from the first sample [s] (NaN: it belongs to none), and `FOUND`; or the
-number of a reason behind two numbers for its text.
-"""
+With a value: the value, its time from the first sample [s] (NaN if it has none), and `FOUND`.
+Without a value: two numbers for the text of a reason, and the number of the reason."""
 
 REASONS: Final[list[Missing]] = [Missing(status=Status.OK, reason="")]
-"""Why metrics have no value, by number."""
+"""Reasons for missing values, by number."""
 
 FOUND: Final = 0
 

@@ -42,7 +42,8 @@ CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
 NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
 
 SMALLEST_STEP: Final = 1e-6
-"""What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
+"""Smallest change that counts as a step [rad or m]: poses have 32 bits, so smaller ones are
+rounding."""
 
 _ANY_WORDS: Final = MappingProxyType(
     {"signal": "controlled signal", "goal": "reference", "command": "command"}
@@ -184,19 +185,19 @@ class LoopMetricKind:
 
 
 LOOP_METRICS: Final[dict[str, LoopMetricKind]] = {}
-"""The metrics of a loop by name, in the order in which they are shown."""
+"""Metrics of a loop by name, in the order of display."""
 
 RUN_METRICS: Final[dict[str, MetricKind]] = {}
-"""The metrics of a whole run and of its end by id, in the order in which they are shown."""
+"""Metrics of a whole run and of its end by id, in the order of display."""
 
 
 def has_step(loop: ControlLoop) -> bool:
-    """Whether a loop answers a step: not one whose reference the law moves."""
+    """Return whether a loop answers a step; a loop with a moving reference does not."""
     return not loop.moves
 
 
 def has_sides(loop: ControlLoop) -> bool:
-    """Whether a loop that answers a step can pass its reference: a distance cannot."""
+    """Return whether a loop that answers a step can pass its reference; a distance cannot."""
     return has_step(loop) and loop.signal != "distance"
 
 
@@ -237,7 +238,8 @@ def curve_metric(
 ) -> Callable[[_OfCurve], _OfCurve]:
     """Enter a function of numbers as a metric of every loop to which it applies.
 
-    It runs in ordinary Python and compiled. Its curve parameters are fields of `Response`.
+    The function runs in ordinary Python and compiled. Its curve parameters are fields of
+    `Response`.
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
@@ -273,7 +275,8 @@ def course_metric(
 ) -> Callable[[_OfCourse], _OfCourse]:
     """Enter a function of numbers by its id, as a metric of the whole run or of its end.
 
-    It runs in ordinary Python and compiled. Its course parameters are fields of `RunContext`.
+    The function runs in ordinary Python and compiled. Its course parameters are fields of
+    `RunContext`.
     """
 
     def enter(numbers: _OfCourse) -> _OfCourse:

@@ -20,7 +20,7 @@ from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop, Declaration, is_loop_name
 
 ANY_LOOP: Final = "<loop>"
-"""Stands for the name of a loop in the ids of `METRICS`."""
+"""Placeholder for the name of a loop in the ids of `METRICS`."""
 
 METRICS: Final[Mapping[str, MetricKind]] = NamedValues(
     "metric",
@@ -29,14 +29,14 @@ METRICS: Final[Mapping[str, MetricKind]] = NamedValues(
         **RUN_METRICS,
     },
 )
-"""Every metric there is, those of a loop as `<loop>.overshoot`; `list_metrics` has a law's ids."""
+"""Every metric by id, those of loops as `<loop>.overshoot`; `list_metrics` has a law's ids."""
 
 _ESSENTIAL_OF_LOOP: Final = (
     *("duration", "rise_time", "overshoot", "settling_time", "final_error", "rms_error"),
     *("largest_error", "lag", "corner_overshoot", "iae", "saturated_share", "dead_time"),
 )
 _OF_MOVING: Final = frozenset({"rms_error", "largest_error", "lag", "corner_overshoot"})
-"""Essential only where there is no step, whose figures say more."""
+"""Metrics that are essential only without a step, whose metrics are more informative."""
 
 _ESSENTIAL_OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
@@ -44,13 +44,13 @@ _ESSENTIAL_OF_RUN: Final = (
 )
 
 _ESSENTIAL_OF_PATH: Final = _ESSENTIAL_OF_RUN[2:]
-"""Of laws that use no goal and follow a path."""
+"""Essential metrics of laws without a goal that follow a path."""
 
 _ESSENTIAL_WITHOUT_GOAL: Final = (
     *("run.duration", "run.path_length", "run.speed_effort", "run.turn_rate_effort"),
     "run.largest_gap",
 )
-"""Of laws that use no goal and follow nothing: how far they drove, by what commands."""
+"""Essential metrics of laws without goal and path: distance and commands."""
 
 
 _ESSENTIAL_OF_MOTION: Final = (
@@ -58,10 +58,10 @@ _ESSENTIAL_OF_MOTION: Final = (
     *("run.measured_speed_max", "run.measured_turn_rate_max", "run.spectral_arc_length"),
     "run.largest_pose_gap",
 )
-"""Of a robot of which nothing but its poses is known."""
+"""Essential metrics of a robot with known poses only."""
 
 _ESSENTIAL_IN_SPACE: Final = ("run.path_length_in_space", "run.height_range", "run.tilt_max")
-"""And of one that leaves the plane."""
+"""Further essential metrics of a robot that leaves the plane."""
 
 _ESSENTIAL_OF_COMMANDS: Final = (
     *("run.duration", "run.sample_rate", "run.largest_gap"),
@@ -71,7 +71,7 @@ _ESSENTIAL_OF_COMMANDS: Final = (
         for figure in ("effort", "total_variation", "largest_jump", "largest_slew_rate", "steps")
     ),
 )
-"""Of a log of commands alone."""
+"""Essential metrics of a log of commands alone."""
 
 _ESSENTIAL_WITH_GOAL: Final = ("final.position_error", "run.time_to_goal")
 _ESSENTIAL_WITH_PATH: Final = ("run.cross_track_max", "run.cross_track_rms")
@@ -80,7 +80,7 @@ _ESSENTIAL_WITH_COMMANDS: Final = (
     *("run.turn_rate_tracking_rms", "run.turn_rate_lag", "run.turn_rate_steps"),
     *("run.turn_rate_rise_time", "run.largest_gap"),
 )
-"""And what more there is to say where it was told where to go, by what line, or how fast."""
+"""Further essential metrics if commands, a goal or a path are known."""
 
 
 def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
@@ -250,7 +250,7 @@ def measure_run(
     settings = settings or MeasureSettings()
     settings.require_loops(run.declaration)
     context = RunContext(run, settings)
-    # Values at the border of what a float holds become statuses, not warnings.
+    # Values at the limits of a float become statuses, not warnings.
     with np.errstate(all="ignore"):
         return Metrics(
             (

@@ -1,4 +1,4 @@
-"""The motion of each plant step, the command behind it, and the error cumulated over steps."""
+"""The motion of each plant step, its command, and the error cumulated over steps."""
 
 import math
 from dataclasses import dataclass
@@ -19,29 +19,29 @@ from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
 Values = NDArray[np.float64]
 
 _NEAR_TICK: Final = 0.15
-"""How far a wall clock's usual step may be from turtlesim's tick, as a share of it."""
+"""Largest difference of a wall clock's usual step from turtlesim's tick, as a share of the tick."""
 
 _NEAR_TICKS: Final = 0.02
-"""The same for several ticks, where a controller answers every n-th pose and logs that."""
+"""The same for several ticks, if a controller answers and logs every n-th pose."""
 
 _MOST_STEP_TICKS: Final = 60
 
 GAP_STEPS: Final = 4.0
-"""A longer silence than this many usual steps may have lost poses: a wall clock under load makes
-some of three steps."""
+"""Silence in usual steps from which poses may be lost: a wall clock under load makes steps of
+three."""
 
 _LOST_ROWS: Final = 1000
-"""Rows that a gap of unknown length stands for: further than any dead time reaches."""
+"""Number of rows that a gap of unknown length counts as: more than any dead time."""
 
 FEWEST_DIFFERENT: Final = 10
-"""Fewer different values may have a common step by chance."""
+"""Smallest number of different values with a common step; fewer may have one by chance."""
 
 OFF_GRID: Final = 0.02
-"""How far a 32-bit float may be off the multiple of a step that it was rounded from, in steps:
-4e-7 m of 1e-4 m, and a margin."""
+"""Largest distance of a 32-bit float from the multiple of a step that it was rounded from, in
+steps: 4e-7 m of 1e-4 m, and a margin."""
 
 _EXACT: Final = 2e-8
-"""What double precision leaves of a step: turtlesim's pi has eight decimals [m, rad]."""
+"""Error of a step in double precision [m, rad]: turtlesim's pi has eight decimals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,7 +93,7 @@ class LoopMotion:
     def _find_latest(self, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the last sample that read a pose at or before each tick; -1 if there is none."""
         first, last = int(ticks.min()), int(ticks.max())
-        if last - first > ticks.size:  # gaps make ticks far apart: no table of all of them
+        if last - first > ticks.size:  # gaps make ticks far apart, so a table would be too large
             return np.searchsorted(self.sample_tick, ticks, side="right") - 1
         every = np.arange(first, last + 1)
         latest = np.searchsorted(self.sample_tick, every, side="right") - 1
@@ -111,7 +111,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         return None
     first, last = samples.pose_sequence[[stretch.start, stretch.stop - 1]]
     tick, step_ticks, tick_s = _count_ticks(poses.time_ns, plant)
-    # One pose may be answered once only, and in order.
+    # Each pose may be answered only once, and in order.
     sample_tick = np.maximum.accumulate(tick[samples.pose_sequence])
     steps = slice(first, max(first, last))
     is_kept = np.diff(tick)[steps] == step_ticks
@@ -150,7 +150,7 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
     start_ns, end_ns = run.poses.time_ns[rows], run.poses.time_ns[rows + 1]
     if find_plant(run).name == LAGGED:
         pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)
-    else:  # turtlesim applies to a whole step what it has at its end
+    else:  # turtlesim applies the value at the end of a step to the whole step
         pushed_ns = np.where((end_ns >= from_ns) & (end_ns < to_ns), end_ns - start_ns, 0)
     return np.asarray(rate * np.maximum(pushed_ns, 0.0) / 1e9)
 
@@ -197,7 +197,7 @@ def find_common_step(values: Values) -> float:
     if len(different) < FEWEST_DIFFERENT:
         return 0.0
     steps = np.diff(different)
-    # From neighbours, which are few steps apart, to all: the step gets more exact on the way.
+    # First from neighbours, which are few steps apart, then to all: the step becomes more exact.
     multiples = np.cumsum(np.rint(steps / steps.min()))
     step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
     left = (different[1:] - different[0]) - step * multiples
@@ -229,7 +229,7 @@ def _sort_different(values: Values) -> Values:
 
 
 _UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
-"""How the keys of a push end, by command."""
+"""Suffixes of the keys of a disturbance, by command."""
 
 
 def pushes_at_random(run: Run, loop: ControlLoop) -> bool:
@@ -253,7 +253,7 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
     usual_ns = compute_median(step_ns)
     if not (step_ns % TICK_NS).any() and usual_ns == TICK_NS:
         return (time_ns - time_ns[0]) // TICK_NS, 1, TICK_S
-    # A wall clock jitters, and a callback may be late without a pose being lost.
+    # A wall clock jitters, and a late callback is not a lost pose.
     steps = np.where(step_ns > GAP_STEPS * usual_ns, _LOST_ROWS, 1)
     ticks = min(max(round(usual_ns / TICK_NS), 1), _MOST_STEP_TICKS)
     if abs(usual_ns / TICK_NS / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
@@ -273,7 +273,7 @@ def _measure_moves(xy_m: Values, heading_rad: Values, half: Values) -> tuple[Val
 
 
 def _measure_arcs(xy_m: Values, heading_rad: Values, half: Values) -> tuple[Values, Values]:
-    # A robot turns while it moves: along an arc, whose chord has the mean heading.
+    # Other robots turn while they move along an arc, whose chord has the mean heading.
     half_rad = 0.5 * subtract_headings(heading_rad[1:], heading_rad[:-1])
     moved, rounding = _measure_along(xy_m, heading_rad[:-1] + half_rad, half)
     return moved / np.sinc(half_rad / np.pi), rounding
@@ -303,35 +303,38 @@ def _find_free(xy_m: Values, plant: Plant) -> NDArray[np.bool_]:
 
 CERTAIN: Final = 10.0
 """Difference of log-likelihoods from which the better of two fits counts as found: the other is
-20,000 times less likely. Where rows are not quite independent, 5 would still be 150 times."""
+20,000 times less likely. If rows are not quite independent, even a difference of 5 is a factor of
+150."""
 
 _LAG_APART: Final = 0.25
 _LAG_OFFSETS: Final = np.arange(-0.5, 1.01, _LAG_APART)
-"""Dead time and lag together are tried up to so many ticks off the best dead time alone [ticks]."""
+"""Offsets from the best dead time alone at which dead time and time constant are tried together
+[ticks]."""
 
 _LAG_ROUNDS: Final = 6
-"""Halvings of the distance between the lags that are tried: down to a 256th of a tick."""
+"""Halvings of the distance between tried time constants: down to 1/256 tick."""
 
 _LEAST_LAG: Final = 0.01
-"""A shorter lag is none [ticks]: after one tick nothing of it is left in a double."""
+"""Smallest time constant [ticks]: the effect of a smaller one vanishes in a double after one
+tick."""
 
 COARSE: Final = 1.25
-"""Steps of rounding that the right fit leaves at most: one, and what its offset is off."""
+"""Largest residual of the right fit in steps of rounding: one, and the error of its offset."""
 
 LIKE_THE_BEST: Final = 1.1
-"""Where noise comes on top, by how much more than the best the right fit leaves at most."""
+"""Ratio to the best residual that the right fit has at most, if there is also noise."""
 
 _TINY: Final = 1e-300
 
 
 def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]:
-    """Return which fits leave no larger errors than coarse poses cause, or than the best fit does.
+    """Return which fits have errors within those of coarse poses, or of the best fit.
 
     Rounding errors are not noise: neighbours share them, so their squares are not informative.
 
     Args:
         spans: Range of the errors of each fit, largest minus smallest [rad or m].
-        best: Row of the best.
+        best: Row of the best fit.
         grain: Coarse step [rad or m]; 0: full resolution, and only the best fit counts.
     """
     if not grain:
@@ -350,7 +353,7 @@ def fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LagFits:
-    """Whether a dead time with a time constant explains a motion that a longer dead time fits best.
+    """Whether a shorter dead time with a time constant fits as well as the best dead time alone.
 
     Attributes:
         least_ticks: The smallest dead time that fits as well, with some time constant.
@@ -420,7 +423,7 @@ def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Value
 
 
 def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
-    """Subtract the mean of each segment without a gap, because its initial value is not exact."""
+    """Subtract the mean of each segment between gaps, because its initial value is not exact."""
     bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
     parts = np.split(drift, bounds, axis=1)
     return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)

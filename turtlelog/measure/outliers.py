@@ -15,41 +15,44 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 MEASURED: Final = ("measured_speed", "measured_turn_rate")
-"""Signals that can have outliers: a command that was published is never one."""
+"""Signals that can have outliers; a published command never is one."""
 
 LONGEST_STEP_NS: Final = 250_000_000
-"""Neighbours that are further away in time [ns] contradict nothing: at 2 m/s2 a robot reaches
-0.5 m/s in between."""
+"""Longest time to neighbours that can contradict a value [ns]: at 2 m/s2 a robot reaches 0.5 m/s in
+it."""
 
 _LEAST_ROWS: Final = 30
-"""Fewer values do not tell what is usual: of 20 normal ones one in 2,000 stands out this far."""
+"""Smallest number of values that shows the usual scatter: of 20 normal values, one in 2,000
+deviates this far."""
 
 _MOST_SHARE: Final = 0.01
-"""Values that stand out more often than in this share of the rows belong to the signal."""
+"""Share of rows above which deviating values belong to the signal."""
 
 _APART: Final = 5.0
-"""An outlier stands out this many times further than every value that is none. Of 2,000 values with
-normal, uniform or Laplace noise the first stands out less than 2 times further than the second."""
+"""Ratio to the deviation of every other value from which a value is an outlier. Of 2,000 values
+with normal, uniform or Laplace noise, the first deviates less than 2 times further than the second.
+"""
 
 LOCAL_SPANS: Final = 3.0
-"""And this many times further than the signal moves among its neighbours: while a robot speeds up
-or brakes, more is needed."""
+"""Smallest ratio to the signal's range among its neighbours: more is needed while a robot speeds up
+or brakes."""
 
 NEIGHBOURS: Final = 5
-"""Rows on either side that say how far the signal moves there: half a second at 20 Hz."""
+"""Rows on either side that show the signal's range: half a second at 20 Hz."""
 
 GRAINS: Final = 5.5
-"""And more than five steps of a quantised signal, however these were rounded: an encoder at low
-speed shows single ticks."""
+"""Smallest deviation in steps of a quantised signal: more than five, however these were rounded. An
+encoder at low speed shows single ticks."""
 
 _ROUNDING: Final = 1e-6
-"""Differences below this share of the largest value are rounding of 32 bits, not the grain."""
+"""Differences below this share of the largest value are 32-bit rounding instead of a quantisation
+step."""
 
 _ROWS_AT_ONCE: Final = 65_536
 
 _LEAST_CHANGES: Final = 8
-"""Changes other than the outliers' that a signal needs: a single pulse in silence is a test's
-impulse for all that one can know."""
+"""Changes besides the outliers' that a signal needs: a single pulse in a constant signal may be a
+test impulse."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,10 +78,9 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     """Return the rows of single values that are outliers of a measured signal, in order.
 
     The deviation of a value is its distance to the nearer of its two neighbours, if it is on the
-    same side of both; steps, ramps, limits and anything that lasts two rows have none. A value is
-    an outlier if nothing else in the signal comes near its deviation, its neighbours agree, and
-    they are close in time. The first and last rows are never outliers, because they have one
-    neighbour.
+    same side of both. Steps, ramps, limits and anything that lasts two rows have no deviation. A
+    value is an outlier if no other value deviates nearly as far, its neighbours agree, and they are
+    close in time. The first and last rows are never outliers, because they have one neighbour.
 
     Args:
         time_ns: Time [ns], shape (n,), not decreasing.
@@ -179,5 +181,5 @@ def compute_median(values: NDArray[Any]) -> float:
         return math.nan
     places = [half] if odd else [half - 1, half]
     ordered = np.partition(values, [*places, -1])
-    last = float(ordered[-1])  # NaN stands behind all numbers
+    last = float(ordered[-1])  # NaN is sorted after all numbers
     return last if math.isnan(last) else sum(float(ordered[n]) for n in places) / len(places)

@@ -18,12 +18,12 @@ from turtlelog.run.paths import Path as TrackedPath, PathFollower
 Values = NDArray[np.float64]
 
 _BLOCKS: Final = (2048, 64)
-"""Points that look at the same parts of a path: of all parts, and of those that are left."""
+"""Points that share a selection of path segments: of all segments, then of the remaining ones."""
 
 _PIECE: Final = 512
 
 _BITS: Final = 12
-"""Of each coordinate: cells of a square that hold points which are compared together."""
+"""Bits of each coordinate of the grid cells in which points are processed together."""
 
 
 def compute_path_length(xy_m: Values) -> float:
@@ -41,7 +41,7 @@ def compute_straightness(xy_m: Values, length_m: float | None = None) -> float |
         return None
     if length_m is None:
         length_m = compute_path_length(xy_m)
-    # Rounding of the sum leaves a straight line a bit short of its distance.
+    # Rounding may make the sum slightly shorter than a straight line's distance.
     return max(length_m / distance_m, 1.0)
 
 
@@ -53,7 +53,7 @@ def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:
     than short ones.
     """
     parts = np.hstack([path_xy_m[:-1], np.diff(path_xy_m, axis=0)])
-    parts = np.unique(parts, axis=0)  # a robot that stands repeats them
+    parts = np.unique(parts, axis=0)  # a robot at rest repeats them
     order = _sort_by_place(xy_m)
     distances = np.empty(len(xy_m))
     distances[order] = _measure_blocks(xy_m[order], parts[:, :2], parts[:, 2:], *_BLOCKS)
@@ -138,7 +138,7 @@ def trace_path(
 
 
 _MOST_BYTES: Final = 2**24
-"""Half a million points, which take a second to read; a longer file is none of a path."""
+"""Largest size of a path file [bytes]: half a million points, read in a second."""
 
 
 def read_reference_path(path: str | Path) -> NDArray[np.float64]:

@@ -20,16 +20,16 @@ Values = NDArray[np.float64]
 Axis = Literal["speed", "turn_rate"]
 
 SHORTEST_S: Final = 0.05
-"""Time over which poses are differenced, about [s]: odometry at 20 Hz, the most usual, is taken
-pose by pose."""
+"""Approximate time over which poses are differenced [s]: odometry at the usual 20 Hz is used pose
+by pose."""
 
 _LEAST_STEP: Final = 0.5
-"""A pose nearer to the one before than this share of the usual time between two is left out: pairs
-that arrive 0.1 ms apart make a speed of any size."""
+"""Share of the usual time between poses below which a pose is left out: pairs 0.1 ms apart give
+arbitrary speeds."""
 
 _SAME_TIME_NS: Final = 1_000
-"""Poses closer than this [ns] had one time in their file, and were moved on by 1 ns each: of
-these the first is taken. No robot publishes at 1 MHz."""
+"""Poses closer than this [ns] had equal times in their file, and were moved by 1 ns each: only the
+first is used. No robot publishes at 1 MHz."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,7 +121,7 @@ def _difference_poses(run: Run, axis: Axis) -> Rates:
     middle_s = (edges_s[:-1] + edges_s[1:]) / 2.0
     wrong = find_outliers(np.asarray(np.round(middle_s * 1e9), dtype=np.int64), means)
     if len(wrong):
-        # The intervals stay in order: what a wrong one hides is taken from its neighbours.
+        # The intervals stay in order: an outlier's interval gets the values of its neighbours.
         means = means.copy()
         means[wrong] = (means[wrong - 1] + means[wrong + 1]) / 2.0
     return Rates(
@@ -139,10 +139,10 @@ class HeldCommands:
     """The published commands of one axis, at least one, under zero-order hold.
 
     Attributes:
-        time_s: Time from which each value holds, from time zero of the run [s], shape (n,); equal
+        time_s: Time from which each value is held, from time zero of the run [s], shape (n,); equal
             successive values are merged, and at equal times the last value is used.
         values: Rate [m/s or rad/s], shape (n,).
-        end_s: Time when the last command was published [s]; how long it holds is unknown.
+        end_s: Time when the last command was published [s]; the duration of its hold is unknown.
         before: Value assumed before the first command: 0 if the robot stood still, otherwise the
             first value.
     """
@@ -170,8 +170,8 @@ def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Val
 
 
 SAME: Final = 1e-6
-"""Commands that differ by less are one [m/s or rad/s]: programs that add up steps of 0.1 end 1e-17
-beside 0, and 32 bits round a command of 5 by 5e-7."""
+"""Difference below which commands are equal [m/s or rad/s]: sums of steps of 0.1 miss 0 by 1e-17,
+and 32 bits round a command of 5 by 5e-7."""
 
 
 def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommands | None:
@@ -180,14 +180,15 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommand
     Args:
         run: Run with commands.
         axis: Axis to read.
-        rates: Rates of the axis; None if there are none: the first command is then assumed before.
+        rates: Rates of the axis; None if there are none: the first command is then assumed to act
+            before.
     """
     commands = run.commands
     if not len(commands):
         return None
     values = commands.speed_m_s if axis == "speed" else commands.turn_rate_rad_s
     time_s = (commands.time_ns - run.start_ns) / 1e9
-    # Of commands at one time the last one holds.
+    # If commands have equal times, the last is held.
     is_last = np.append(np.diff(time_s) > 0.0, True)
     time_s, values = time_s[is_last], values[is_last]
     if run.poses.speed_m_s is not None:  # of turtlesim, or of a simulation

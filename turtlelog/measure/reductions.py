@@ -19,13 +19,14 @@ Rows = NDArray[np.int64]
 
 _BLOCK = 128
 _LANES = 8
-"""As many values numpy's `sum` adds in one go, in so many sums side by side."""
+"""Number of values that numpy's `sum` adds at once, into as many parallel sums."""
 
 _BUFFER = 8192
-"""As many rows numpy's `einsum` adds before it begins anew."""
+"""Number of rows that numpy's `einsum` adds before it starts a new sum."""
 
 USES = 4
-"""Rows of `memory.numbers` that loops here use, each of twice as many numbers as there are rows."""
+"""Number of rows of `memory.numbers` used here, each with twice as many numbers as there are
+rows."""
 PIECES, _TIMES, _SIZES, _STEPS = range(USES)
 
 
@@ -121,7 +122,7 @@ def _find_rise_behind_peak(error: Any) -> float:
 
 @compiled_as(_find_rise_behind_peak)
 def find_rise_behind_peak(error: Values) -> float:
-    """Return by how much the magnitude increases again after its maximum [unit]."""
+    """Return the increase of the magnitude after its maximum [unit]."""
     size = np.abs(error)
     falling = size[int(size.argmax()) :]
     return float((falling - np.minimum.accumulate(falling)).max())
@@ -195,9 +196,9 @@ def _find_swing_ends(
 def find_swing_ends(
     time_s: Values, values: Values, reference: float, width: float, apart_s: float
 ) -> tuple[int, int]:
-    """Return the last rows of the last two completed swings; -1 if there is none.
+    """Return the last rows of the last two completed half-oscillations ("swings"); -1 if none.
 
-    A swing is a segment of rows further than a width from the reference, on one side; segments less
+    A swing is a segment of rows further than a width from the reference, on one side. Segments less
     than a given time apart are one swing. A swing at the end of the recording is not completed.
     """
     error = values - reference
@@ -282,7 +283,7 @@ def _add_up(values: Any, count: int) -> float:
 
     The sum of a left half overwrites its first value.
     """
-    # Without recursion: what calls itself crashes when numba loads it from its cache on disk.
+    # Without recursion: recursive functions crash when numba loads them from its disk cache.
     depth = path = 0
     while True:
         begin, left = _find_half(0, count, depth, path)

@@ -60,7 +60,7 @@ def read_heading_reference(run: Run) -> float | Values | None:
     loops = [(loop, read_reference(run, loop)) for loop in declared]
     known = [(loop, found) for loop, found in loops if found is not None]
     if not known:
-        # Of a robot whose controller is not known, the goal alone says where it is to look.
+        # If the controller is unknown, only the goal gives the reference heading.
         is_unknown = not run.declaration.loops and not len(run.samples)
         return run.goal_heading_rad if is_unknown else None
     if len(known) == 1:
@@ -164,7 +164,8 @@ def _find_first_arc(run: Run, path: Path) -> float | None:
 
 
 _TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
-"""Places of poses and references of a run on its path, found row by row, while the run is kept."""
+"""Cached path coordinates of poses and references, found row by row, for as long as the run
+exists."""
 
 
 def _recall(
@@ -195,7 +196,7 @@ def read_controlled_distance(run: Run) -> Values | None:
 
 def project_on_line(xy_m: Values, line: GoalLine, *, along: bool) -> Values:
     """Return the coordinates of points along, or left of, the line from start to goal [m]."""
-    # As frames.rotate_to_turtle, for the one of the two that is asked for.
+    # As frames.rotate_to_turtle, for the requested coordinate only.
     x_m, y_m = (column - start for column, start in zip(xy_m.T, line.start_xy_m, strict=True))
     cos, sin = np.cos(line.bearing_rad), np.sin(line.bearing_rad)
     return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)

@@ -23,7 +23,7 @@ from turtlelog.run.loops import PAUSE, ControlLoop
 Values = NDArray[np.float64]
 
 _TIMEOUT: Final = "timeout"
-"""Stop reason of a law whose time was up."""
+"""Stop reason of a law that exceeded its time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,8 +63,8 @@ class Response:
     """Response of the controlled signal of a loop to its reference.
 
     With a constant reference, `values` are the signal itself. With a moving reference, they are the
-    initial reference minus the error: the signal that a constant reference would have given. They
-    reach `reference` when the error is 0.
+    initial reference minus the error: the signal that a constant reference would have given. The
+    values reach `reference` when the error is 0.
 
     Attributes:
         loop: Loop of the response.
@@ -131,7 +131,7 @@ class Response:
 
     @property
     def clipped(self) -> int:
-        """The last pose after which no command was at its limit, for `judge_swings`."""
+        """Index of the last pose after which no command was at its limit, for `judge_swings`."""
         saturated = self.commands.is_saturated
         if saturated is None:
             return NOBODY_KNOWS
@@ -143,7 +143,7 @@ class Response:
 
     @property
     def memory(self) -> None:
-        """None: ordinary Python makes the arrays that it needs."""
+        """Work arrays; None, because ordinary Python creates arrays as needed."""
         return
 
 
@@ -188,7 +188,8 @@ def find_response(
 
 
 _NEAR: Final = 1.5
-"""In usual steps from pose to pose: over a longer one the robot may have moved far since."""
+"""Longest usual step from pose to pose, as a multiple: in a longer one the robot may have moved
+far."""
 
 
 def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
@@ -258,7 +259,7 @@ def _refer_to_start(
     error = inside - controlled
     if loop.signal == "heading":
         error = np.unwrap(wrap_angle(error))
-        # With the full turns of the last one, as a reference that stands still.
+        # Shifted by the full turns of the last error, as for a constant reference.
         error = error - 2.0 * np.pi * np.round(error[-1] / (2.0 * np.pi))
     target = float(inside[0])
     return np.asarray(target - error), target

@@ -1,4 +1,4 @@
-"""The signals of a run by name: the one table for metrics, comparison and pictures."""
+"""The signals of a run by name: one table for metrics, comparison and pictures."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -105,7 +105,7 @@ class Signal:
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # How its kind reads a run cannot be pickled, and is of no more use.
+        # The function that reads a run cannot be pickled, and is no longer needed.
         kind = replace(self.kind, read=_read_nothing)
         return _rebuild, (self.name, kind, self.time_ns, self.values, self.start_ns)
 
@@ -137,11 +137,11 @@ class Signal:
 
 
 _MOST_SHOWN: Final = 400
-"""Values of the curve in a notebook: more are less than a pixel apart."""
+"""Largest number of values of the curve in a notebook: more are less than a pixel apart."""
 
 
 def _read_nothing(_: Run) -> None:
-    """Read nothing: a signal that was pickled has no access to other runs."""
+    """Return None: a pickled signal has no access to other runs."""
 
 
 def _rebuild(
@@ -197,7 +197,7 @@ def find_signal(run: Run, name: str) -> Signal | None:
 
 
 def explain_no_signal(run: Run, name: str) -> str:
-    """Return why a run lacks a signal, in words; empty if the name is explanation enough."""
+    """Return the reason why a run lacks a signal; empty if the name is sufficient."""
     kind = list_signals(run.declaration).get(name)
     if kind is not None and kind.source == "pose" and not len(run.poses):
         return "the recording holds no poses"
@@ -269,7 +269,7 @@ _TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyTy
         "sensed pose": lambda run: run.poses.time_ns[~run.poses.dropped_out],
     }
 )
-"""Times of the values of a signal by its source."""
+"""Times of a signal's values by its source."""
 
 
 def _read_error(run: Run, axis: int) -> Values | None:
@@ -391,19 +391,20 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
         "distance": _pose("m", "Distance to the goal.", _read_distance),
         "heading_error": _pose(
             "rad",
-            "Reference of the heading loop that acts minus heading, in [-pi, pi); without such a"
-            " loop, what the law recorded.",
+            "Reference heading minus heading while a heading loop acts, in [-pi, pi); without such"
+            " a loop, the error that the law recorded.",
             _read_heading_error,
         ),
         "along_track": _pose(
             "m",
-            "Along the line from start to goal, from the start; where the law tracks a path, the"
-            " arc length of its nearest point.",
+            "Distance from the start along the line from start to goal; where the law tracks a"
+            " path, the arc length of its nearest point.",
             lambda run: _read_track(run, along=True),
         ),
         "cross_track": _pose(
             "m",
-            "To the left of the line from start to goal, or of the path that the law tracks.",
+            "Distance from the line from start to goal, or from the path that the law tracks;"
+            " positive to the left.",
             lambda run: _read_track(run, along=False),
         ),
         "phase": SignalKind(

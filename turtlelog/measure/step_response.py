@@ -1,4 +1,4 @@
-"""Metrics of a curve: of a step response, of its oscillation, and integrals of an error.
+"""Metrics of a curve: step response, oscillation, and integrals of the error.
 
 The functions run in ordinary Python and compiled, on the reductions of `reductions.py`. An event
 that never happens is NaN.
@@ -11,17 +11,19 @@ and 0 if a sample is at the crossing.
 The definitions are those of step-response analysis (K. Ogata, Modern Control Engineering, 5th ed.,
 section 5-3; D. E. Seborg et al., Process Dynamics and Control, 3rd ed., section 5.3.1), with the
 step leading from any initial value to any reference. All take `values` of shape (n,), n >= 1, and
-`time_s` of the same shape, not decreasing. A step downwards gives what its mirror image gives.
+`time_s` of the same shape, not decreasing. A step downwards gives the same results as its mirror
+image.
 
-Integrals are exact for the line through the samples; where that changes its sign, the time of the
-zero is interpolated. IAE, ISE and ITAE are those of D. Graham and R. C. Lathrop, "The synthesis of
-'optimum' transient response", Trans. AIEE 72 (1953). `step_s` is the time from each row to the
-next, shape (n - 1,). On a sampled smooth signal the error falls with the square of the period.
+Integrals are exact for the line through the samples; the time of a change of sign is interpolated.
+IAE, ISE and ITAE are those of D. Graham and R. C. Lathrop, "The synthesis of 'optimum' transient
+response", Trans. AIEE 72 (1953). `step_s` is the time from each row to the next, shape (n - 1,). On
+a sampled smooth signal the error falls with the square of the period.
 
-Only the size of swings is judged; no model of the loop, no dead time and no gain is needed. In a
-linear loop they grow or decay by one factor each. A limit of the command keeps those of an unstable
-loop at one size, that of its limit cycle (the describing function of saturation; K. J. Astrom and
-R. M. Murray, Feedback Systems, 2nd ed., section 10.5), which may be small compared with the step.
+The verdict on stability uses only the size of swings (half-oscillations), without a model, a dead
+time or a gain. In a linear loop, swings grow or decay by a constant factor. A limit of the command
+keeps those of an unstable loop at the size of its limit cycle (the describing function of
+saturation; K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., section 10.5), which may be
+small compared with the step.
 """
 
 import math
@@ -47,14 +49,14 @@ from turtlelog.measure.reductions import (
 Values = NDArray[np.float64]
 
 SHORTEST_HOLD_S: Final = 1.0
-"""How long a response whose recording was cut must have stayed in the band to count as settled [s].
+"""Time that a cut response must have stayed in the band to count as settled [s].
 
-It is the time constant of the slowest gain of the paper, 1 / s, and some 60 samples."""
+It is the time constant of the paper's smallest gain, 1 / s, and about 60 samples."""
 
 _SWING: Final = 0.5
-"""What counts as a swing around the reference, as a share of the settling band's half-width.
+"""Smallest distance from the reference of a swing, as a share of the band's half-width.
 
-Half of it, so that noise and rounding deep in the band are no oscillation."""
+It is half of the band, so that noise and rounding deep in the band are not an oscillation."""
 
 
 def find_level_time(
@@ -133,9 +135,9 @@ def find_swing_period(time_s: Values, values: Values, reference: float, half_wid
     """Return the period of the oscillation around the reference, from its last two swings [s].
 
     A swing is a segment of rows further than `_SWING` times the band's half-width from the
-    reference, on one side; segments less than `SHORTEST_HOLD_S` apart are one. The ends of two
-    successive swings are half a period apart if the swings are on opposite sides, and one period if
-    they are on one side. 0 if fewer than two swings are completed.
+    reference, on one side. Segments less than `SHORTEST_HOLD_S` apart are one swing. The ends of
+    two successive swings are half a period apart on opposite sides, and one period on the same
+    side. The result is 0 if fewer than two swings are completed.
     """
     width = _SWING * half_width
     before, last = find_swing_ends(time_s, values, reference, width, SHORTEST_HOLD_S)
@@ -156,7 +158,7 @@ def find_decay_ratio(
     times, or the recording ends before the second peak.
     """
     rows = find_crossing_rows(error, 0.0, memory)
-    # The error that is beyond the reference.
+    # Sign of an error beyond the reference.
     direction = -1.0 if reference >= initial else 1.0
     skipped = 1 if len(rows) > 0 and error[rows[0]] * direction < 0.0 else 0
     if len(rows) < skipped + 3:
@@ -185,7 +187,7 @@ def integrate_square(step_s: Values, values: Values) -> float:
     before, after = values[:-1], values[1:]
     squares = add_triples(step_s, before, before)
     mixed, last = add_triples(step_s, before, after), add_triples(step_s, after, after)
-    # Not by `sum`, which rounds otherwise from Python 3.12 on.
+    # Not `sum`, which rounds differently from Python 3.12 on.
     return (squares + mixed + last) / 3.0
 
 
@@ -210,61 +212,60 @@ def compute_rms(step_s: Values, values: Values, memory: Any) -> float:
 
 
 VERDICTS: Final = ("rests", "swings", "away", "passing", "slow", "unknown")
-"""By number."""
+"""Verdicts by number."""
 RESTS, SWINGS, AWAY, PASSING, SLOW, UNKNOWN = range(6)
 
 NEVER, NOBODY_KNOWS = -1, -2
-"""Instead of the last row at which a command was at its limit."""
+"""Values instead of the last row with a command at its limit: no such row, and unknown."""
 
 _FEWEST: Final = 6
-"""Whole swings from which thirds are compared: two in each, as a loop may swing further to one side
-than to the other."""
+"""Number of whole swings from which thirds are compared: two in each, because a loop may swing
+further to one side."""
 
 _DYING: Final = 0.9
-"""Swings die out where the largest of the last third is below this share of the largest of the
-middle third. Those of a loop at 99.5 % of its stability gain, with a dead time of 10 ticks, decay
-to 0.86 in the 30 s that the sequential laws drive for; those of limit cycles are between 0.97 and
-1.01, as their peaks fall between samples."""
+"""Ratio of the largest swings of the last and the middle third below which swings decay. At 99.5 %
+of the stability gain, with a dead time of 10 ticks, they decay to 0.86 in the 30 s of the
+sequential laws. Swings of limit cycles are between 0.97 and 1.01, because their peaks fall between
+samples."""
 
 _GOING_ON: Final = 0.98
-"""Swings go on from this share on. Between the two nobody can tell: a limit cycle that is reached
-from above, or a loop that decays slowly."""
+"""Ratio from which swings persist. Between the two ratios it is undecided: a limit cycle reached
+from above, or a slow decay."""
 
 _FALLING: Final = 0.95
-"""Swings that decay begin with their largest, but for the part of a peak that falls between
-samples. Those of a heading that is turned by more than half a turn, where its error wraps, are of
-any size in any order."""
+"""Ratio of the first swing to the largest from which swings decay; peaks may fall between samples.
+The swings of a heading turned by more than half a turn, where its error wraps, have any size in any
+order."""
 
 _HALVED: Final = 0.5
-"""Fewer swings die out where the last is below this share of the first: the first swing of an
-unstable loop, left over from a step that was clipped, shrinks by a few percent to its limit
-cycle."""
+"""Ratio of the last to the first of few swings below which they decay: the first swing of an
+unstable loop, after a clipped step, shrinks only by a few percent to its limit cycle."""
 
 _GROWN: Final = 1.05
-"""Fewer swings grow where the last is beyond this share of the first: more than peaks between
-samples explain of loops with 3 samples to a swing or more: 1 - cos(pi / 6) is 0.13, but it hits
-both."""
+"""Ratio of the last to the first of few swings above which they grow. Peaks between samples explain
+less for at least 3 samples per swing: 1 - cos(pi / 6) is 0.13, but it affects both."""
 
 _LARGE: Final = 0.1
-"""Share of the largest error from which swings are large, without a limit that they run into: those
-that noise leaves of a loop at rest are smaller, or the noise is what the log shows most."""
+"""Share of the largest error from which swings are large, if no limit is known: noise of a loop at
+rest is smaller, unless it dominates the log."""
 
 _NEAR: Final = 0.02
-"""A response that does not swing is near where it ends within this share of the largest error: the
-usual settling band. An error that grows again by more, without coming to the other side, swings
-about something else."""
+"""Share of the largest error within which a response without swings is near its end: the usual
+settling band. A larger increase of the error without a crossing is an oscillation around another
+value."""
 
 _SLOWED: Final = 0.5
-"""It came to rest where its last step is below this share of its largest. An unstable loop passes
-its reference at full speed, for it turns back too late; a tolerance may end it right there."""
+"""Ratio of the last to the largest step below which a response came to rest. An unstable loop
+passes its reference at full speed, because it turns back too late; a tolerance may end it right
+there."""
 
 _BEYOND: Final = 1.2
-"""Share of the error at the start up to which a response may swing to count as one that decays: a
-step overshoots by 1.11 steps at most where a loop with dead time is just stable."""
+"""Ratio of a swing to the initial error up to which a response may decay: at the stability limit of
+a loop with dead time, a step overshoots by at most 1.11 steps."""
 
 TURN_RAD: Final = 2.0 * math.pi
-"""Error of a heading from which nothing counts as decaying: laws wrap it at half a turn, or at the
-most after one, and beyond they steer to the goal from the other side."""
+"""Error of a heading from which no response counts as decaying [rad]: laws wrap it at half a turn,
+or at most after one turn, and then steer to the goal from the other side."""
 
 
 def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: float) -> int:
@@ -297,14 +298,14 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
     share = after / before
     is_larger = find_largest(rest)[0] > max(after, _NEAR * largest)
     decays = decays and not is_elsewhere and not is_larger
-    # Swings begin with their largest, on either side, as those do that decay.
+    # Decaying swings begin with the largest, on either side.
     falls = _find_peak(error, rows, begun, min(third, 2)) >= _FALLING * before
     falls = falls and _find_peak(error, rows, last, min(third, 2)) >= _FALLING * after
     if decays and falls and share < (_DYING if is_long else _HALVED):
         return RESTS
     if clipped >= rows[begun] or after >= _LARGE * largest:
         return SWINGS if share >= (_GOING_ON if is_long else _GROWN) else UNKNOWN
-    # What noise leaves grows now and then; what grows by itself goes on growing.
+    # Noise grows occasionally; an unstable oscillation grows continuously.
     grew = not is_long or before > _find_peak(error, rows, 0, third)
     is_growing = grew and share > 1.0 / (_DYING if is_long else _HALVED)
     return RESTS if decays and clipped != NOBODY_KNOWS and not is_growing else UNKNOWN

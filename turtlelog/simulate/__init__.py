@@ -1,4 +1,4 @@
-"""Scenario -> samples -> Run: the queues and the closed loop.
+"""Simulation of scenarios: the closed loop with its queues, and the resulting runs.
 
 The public names are in `__init__.pyi` and load on first use.
 """

@@ -17,7 +17,7 @@ from turtlelog.parts import Effect, Place, PlantPart
 PLACES: Final[tuple[Place, ...]] = get_args(Place)
 
 OF_TICKS: Final = frozenset({"lose_pose", "sense", "pose_travel", "push"})
-"""Places whose events are poses; those of the others are samples."""
+"""Places whose events are poses; the events of other places are samples."""
 
 _AT_PLACES: Final = {
     "settings": "settings",
@@ -37,7 +37,7 @@ _OF_LAW: Final = {
     "time_ns": "time_ns",
     "pose": "pose",
 }
-"""What a step gets, by the names of its parameters."""
+"""Arguments of a law's step, by the names of its parameters."""
 
 Function = Callable[..., Any]
 
@@ -102,7 +102,7 @@ def _chain(place: Place, effects: tuple[Effect, ...]) -> Function:
 
 @lru_cache(maxsize=64)
 def bind_step(step: Function) -> Function:
-    """Return the function that asks a law that is a part for its step.
+    """Return the function that calls the step of a law that is a part.
 
     Raises:
         LawError: If the step has a parameter that the loop does not know.

@@ -31,10 +31,11 @@ from turtlelog.simulate.rows import COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FA
 from turtlelog.simulate.step_budget import Step
 
 _FAR_M: Final = 1e300
-"""Up to here squares of errors are no matter: the distance is a number."""
+"""Distance up to which errors need no check [m]: squares may overflow, but distances are
+numbers."""
 
 _MOST_TICKS: Final = 2**31 - 1
-"""Longest block: a year of ticks, whose nanoseconds fit into 64 bits."""
+"""Longest block [ticks]: a year, whose nanoseconds fit into 64 bits."""
 
 _FLOATS: Final = {float}
 
@@ -72,7 +73,7 @@ class ClassLaw:
         path: Path | None,
         limits: tuple[float, float],
     ) -> None:
-        """Take a law, its declaration, and the function that calls its `step`."""
+        """Store a law, its declaration, and the function that calls its `step`."""
         self._law, self._step, self._limits = law, step, limits
         self._goal = goal if declaration.uses_goal else None
         self._path = path
@@ -108,7 +109,7 @@ class ClassLaw:
         pose = Pose(*xyh)
         if row.sequence == 0:
             self._reset(pose)
-        stdout, sys.stdout = sys.stdout, sys.stderr  # stdout is for results
+        stdout, sys.stdout = sys.stdout, sys.stderr  # stdout is only for results
         try:
             found = self._step(time_ns, pose)
         finally:
@@ -121,7 +122,7 @@ class ClassLaw:
         return decision.speed_m_s, decision.turn_rate_rad_s
 
     def record(self, state: Any, rows: Any, number: int) -> bool:
-        """Return whether all states are finite; they are already recorded."""
+        """Return whether all states are finite; they are recorded already."""
         del state, rows, number
         return True
 
@@ -133,7 +134,7 @@ class ClassLaw:
             self._law.reset(pose, self._goal, self._path)
 
     def _enter(self, row: Any, decision: Decision) -> None:
-        # What is left out stays NaN: the loop completes it.
+        # Missing values stay NaN, and the loop computes them.
         if decision.bearing_rad is not None:
             row.bearing_rad = decision.bearing_rad
         if decision.heading_error_rad is not None:
@@ -176,7 +177,7 @@ class ClassLaw:
         return number
 
     def _require_finite(self, decision: Decision) -> None:
-        # A sum of numbers is finite where all of them are; what is left out is None.
+        # A sum is finite if all its numbers are; missing ones are None.
         errors = (decision.bearing_rad or 0.0) + (decision.heading_error_rad or 0.0)
         errors += (decision.error_x_m or 0.0) + (decision.error_y_m or 0.0)
         if isfinite(errors + decision.world_v_x_m_s + decision.world_v_y_m_s):
@@ -226,7 +227,7 @@ def read_decision(found: object) -> Decision:
         found = Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
     if not isinstance(found, Decision):
         raise SimulationError(f"expected a Decision, found {found!r:.60}")
-    # Most laws answer in plain floats, and these are looked at once: a sample takes 5 us in all.
+    # Most laws return plain floats, which are checked together: a sample takes 5 us in total.
     is_plain = (
         type(found.speed_m_s) is type(found.turn_rate_rad_s) is float
         and type(found.world_v_x_m_s) is type(found.world_v_y_m_s) is float
@@ -327,7 +328,7 @@ _ERRORS: Final = (
     *("bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"),
     *("world_v_x_m_s", "world_v_y_m_s"),
 )
-"""What a law enters of a sample beside its command, as numbers."""
+"""Values of a sample that a law sets in addition to its command."""
 
 
 def is_built_in(law: AnyLaw) -> bool:

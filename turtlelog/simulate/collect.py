@@ -20,7 +20,7 @@ from turtlelog.simulate.rows import SampleRow, describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
 from turtlelog.simulate.versions import find_software
 
-# Rows are packed as they come: 8 bytes a value, whole numbers first.
+# Rows are packed at once: 8 bytes per value, whole numbers first.
 _POSE_ROW: Final = Struct("<q5d")
 _COMMAND_ROW: Final = Struct("<q2d")
 _SENSED_ROW: Final = Struct("<3d")
@@ -49,8 +49,8 @@ def simulate_run(
     Raises:
         LawError: If `law` is not a law.
         ScenarioError: If the law cannot be loaded or may not run, or a change is wrong.
-        SimulationError: If the law fails or computes for longer, with the run so far as `run`, or
-            no pose is answered within `max_duration_s`.
+        SimulationError: If the law fails or computes for longer, with the run so far as `run`; or
+            if no pose is answered within `max_duration_s`.
     """
     scenario = resolve_scenario(choose_scenario(scenario, law=law, changes=changes))
     return collect_run(scenario, iterate_ticks(scenario, plant, step_budget_s=step_budget_s))
@@ -88,7 +88,7 @@ class RunCollector:
 
     @property
     def has_samples(self) -> bool:
-        """Whether there is a run yet: it needs a sample."""
+        """Whether there is a sample, which a run needs."""
         return len(self._samples) > 0
 
     def take(self, ticks: Iterable[Tick]) -> None:
@@ -118,7 +118,7 @@ class RunCollector:
             self._stop_reason = tick.stop_reason
 
     def end_late(self, err: StepBudgetError) -> None:
-        """Record the end of a loop whose step could not be ended, and which has no last tick."""
+        """Record the failure of a loop whose step could not be ended; it has no last tick."""
         if self._stop_reason is None and self._poses:
             last_ns = int.from_bytes(self._poses[-_POSE_ROW.size :][:8], "little", signed=True)
             text = describe_stop(STEP_BUDGET, f": {err}")
@@ -157,13 +157,13 @@ class RunCollector:
 
 
 def _describe_law(kind: str) -> dict[str, str]:
-    """Return the source of a law that exists only in this session, as text for people."""
+    """Return the source of a law that exists only in this session, as text."""
     source = read_law_source(kind) if is_given(kind) else None
     return {} if source is None else {"law_source": source}
 
 
 def _describe_wait(scenario: Scenario) -> str:
-    """Return what the first answer waits for."""
+    """Return the reason why the first answer has to wait."""
     sensing, backlog = scenario.sensing, scenario.loop.start_backlog
     effects = {"dropout_probability": sensing.dropout_probability, "delay_s": sensing.delay_s}
     others = [f", sensing.{key} = {value:g}" for key, value in effects.items() if value]
@@ -209,7 +209,7 @@ _WHOLE: Final = 4
 
 
 class SampleRows:
-    """Collects the samples of a law, 8 bytes a value, whole numbers first."""
+    """Collector of a law's samples, 8 bytes per value, whole numbers first."""
 
     __slots__ = ("_declaration", "_extra", "_has_shaping", "_pack", "_packed")
 
@@ -297,5 +297,5 @@ def _split_rows(
 
 
 def keep_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return a column; None if a row lacks a number: without a goal there are no errors."""
+    """Return a column; None if a row lacks a number, as errors do without a goal."""
     return None if np.isnan(values).any() else values

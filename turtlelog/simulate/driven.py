@@ -13,7 +13,7 @@ from turtlelog.simulate.rows import SampleRow, TickRow
 from turtlelog.simulate.streams import DrawnEvents, list_streams
 
 State = tuple[float, float, float, float, float]
-"""x, y [m], heading [rad], magnitude of the velocity [m/s], turn rate [rad/s]."""
+"""State: x, y [m], heading [rad], magnitude of the velocity [m/s], turn rate [rad/s]."""
 
 
 class DrivenPlant:
@@ -28,7 +28,7 @@ class DrivenPlant:
         made = PlainLoop(replace(scenario, law=LawChoice()))
         self._settings, self._state, self._rows = made.settings, made.state, made.rows
         self._parts, self._now, self.taken = made.parts, made.now, 0
-        # Of its own: poses are numbered apart from ticks, and may be sensed after all of them.
+        # Separate numbers, because poses may be sensed after all ticks, with numbers of their own.
         drawn = DrawnEvents(scenario.seed, list_streams(scenario), ticks=True)
         self._sensed_rows = replace(made.rows, drawn_ticks=drawn)
         self._last = -1
@@ -93,7 +93,7 @@ class DrivenPlant:
         if sample >= 0:
             row = rows.samples[sample]
             parts.hold(settings, state.plant, rows, since_ns, row.speed_m_s, row.turn_rate_rad_s)
-            # None overtakes another, so one that comes again comes next.
+            # Commands keep their order, so duplicates are consecutive.
             self.taken += sample != self._last
             self._last = sample
 

@@ -58,7 +58,7 @@ def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> N
 
 
 def finish_tick(settings: Any, state: Any, rows: Any, parts: Any, tick: int, before: int) -> None:
-    """End a tick that began with `before` samples: record what changed since the last tick."""
+    """Record the changes of a tick, which began with `before` samples."""
     now = state.now
     if now.stop == 0 and tick == settings.scene.last_tick:
         now.stop = MAX_DURATION
@@ -72,7 +72,7 @@ def finish_tick(settings: Any, state: Any, rows: Any, parts: Any, tick: int, bef
             place = parts.read(state.plant)
             event = note(now, rows, tick)
             event.kind, event.first, event.second = WALL_HIT, place[0], place[1]
-    # What a blocked controller misses becomes one event, told when it is back.
+    # Poses that a blocked controller misses become one event after the block.
     if now.samples > before and now.poses_dropped > now.poses_told:
         event = note(now, rows, tick)
         event.kind, event.second = POSES_DROPPED, float(now.poses_dropped - now.poses_told)
@@ -98,7 +98,7 @@ def note(now: Any, rows: Any, tick: int) -> Any:
 
 @called
 def tell_losses(now: Any, losses: Any, rows: Any, tick: int) -> None:
-    """Record segments of losses that have ended, once; at the end of the run, all."""
+    """Record ended segments of losses once; at the end of the run, all segments."""
     if now.stop != 0:
         end_stretch(losses)
     if losses.finished > 0:
@@ -125,7 +125,7 @@ def end_stretch(losses: Any) -> None:
         losses.count = 0
 
 
-# The plant, and what moves it.
+# The plant and its inputs.
 
 
 def drive(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
@@ -179,11 +179,11 @@ def push_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: 
     parts.apply_push(settings, state.plant, speed, turn_rate)
 
 
-# Commands on their way: transport, then the plant's queue.
+# Commands: transport, then the plant's queue.
 
 
 def publish(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample: int) -> None:
-    """Send the command of a sample. No command overtakes another."""
+    """Send the command of a sample; no command overtakes another."""
     now, scene, row = state.now, settings.scene, rows.samples[sample]
     now.published += 1
     now.stop = row.stop
@@ -275,7 +275,7 @@ def hold_arrived(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int
     now.queue_first = now.commands_arrived
 
 
-# Poses on their way to the controller.
+# Poses: transport to the controller.
 
 
 def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> bool:
@@ -288,7 +288,7 @@ def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int)
         end_stretch(now.lost_poses)
     pose = parts.sense(settings, state, rows, tick, 0, (row.x_m, row.y_m, row.heading_rad))
     x_m, y_m, heading_rad = pose
-    # turtlesim's own headings reach a rounding beyond pi: what nothing changed stays.
+    # Rounding may put turtlesim's own headings slightly beyond pi: unchanged ones are kept.
     if heading_rad != row.heading_rad:
         heading_rad = wrap_angle(heading_rad)
     if not scene.is_exact:
@@ -299,7 +299,7 @@ def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int)
 
 @called
 def receive(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> None:
-    """Send the pose of a tick. No pose overtakes another."""
+    """Send the pose of a tick; no pose overtakes another."""
     now, time_ns = state.now, tick * settings.scene.period_ns
     arrival_ns = parts.pose_travel(settings, state, rows, tick, 0, time_ns)
     row.arrival_ns = max(arrival_ns, now.pose_arrived_ns)
@@ -337,7 +337,7 @@ def take_newest(now: Any) -> int:
 
 
 def find_arrival(now: Any, rows: Any) -> int:
-    """Return when the next pose arrives [ns]."""
+    """Return the arrival time of the next pose [ns]."""
     while now.poses_arrived < now.ticks:
         arrival_ns: int = rows.ticks[now.poses_arrived].arrival_ns
         if arrival_ns >= 0:
@@ -348,7 +348,7 @@ def find_arrival(now: Any, rows: Any) -> int:
 
 @called
 def find_next(now: Any, rows: Any) -> int:
-    """Return the next time [ns] at which a pose arrives, the timer fires, or the law is free."""
+    """Return the time of the next arrival, timer event or end of a block [ns]."""
     next_ns = min(find_arrival(now, rows), now.fires_ns)
     if now.blocked >= 0:
         next_ns = min(next_ns, now.free_at)
@@ -384,7 +384,7 @@ def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
     """
     now, scene = state.now, settings.scene
     delays_poses = scene.delays_poses
-    time_ns, place = tick * scene.period_ns, tick  # where the loop is: by time or by ticks
+    time_ns, place = tick * scene.period_ns, tick  # place of the loop: by time or by ticks
     goes_on = True
     while goes_on:
         if delays_poses:
@@ -423,7 +423,7 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
         pose = read.x_m, read.y_m, read.heading_rad
     speed, turn_rate = parts.decide(settings, state, rows, row, time_ns, pose)
     row.wanted_speed_m_s, row.wanted_turn_rate_rad_s = speed, turn_rate
-    # A sum of numbers is finite where all are.
+    # A sum is finite if all its numbers are.
     errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
     errors += row.distance_m
     total = errors + row.world_v_x_m_s + row.world_v_y_m_s
@@ -457,7 +457,7 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
 
 @called
 def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
-    """Add the errors to the goal that the law leaves out, from the present position."""
+    """Add the missing errors to the goal, from the present position."""
     x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
     bearing_rad = math.atan2(y_m, x_m)
     if math.isnan(row.bearing_rad):
@@ -473,7 +473,7 @@ def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
 
 
 def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> None:
-    """Reject what cannot be executed or recorded; without a goal there are no errors."""
+    """Reject values that cannot be executed or recorded; without a goal there are no errors."""
     reference = row.reference_x_m + row.reference_y_m + row.reference_heading_rad
     errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
     if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):

@@ -24,25 +24,25 @@ from turtlelog.simulate.compiled.compiled_run import CompiledRunner
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0
-"""What numba's import and a loop take from their cache [s]."""
+"""Time to import numba and load a loop from the cache [s]."""
 
 FIRST_S: Final = 9.0
-"""What they take before the loop is in the cache [s]: numba compiles it for 8 s."""
+"""The same if the loop is not in the cache [s]: numba compiles it for 8 s."""
 
 _SAVED_S: Final = 1.2e-5
-"""What a compiled loop saves of a sample around turtlesim, at least [s]: with the columns of its
-run a sample takes 15 us plain and 1 us compiled, and some processors are faster."""
+"""Time that a compiled loop saves per sample for turtlesim, at least [s]. With the columns of its
+run, a sample takes 15 us plain and 1 us compiled; some processors are faster."""
 
 _STEPPED_SAVED_S: Final = 3e-5
-"""Likewise of a lagged robot, which steps through its lag, and of a path that is searched [s]: 33
-to 44 us plain, 1 to 3 us compiled."""
+"""The same for a robot model with a time constant, and for a path [s]: 33 to 44 us plain, 1 to 3 us
+compiled."""
 
 MOST_TICKS: Final = 1_000_000
-"""Longer scenarios run plain: the arrays of a compiled loop are made for all ticks at once, 600
-bytes each."""
+"""Longest scenario that is compiled [ticks]: the arrays have 600 bytes per tick, for all ticks at
+once."""
 
 _AHEAD: Final = 4
-"""Runs for each thread that may wait to be taken: memory stays bounded, and no thread idles."""
+"""Finished runs that may wait per thread: this limits memory, and keeps all threads busy."""
 
 Simulated = Run | SimulationError
 
@@ -155,7 +155,7 @@ class ManyRuns(Iterator[Simulated]):
             self.interpreted += 1
         found = self._simulate(scenario, plant)
         if isinstance(found, Run) and loop is not None:
-            # The first tells how long the others will be about; later ones count themselves.
+            # The first run shows the expected length of the others; later ones count themselves.
             runs = self._count if self.interpreted == 1 else 1
             loop.expect(len(found.samples) * runs, find_saving(scenario))
             self._note_problem(scenario, loop)
@@ -176,7 +176,7 @@ class ManyRuns(Iterator[Simulated]):
 
 @cache
 def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoops:
-    """Return the loop of a law and a plant, compiled when it is worth it."""
+    """Return the loop of a law and a plant, which is compiled when the work justifies it."""
     return CompiledLoops(
         partial(_load, law, plant, states),
         partial(_is_kept, law, plant, states),
@@ -199,7 +199,7 @@ def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
 
     try:
         return is_kept(ENTRY, name_loop(law, plant, states))
-    except TypeError:  # it cannot be compiled, which is said where that is tried
+    except TypeError:  # not compilable; the compilation reports it
         return False
 
 
@@ -247,20 +247,20 @@ def simulate_many(
     threads: int | None = None,
     step_budget_s: float | None = STEP_BUDGET_S,
 ) -> ManyRuns:
-    """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
+    """Simulate scenarios one after another, with the same bits as `simulate_run`.
 
     With the extra `fast`, laws that are parts run in a compiled loop as soon as the work is worth
     loading it. Laws that are classes run in ordinary Python.
 
     Args:
-        scenarios: Scenarios to simulate; taken as the runs are.
+        scenarios: Scenarios to simulate; read as runs are requested.
         plant: Plant whose clock is used; None: the plant of each scenario.
         threads: Number of threads; None: one per core.
         step_budget_s: Time that a law may compute for one answer [s]; None: unlimited.
 
     Returns:
         An iterator of runs; a failed run is replaced by its SimulationError, whose `run` is the run
-        so far.
+            so far.
 
     Raises:
         SimulationError: If `threads` is not a number above 0.

@@ -61,7 +61,7 @@ from turtlelog.simulate.step_budget import (
 from turtlelog.simulate.streams import DrawnEvents, list_streams
 
 _FORGET_EVERY: Final = 512
-"""Ticks between two times at which the rows are forgotten that nothing needs any more."""
+"""Ticks between two deletions of rows that are no longer needed."""
 
 Samples = tuple[SampleRow, ...]
 
@@ -78,7 +78,7 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
         published: Samples whose command went out in this tick, in order.
         states: States of the law for each computed sample.
         events: Other events of the tick.
-        stop_reason: Why this is the last tick; None otherwise.
+        stop_reason: Stop reason if this is the last tick; otherwise None.
     """
 
     time_ns: int
@@ -176,7 +176,7 @@ class PlainLoop:
         part = PLANTS[scenario.plant.kind]
         decide, record = self._bind_law(scenario, law, goal)
         parts = bind_parts(part, decide, record, list_acting(scenario))
-        self.parts = SimpleNamespace(**parts._asdict())  # read twice as fast as a tuple
+        self.parts = SimpleNamespace(**parts._asdict())  # reading it takes half the time of a tuple
         self.rows: Any = _build_rows(scenario, self._law, self.declaration)
         self._read_states = _find_reader(self._law, self.declaration)
 
@@ -238,7 +238,7 @@ class PlainLoop:
                 self._forget()
 
     def _answer(self, answer: Callable[..., None], tick: int) -> SimulationError | None:
-        """Let the controller answer in a tick; return why the law failed, None if it did not."""
+        """Let the controller answer in a tick; return the failure of the law, or None."""
         failure: SimulationError | None = None
         try:
             answer(self.settings, self.state, self.rows, self.parts, tick)
@@ -309,7 +309,7 @@ class PlainLoop:
         return f"{place} {what}, at {at_s:.3f} s; {advise_budget(self._budget_s)}"
 
     def describe_failure(self, err: BaseException) -> SimulationError:
-        """Return why the law gave no answer, from its exception."""
+        """Return the error of a law that raised an exception."""
         if isinstance(err, StepBudgetError | StepEnded):
             budget_s = self._budget_s
             ended = describe_excess(budget_s, budget_s, has_returned=False)
@@ -321,7 +321,7 @@ class PlainLoop:
         return failure
 
     def _describe_numbers(self) -> SimulationError:
-        """Return why an answer of the law cannot be executed or recorded."""
+        """Return the error of an answer that cannot be executed or recorded."""
         now, rows = self.now, self.rows
         states = {}
         if self._read_states is not None and now.samples in rows.states:
@@ -347,7 +347,7 @@ class PlainLoop:
         now, rows = self.now, self.rows
         arrived = now.poses_arrived if self.settings.scene.delays_poses else now.ticks
         if now.poses_count == 0:
-            now.poses_first = arrived  # none of the poses before waits any more
+            now.poses_first = arrived  # earlier poses no longer wait
         newest = now.newest if now.newest >= 0 else now.ticks
         _drop(rows.ticks, min(now.poses_first, arrived, newest))
         sample = min(now.queue_first, now.commands_arrived, now.published)
@@ -377,7 +377,7 @@ class _New:
 
 @dataclass(slots=True)
 class _Rows:
-    """The rows of a loop that are still needed, by number; as `compiled_loop.Rows`."""
+    """The rows of a loop that are still needed, by number, like `compiled_loop.Rows`."""
 
     ticks: dict[int, TickRow]
     samples: dict[int, SampleRow]

@@ -13,17 +13,17 @@ from turtlelog.parts import NEVER_NS
 from turtlelog.run import Event
 
 MAX_DURATION, LAW_FAILED, STEP_BUDGET = -1, -2, -3
-"""Why a run ends, where it is not its law that ends it; a law's own reasons are numbers above 0."""
+"""Stop reasons that do not come from the law; a law's own are numbers above 0."""
 
 COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, STATES_FAILED, RUNS_AWAY = 1, 2, 3, 4, 5
-"""What fails: the command is no number that a pose could hold, an error is none, a reference pose
-is none, a state is none; the plant is further than a pose could hold."""
+"""Kinds of failures: an invalid command, error, reference pose or state, and a plant that exceeds
+the range of a pose."""
 
 _EVENT_KINDS: Final = (
     *("poses_lost", "commands_lost", "commands_dropped"),
     *("wall_hit", "poses_dropped", "stop"),
 )
-"""By number."""
+"""Kinds of events by number."""
 POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED, WALL_HIT, POSES_DROPPED, STOP = range(6)
 
 
@@ -33,7 +33,7 @@ class Scene:
 
     Attributes:
         period_ns: Step of the plant's clock [ns].
-        period_s: Likewise [s].
+        period_s: The same step [s].
         tick_ns: Period of the plant's own steps, for which laws block [ns].
         block: The same period in the loop's unit: nanoseconds if poses travel, otherwise steps of
             the clock.
@@ -282,7 +282,7 @@ _LOSSES: Final = {
     "commands_lost": ("The transport lost", "command"),
     "commands_dropped": ("The plant's queue dropped", "command"),
 }
-"""Who lost what."""
+"""Sources of losses, and words for lost items."""
 
 
 def describe_event(
@@ -312,7 +312,7 @@ def describe_event(
 
 
 def describe_stop(stop_reason: str, because: str = "") -> str:
-    """Return why the run ended."""
+    """Return the end of the run in words."""
     return f"The run ended: {stop_reason.replace('_', ' ')}{because}."
 
 

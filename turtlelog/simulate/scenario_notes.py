@@ -1,6 +1,6 @@
 """Notes on a scenario before it is run.
 
-They name gains that are unstable in theory, and settings that are not used.
+The notes name gains that are unstable in theory, and settings that are not used.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -28,13 +28,13 @@ from turtlelog.theory import (
 )
 
 _ROUNDING: Final = 1e-9
-"""As a share of a limit: a gain no farther beyond it is at the limit, of which nothing is said."""
+"""Share of a limit up to which a gain beyond it counts as at the limit, without a note."""
 
 _DEFAULTS: Final = flatten_scenario(Scenario())
 
 
 def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> tuple[str, ...]:
-    """Return notes on a scenario before its run, one line each; () if there are none.
+    """Return notes on a scenario before its run, one line each; empty if there are none.
 
     A gain gets a note if theory's linear loop is unstable with it, for the plant's time constant,
     the sampling period and the smallest dead time that the settings guarantee. The run itself may
@@ -120,7 +120,7 @@ def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) ->
 
 
 def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTiming) -> str | None:
-    """Return why a loop is unstable for every dead time that it may have; None if it is not."""
+    """Return the reason why a loop is unstable for every possible dead time; None otherwise."""
     others = ((loop.integral_gain, gains.ki), (loop.derivative_gain, gains.kd))
     values = [f"{key} = {_write(value)}" for key, value in others if value > 0.0]
     named = f"{loop.gain} = {_write(gains.kp)}"
@@ -132,7 +132,7 @@ def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTim
         if not is_plain and timing.least_s < timing.most_s:
             return _judge_each(gains, process, timing, f"with {named} {words}")
         ranges = find_stable_gains(gains, period_s=timing.period_s, process=process)
-    except TheoryError:  # numbers beyond those that theory takes
+    except TheoryError:  # numbers beyond the range of theory
         return None
     if not ranges:
         return f"at any {loop.gain} {words} is unstable"
@@ -174,7 +174,7 @@ def _describe_unused(
     parameters: Mapping[str, Parameter],
     given: Collection[str],
 ) -> list[str]:
-    """Return that the law does not use what the user set: what is given, or not the default."""
+    """Return notes on settings that the law does not use: given ones, or not the defaults."""
     unused = [
         *([] if declaration.uses_goal else ["goal"]),
         *list_unused_keys(find_law(scenario.law.kind), scenario.law.parameters),

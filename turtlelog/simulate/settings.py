@@ -33,7 +33,7 @@ Convert = Callable[[Any], Any]
 
 @dataclass(slots=True)
 class NoNumbers:
-    """Settings of a law in any Python, which reads its own parameters."""
+    """Settings of a law written in any Python, which reads its own parameters."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _find_number(hint: Any) -> tuple[type | None, Convert | None]:
         return int, choices.index
     if hint in _NONE:
         return hint, (float if hint is float else None)
-    if len(choices) == 1 and choices[0] in _NONE:  # or None
+    if len(choices) == 1 and choices[0] in _NONE:  # Optional type
         kind, none = choices[0], _NONE[choices[0]]
         return kind, lambda value: none if value is None else kind(value)
     return None, None
@@ -200,8 +200,8 @@ def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant
         end_ns=duration_ns + 1,
         timer_ns=round((loop.period_s or 0.0) * 1e9),
         first_s=loop.period_s or loop.period_ticks * plant.period_ns / 1e9,
-        # turtlesim applies what it takes to the time since its last pose. A robot cannot: what it
-        # takes for a period has arrived by its begin.
+        # turtlesim applies a command to the time since its last pose. A robot cannot: its commands
+        # of a period have arrived at the period's start.
         causal_ns=0 if part.acts_in_steps else 1 - plant.period_ns,
         start_backlog=loop.start_backlog,
         is_exact=loop.pose_precision == "float64",

@@ -24,36 +24,38 @@ from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
 
 STEP_BUDGET: Final = "step_budget"
-"""Stop reason of a run whose law computed for longer than it may."""
+"""Stop reason of a run whose law exceeded its time limit."""
 
 STEP_BUDGET_S: Final = 10.0
-"""What a law of the user's own may take for one answer unless another budget is set [s]: far more
-than a robot waits for, and short enough for somebody who waits for a law that never returns."""
+"""Default time limit for one answer of a user law [s]: far more than a robot waits, and short for a
+user whose law never returns."""
 
 TIMED_BELOW_S: Final = 1.0
-"""Below this budget each step computes in a thread of its own and is timed, which takes as long
-again as the loop [s]. From here on the whole loop is in a thread and looked at now and then."""
+"""Budget below which each step runs and is timed in its own thread, which takes as long again as
+the loop [s]. From this budget on, the whole loop runs in a thread and is checked occasionally."""
 
 _LOOKS: Final = 20
-"""How often a budget is looked whether the step has returned: it may last a twentieth longer."""
+"""Checks per budget whether the step has returned: it may last a twentieth longer."""
 
 _PIECE_S: Final = 0.02
-"""How long the loop goes on before its ticks are handed out [s]: a bar moves, Ctrl-C acts."""
+"""Duration of the loop between two batches of ticks [s], so that progress bars move and Ctrl-C
+acts."""
 
 _AT_ONCE: Final = 256
-"""Ticks that are handed out together at most: fewer cost more calls, more do not fit a cache."""
+"""Largest number of ticks in a batch: smaller batches cost calls, larger ones do not fit a
+cache."""
 
 _PATIENCE_S: Final = 1.0
-"""Wait beyond the budget [s]: for a step that returns within it, the error states its time."""
+"""Additional wait after the budget [s]: if the step returns in it, the error contains its time."""
 
 _AGAIN_S: Final = 0.05
-"""Between two attempts to end a step that does not return [s]: a law may catch what ends it."""
+"""Time between attempts to end a step [s]: a law may catch the exception."""
 
 _ATTEMPTS: Final = 10
-"""To end a step that does not return, before the run goes on without it."""
+"""Attempts to end a step before the run continues without it."""
 
 _LONGEST_S: Final = 3600.0
-"""One wait of a longer budget [s]: a queue refuses waits beyond some years."""
+"""Longest single wait [s]: a queue refuses waits of years."""
 
 _DEBUGGERS: Final = frozenset({"bdb", "pdb", "pydevd", "_pydevd_bundle", "debugpy"})
 
@@ -69,7 +71,7 @@ class StepBudgetError(SimulationError):
 
 
 class StepEnded(SystemExit):
-    """Exception that ends a step that does not return. Threads end silently with a SystemExit."""
+    """Exception that ends a step that does not return; threads end silently with a SystemExit."""
 
 
 def require_budget(budget_s: float) -> None:
@@ -113,7 +115,7 @@ class _Worker(Generic[_Result]):
         self._answers: SimpleQueue[tuple[_Result | None, BaseException | None, float]]
         self._answers = SimpleQueue()
         self.start_s: list[float] = []
-        # With the context of the caller: numpy's handling of errors and the like are as there.
+        # With the caller's context, such as numpy's error handling.
         call = partial(contextvars.copy_context().run, call)
         channels = self._questions, self._answers, self.start_s
         self._thread = threading.Thread(
@@ -144,7 +146,7 @@ class _Worker(Generic[_Result]):
             began_s = time.perf_counter()
             with suppress(Empty):
                 return self.wait(look_s)
-            # A process that was stopped for an hour has not computed for an hour.
+            # The time of a stopped process does not count as computing time.
             waited_s += min(time.perf_counter() - began_s, 2.0 * look_s)
             before, seen = seen, count()
             if seen != before or self.is_debugged():
@@ -153,7 +155,7 @@ class _Worker(Generic[_Result]):
 
     def interrupt(self) -> None:
         """Raise an exception in the thread."""
-        import ctypes  # Only steps that do not return pay for it.
+        import ctypes  # needed only for steps that do not return
 
         ended = ctypes.py_object(StepEnded)
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread.ident or 0), ended)
@@ -185,17 +187,17 @@ class StepBudget:
     """
 
     def __init__(self, step: Step, budget_s: float) -> None:
-        """Take a law's `step` and its time limit [s]; only the step itself is timed.
+        """Store a law's `step` and its time limit [s]; only the step itself is timed.
 
         Raises:
-            SimulationError: If that is not a time above 0.
+            SimulationError: If the limit is not a time above 0.
         """
         require_budget(budget_s)
         self._step, self._budget_s = step, budget_s
         self._worker: _Worker[Any] | None = None
 
     def __call__(self, *question: Any) -> Any:
-        """Return the law's decision, or raise what the law raises.
+        """Return the law's decision, or raise the law's exception.
 
         Raises:
             StepBudgetError: If it took longer; the text continues after the number of the sample.
@@ -261,7 +263,7 @@ class LimitedLoop(Generic[_Item]):
         law: str,
         one_by_one: bool,
     ) -> None:
-        """Take a loop.
+        """Store a loop.
 
         Args:
             items: Items that the loop makes, such as its ticks.
@@ -288,7 +290,7 @@ class LimitedLoop(Generic[_Item]):
                 is_over, error = self._wait(worker)
             except BaseException as err:
                 worker.leave()
-                sys.stdout = stdout  # what a law prints goes to stderr while it computes
+                sys.stdout = stdout  # prints of a law go to stderr while it computes
                 if not isinstance(err, StepBudgetError):
                     raise
                 error = err
@@ -348,7 +350,7 @@ class WatchedCode:
     """
 
     def __init__(self, budget_s: float) -> None:
-        """Take the time limit for one answer of the law [s]."""
+        """Store the time limit for one answer of the law [s]."""
         self._budget_s = budget_s
         self._worker: _Worker[Any] | None = None
 
@@ -363,7 +365,7 @@ class WatchedCode:
             StepBudgetError: If an answer exceeds the budget by more than the grace period.
         """
         worker = self._worker or _Worker(_call, "compiled")
-        self._worker = None  # whatever ends the wait but its answer
+        self._worker = None  # if the wait ends without an answer
         worker.ask(code)
         most_s = self._budget_s + _PATIENCE_S
         answer = worker.wait_while(count, most_s)
@@ -399,7 +401,7 @@ def _work(
     start_s: list[float],
 ) -> None:
     """Process one request after the other, with the duration of each [s]."""
-    with suppress(StepEnded):  # it may come when the step has just returned
+    with suppress(StepEnded):  # the exception may come after the step has returned
         while (question := questions.get()) is not None:
             result, error = None, None
             began_s = time.perf_counter()

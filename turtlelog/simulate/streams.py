@@ -24,17 +24,17 @@ def _list_streams() -> Iterator[tuple[str, Stream]]:
 
 
 STREAMS: Final[Mapping[str, Stream]] = MappingProxyType(dict(_list_streams()))
-"""The random numbers of effects, by what the loop calls their rows."""
+"""Streams of random numbers by the names of their rows in the loop."""
 
 RANDOM_KEYS: Final[frozenset[str]] = frozenset(
     key for stream in STREAMS.values() for key in stream.keys
 )
-"""Keys of a scenario that draw random numbers."""
+"""Scenario keys with random effects."""
 
 _READ: Final = {name: tuple(map(attrgetter, one.keys)) for name, one in STREAMS.items()}
 
 _BLOCK: Final = 256
-"""Events drawn at once."""
+"""Number of events whose random numbers are drawn at once."""
 
 
 def list_streams(scenario: Scenario) -> frozenset[str]:
@@ -96,7 +96,7 @@ class DrawnEvents:
 class DrawnRows:
     """The random numbers of a stream by number of the event.
 
-    They are generated for every event, used or not.
+    Numbers are generated for every event, used or not.
     """
 
     __slots__ = ("_draw", "_first", "_kind", "_rows", "_width")

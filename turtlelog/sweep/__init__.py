@@ -1,4 +1,7 @@
-"""One table from many scenarios or files. The names are in `__init__.pyi` and load on first use."""
+"""Sweeps: one table from many scenarios or files.
+
+The names are in `__init__.pyi` and load on first use.
+"""
 
 from turtlelog.libraries import attach_names
 

@@ -15,16 +15,16 @@ from turtlelog.version import __version__
 T = TypeVar("T")
 
 _CONNECT_S: Final = 3.0
-"""For a scheduler to answer, and for a worker to be there [s]: a mistyped address is an error
-within 10 s."""
+"""Time limit for the answers of a scheduler and a worker [s]: a wrong address is an error within 10
+s."""
 
 _SILENT_S: Final = 30.0
-"""Without an answer until a scheduler counts as gone [s]: one with much to do answers in 1 s."""
+"""Time without an answer from which a scheduler counts as gone [s]: a busy one answers in 1 s."""
 
 _EXAMPLE: Final = "tcp://host:8786"
 
 _ADDRESS: Final = re.compile(r"(?:[a-z]+://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:@\[\]]+):([0-9]{1,5})")
-"""Scheme, which may be missing, host or IPv6 address, port."""
+"""An optional scheme, a host or IPv6 address, and a port."""
 
 
 @contextmanager
@@ -41,7 +41,7 @@ def connect_cluster(address: str) -> Iterator[Executor]:
     """
     _require_address(address)
     distributed = load_library("distributed")
-    # What matters is raised, and said in one line; a client goes on logging after its end.
+    # Relevant errors are raised and printed in one line; a client would log even after its end.
     for handler in logging.getLogger("distributed").handlers:
         handler.setLevel(logging.CRITICAL + 1)
     client = _connect(distributed, address)
@@ -52,10 +52,10 @@ def connect_cluster(address: str) -> Iterator[Executor]:
             yield cluster
         except ProcessError:
             if not cluster.is_gone:
-                cluster.require_workers()  # of a worker that came later, by its name
+                cluster.require_workers()  # includes workers that joined later, by name
             raise
     finally:
-        with suppress(OSError):  # nothing answers any more
+        with suppress(OSError):  # there is no answer any more
             client.close(timeout=2)
 
 
@@ -119,7 +119,8 @@ class _Cluster(Executor, Watched):
         """
         try:
             self._client.wait_for_workers(1, timeout=_CONNECT_S)
-            # By name, because a worker without turtlelog could not unpickle a function of its.
+            # As text, because a worker without turtlelog could not unpickle a function of
+            # turtlelog.
             ask = "__import__('turtlelog.version').version.__version__"
             versions = self._client.run(eval, ask, on_error="return")
         except TimeoutError as err:
@@ -171,7 +172,7 @@ def _connect(distributed: Any, address: str) -> Any:
         def start(self, **options: Any) -> None:
             """Connect within a time limit, or clean up so that nothing blocks the exit."""
             try:
-                # Without this limit it waits without end for a server that is no scheduler.
+                # Without this limit it would wait for ever for a server that is not a scheduler.
                 super().start(callback_timeout=2 * _CONNECT_S, **options)
             except BaseException:
                 with suppress(Exception):

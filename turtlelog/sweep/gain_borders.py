@@ -25,7 +25,7 @@ from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 Values = NDArray[np.float64]
 
 _MOST_DRAWN: Final = 48
-"""Places of a sampled key at which theory is asked: each row is one, and one in 2 mm will do."""
+"""Largest number of places of a sampled key at which theory is computed: one per 2 mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +86,7 @@ class Border:
 
 
 def list_gain_keys(results: SweptResults) -> tuple[str, ...]:
-    """Return the keys of the gains that the law declares; () if the law's code is not loaded."""
+    """Return the keys of the gains that the law declares; empty if the law's code is not loaded."""
     return tuple(loop.gain for loop in list_declared_loops(results) if loop.gain)
 
 
@@ -216,7 +216,7 @@ def find_borders(
 
     Returns:
         A border for each value of the other axis. None if the metric is not true or false, if its
-        loop's gain is not an axis, or if rows were chosen at random and so have no neighbours.
+            loop's gain is not an axis, or if rows were chosen at random.
     """
     own = next((one for one in limits if one.loop == metric.loop), None)
     if not metric.is_verdict or own is None or view.results.is_sampled:
@@ -247,7 +247,7 @@ def _find_border(place: int, verdicts: Values, gains: Values, limit: ColumnLimit
     near = None
     if theory is not None and np.isfinite(verdicts).any():
         step = int(np.searchsorted(gains, theory))
-        # Between two neighbouring gains the border is where theory has it; a cell more each way.
+        # Theory agrees if its border is between the two neighbouring gains, or one cell beside.
         near = last <= step <= first + 1 and not (verdicts[first:] >= 0.5).any()
     return Border(
         place=place,

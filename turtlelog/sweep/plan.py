@@ -16,10 +16,10 @@ from turtlelog.scenario import Scenario, override_scenario, parse_assignments
 from turtlelog.sweep.table.result_table import ColumnType, choose_type
 
 MOST_DRAWN: Final = 10_000_000
-"""Rows of a sample, which is drawn at once: 80 MB for each key."""
+"""Largest number of rows of a sample, which is drawn at once: 80 MB for each key."""
 
 KP: Final = "kp"
-"""In the place of a key: all gains of the law together, as `--kp` sets them."""
+"""Name used as a key for all gains of the law together, as `--kp` sets them."""
 
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 
@@ -56,7 +56,7 @@ class KeyValues:
 
     Attributes:
         key: Dotted scenario key.
-        text: As typed, without the key.
+        text: Values as typed, without the key.
         values: Values of one kind: numbers, texts, or truth values.
         is_open: Whether it is a range `A:B`; sampling may choose any number in it.
     """
@@ -284,7 +284,7 @@ def build_row_scenario(
         ScenarioError: If the values do not form a valid scenario.
     """
     changes = dict(zip(keys, values, strict=True))
-    if "law.kind" in changes:  # another law has other keys: it is chosen before any of them is set
+    if "law.kind" in changes:  # another law has other keys, so it is chosen first
         kind = {"law.kind": changes.pop("law.kind")}
         base = override_scenario(base, kind, source=source, trust_law=trust_law)
     changed = override_scenario(base, changes, source=source, trust_law=trust_law)
@@ -294,8 +294,8 @@ def build_row_scenario(
 _NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?"
 _RANGE: Final = re.compile(rf"({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?")
 MOST_ROWS: Final = 100_000_000
-"""Rows of one table: six hours of one core where compiled code takes 0.2 ms for each, and a file of
-some gigabytes. What stands in memory of a sweep hardly grows with them."""
+"""Largest number of rows of a table: six hours of one core if compiled code takes 0.2 ms for each,
+and a file of some gigabytes. The memory of a sweep hardly grows with them."""
 
 _EXPECTED: Final = "KEY=A:B, KEY=A:B:STEP or KEY=VALUE,VALUE"
 
@@ -323,7 +323,7 @@ class EqualSteps(Sequence[float]):
         if isinstance(place, slice):
             return [self[number] for number in range(*place.indices(self.length))]
         first, step, number = self.first, self.step, range(self.length)[place]
-        # In whole numbers, which is what fractions do, but ten times as fast.
+        # Whole numbers give the same result as fractions, ten times as fast.
         above = first.numerator * step.denominator + step.numerator * first.denominator * number
         below = first.denominator * step.denominator
         return above // below if self.is_whole else above / below
@@ -372,7 +372,9 @@ def _build_steps(first: str, last: str, step: str | None, *, place: str) -> Equa
         raise SweepError(f"{place}: expected a step other than 0, found {step}")
     steps, rest = divmod(high - low, width)
     if steps < 0:
-        raise SweepError(f"{place}: no value from {first} to {last}")
+        back = f"{last}:{first}" if width > 0 else f"{first}:{last}"
+        end = "" if step is None else f":{step.removeprefix('-')}"
+        raise SweepError(f"{place}: no value from {first} to {last}; did you mean {back}{end}?")
     if steps >= MOST_ROWS:
         raise SweepError(f"{place}: expected at most {MOST_ROWS:,} values, found {steps + 1:,}")
     if rest:

@@ -1,10 +1,10 @@
 """The sensitivity of a metric to each key of a sweep: ranges in a grid, ranks in a sample.
 
-For a grid, it is the metric along each key with the other keys fixed. For a sample, it is
-Spearman's rank correlation of each key with the metric (C. Spearman, American Journal of Psychology
-15 (1904) 72-101), and the share of the variance of the metric's ranks explained by a linear
-regression on the ranks of all keys (R. L. Iman and W. J. Conover, Technometrics 21 (1979) 499-509):
-the rest is due to interactions, non-monotonic dependence and noise.
+In a grid, the sensitivity is the metric along each key with the other keys fixed. In a sample, it
+is Spearman's rank correlation of each key with the metric (C. Spearman, American Journal of
+Psychology 15 (1904) 72-101), and the share of the variance of the metric's ranks explained by a
+linear regression on the ranks of all keys (R. L. Iman and W. J. Conover, Technometrics 21 (1979)
+499-509): the rest is due to interactions, non-monotonic dependence and noise.
 """
 
 import math
@@ -21,11 +21,12 @@ from turtlelog.sweep.table.swept_views import find_usual_place
 Values = NDArray[np.float64]
 
 _LEAST_ROWS: Final = 10
-"""Of a sample, with a value: of fewer, correlations of chance alone reach 0.65 in one of 20."""
+"""Smallest number of rows with a value in a sample: with fewer, chance alone gives correlations of
+0.65 in one of 20 cases."""
 
 _NORMAL_95: Final = 1.959964
-"""Central 95 % of the normal distribution. Ranks of n independent rows correlate by chance with
-the standard deviation 1 / sqrt(n - 1)."""
+"""Half-width of the central 95 % of the normal distribution. By chance, ranks of n independent rows
+correlate with the standard deviation 1 / sqrt(n - 1)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +36,7 @@ class Sensitivity:
     Attributes:
         axis: The key, or keys that vary together.
         least: Smallest value of the metric along the key; None for a sample.
-        most: Largest value; None of a sample.
+        most: Largest value; None for a sample.
         least_place: Place of the smallest value on the axis; None for a sample.
         most_place: Place of the largest value; None for a sample.
         correlation: Spearman's rank correlation; None for a grid.

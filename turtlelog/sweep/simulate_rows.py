@@ -161,7 +161,7 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
 
 
 _DECIDING: Final = ("law.kind", "law.reorient", "law.schedule", "path.", "plant.kind")
-"""Beginnings of keys that decide which metrics a row has, and whether it is compiled."""
+"""Beginnings of keys that decide which metrics a row has, and whether the row is compiled."""
 
 
 def is_batch(chunk: RowChunk) -> bool:
@@ -175,7 +175,7 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
         return {}
     try:
         scenario = resolve_scenario(base)
-    except TurtlelogError:  # of its own it lacks what the rows give it
+    except TurtlelogError:  # the rows may supply missing values
         return {}
     if not is_batched(scenario, scenario.plant.facts):
         return {}
@@ -269,7 +269,7 @@ def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:
             results.metrics[name] = cells
         if metric.unit not in cells.units:
             cells.units.append(metric.unit)
-        # Some metrics are numbers of numpy, which no other process need know.
+        # Some metrics are numpy numbers, which other processes need not load.
         cells.values.append(None if metric.value is None else float(metric.value))
         cells.statuses.append(metric.status.value)
     for name in results.metrics.keys() - found.keys():

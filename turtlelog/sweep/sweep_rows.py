@@ -51,13 +51,14 @@ if TYPE_CHECKING:
 
 
 _CHUNK_S: Final = 0.5
-"""Work in a chunk, as measured on the first row [s]: what an interruption costs at most."""
+"""Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
 
 _MOST_IN_CHUNK: Final = 1024
-"""Rows of other chunks, however quick: so many results are in the memory of a process at once."""
+"""Largest number of rows in other chunks: all their results are in the memory of a process."""
 
 _MOST_IN_BATCH: Final = 4096
-"""Rows that compiled code takes at once: half a second of usual ones, and a few hundred calls."""
+"""Largest number of rows in a compiled chunk: half a second of usual rows, and a few hundred
+calls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +223,7 @@ def _simulate(
 ) -> None:
     """Simulate the remaining rows, the first two alone to measure the time per row."""
     watch(rows.count)
-    for _ in range(2):  # the first one takes the time of what is loaded once
+    for _ in range(2):  # the first row includes loading times
         gaps = rows.list_gaps(sweep.plan.row_count)
         if not gaps:
             return
@@ -240,7 +241,7 @@ def _simulate(
     if batch is not None and batch.expect(rest, row_s / count) is not None:
         size = _MOST_IN_BATCH
         if isinstance(jobs, int):
-            # Threads share what is loaded, and processes would take longer to start.
+            # Threads share loaded code; processes would take longer to start.
             jobs, threads = 1, jobs
     else:
         size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
@@ -336,7 +337,7 @@ def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
     """Simulate a few rows and return the estimated cost of all rows."""
     count, jobs = sweep.plan.row_count, jobs or count_cores()
     probes = sweep.plan.list_probes()
-    for row in probes:  # what is loaded once is not counted for every row
+    for row in probes:  # loading times are not counted for every row
         found = simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
     begun = time.perf_counter()
     for row in probes:

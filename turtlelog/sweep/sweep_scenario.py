@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 _SHOWN_ROWS: Final = 20
-"""Of the table in a notebook; all are in the frame."""
+"""Rows of the table shown in a notebook; the frame contains all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -139,7 +139,7 @@ def read_sweep_table(path: str | Path) -> SweepTable:
     """Return the table of a sweep in a file.
 
     Raises:
-        LogError: If it is no table of a sweep.
+        LogError: If it is not a table of a sweep.
         LibraryError: If pyarrow is not installed.
     """
     table = open_result_table(path, kind="sweep").load()

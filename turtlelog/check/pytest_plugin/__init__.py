@@ -1,7 +1,7 @@
 """The pytest plugin: recordings as fixtures, and located failures. See docs/checking.md.
 
-pytest loads this in every session: before a test uses a recording, it imports neither numpy nor
-rerun, nor any part of turtlelog that imports them.
+pytest loads this module in every session. Before a test uses a recording, the module imports
+neither numpy nor rerun, nor any part of turtlelog that imports them.
 """
 
 import sys
@@ -42,8 +42,8 @@ NAME: Final = "turtlelog.check.pytest_plugin"
 class Entry:
     """The entry point of an installed turtlelog, with the name that `-p no:turtlelog` blocks.
 
-    It loads the plugin under the name of its module, so that `-p turtlelog.check.pytest_plugin`,
-    which works without an installation, does not load it again.
+    The entry point loads the plugin under the name of its module, so that `-p
+    turtlelog.check.pytest_plugin`, which works without an installation, does not load it again.
     """
 
     @staticmethod
@@ -150,7 +150,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Add what was checked to the report: properties, the whole message, artifacts."""
+    """Add the test's checks to the report: properties, the complete message, artifacts."""
     session = item.config.stash[SESSION]
     if call.when == "call":
         item.user_properties += session.list_properties()

@@ -1,4 +1,4 @@
-"""The message of a failure; loaded when a test fails."""
+"""Message of a failure; this module is loaded when a test fails."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def explain_comparison(operator: str, left: object, right: object) -> list[str] | None:
-    """Return the head of the message of a comparison; the section below has the details."""
+    """Return the first lines of the message of a comparison; the section below has the details."""
     watched = [one for one in (left, right) if isinstance(one, Metric) and one.watch is not None]
     if not watched or operator not in MIRRORED:
         return None
@@ -36,7 +36,7 @@ def explain_comparison(operator: str, left: object, right: object) -> list[str] 
 def explain_failures(
     recording: "Recording", results: Sequence[CheckResult], *, explains: bool
 ) -> list[str]:
-    """Return the whole message for the failed checks on a recording, and why it differs."""
+    """Return the complete message for the failed checks on a recording, and why it differs."""
     try:
         if explains:
             results = recording.explain_failures(results)
@@ -48,7 +48,7 @@ def explain_failures(
 def keep_artifacts(
     recording: "Recording", results: Sequence[CheckResult], writer: ArtifactWriter, *, prefix: str
 ) -> list[str]:
-    """Write files for the first violation, and say where they are, or what went wrong."""
+    """Write files for the first violation; return lines with their names, or with errors."""
     dated = [result for result in results if result.first_violation_s is not None]
     result = min(dated, key=lambda found: found.first_violation_s or 0.0, default=results[0])
     try:

@@ -63,7 +63,7 @@ class Session:
 
         Args:
             path: File of the reference.
-            scratch: Folder of this session; with xdist, inside the one that all workers share.
+            scratch: Folder of this session; with xdist, a folder in that of all workers.
         """
         from turtlelog.check.reference import ReferenceFile
 
@@ -74,7 +74,7 @@ class Session:
         return self._references.setdefault(path.resolve(), reference)
 
     def end(self) -> None:
-        """Release what must not outlive the session."""
+        """Release the resources that must not outlive the session."""
         if self._writer is not None:
             self._writer.close()
 
@@ -101,7 +101,7 @@ class Session:
         try:
             metrics = measure_run(self._used[name].run)
         except TurtlelogError:
-            # The test has failed of it.
+            # The test has failed because of it.
             return
         yield "recording", name
         prefix = f"{name}: " if len(self._used) > 1 else ""
@@ -156,7 +156,7 @@ def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:
     """Return the data for the summary in types that can be sent between processes."""
     margin, verdict = result.margin, result.verdict.value
     if not has_failed:
-        # What was denied, as in `assert not overshoot > 2`, was to be so.
+        # A denied comparison, as in `assert not overshoot > 2`, passes if it is false.
         margin, verdict = None if margin is None else abs(margin), "PASS"
     return {
         "file": result.file,
@@ -179,7 +179,7 @@ _WIDTH = 60
 
 
 class SessionSummary:
-    """Collects data from the reports of all processes."""
+    """Collector of data from the reports of all processes."""
 
     def __init__(self) -> None:
         self._recordings: set[str] = set()
@@ -241,7 +241,7 @@ def end_at_test(error: BaseException) -> None:
         last, frame = frame, frame.tb_next
     if last is not None:
         last.tb_next = None
-    if not isinstance(error, LawError | SimulationError):  # these show what a user's law did
+    if not isinstance(error, LawError | SimulationError):  # these show the frames of a user's law
         error.__cause__, error.__suppress_context__ = None, True
 
 
@@ -255,7 +255,7 @@ _SETTINGS: Final = (
     *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
     *("robot", "wheel_joints", "wheels", "wheelbase", "goal", "time", "columns"),
 )
-"""What the marker takes beside patterns: the fields of a `ReadChoice`, and whose code may run."""
+"""Settings of the marker besides patterns: fields of a `ReadChoice`, and trust in laws."""
 
 
 def choose_recordings(
@@ -321,10 +321,10 @@ def find_stem(path: Path) -> str:
 
 
 def find_reference(request: pytest.FixtureRequest, stem: str | None) -> Path:
-    """Return the reference file that a test's marker or the ini option names.
+    """Return the reference file in a test's marker or the ini option.
 
     Raises:
-        UsageError: If neither names one, or a placeholder of the name cannot be filled in.
+        UsageError: If neither contains one, or a placeholder of the name cannot be filled in.
     """
     marker = request.node.get_closest_marker("reference")
     given: Any = request.config.getini("turtlelog_reference") or None
@@ -349,7 +349,7 @@ def find_reference(request: pytest.FixtureRequest, stem: str | None) -> Path:
 
 def _find_files(pattern: str, folders: Sequence[Path]) -> list[Path]:
     for folder in folders:
-        # A name that is there is itself, whatever signs are in it.
+        # An existing name has priority over a pattern.
         if (folder / pattern).exists():
             return [folder / pattern]
         start = glob.escape(str(folder)) + os.sep
@@ -358,7 +358,7 @@ def _find_files(pattern: str, folders: Sequence[Path]) -> list[Path]:
         if found:
             return found
     head, colon, topic = pattern.rpartition(":")
-    if colon and head:  # FILE:TOPIC, each file of which it is one
+    if colon and head:  # FILE:TOPIC, for each matching file
         return [path.parent / f"{path.name}:{topic}" for path in _find_files(head, folders)]
     return []
 

@@ -44,19 +44,20 @@ Values = NDArray[np.float64]
 
 _WORDS_POINTS: Final = 7.0
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower than this, both panels would be smaller than their words: they stand over each other."""
+"""Narrower figures have their panels one above the other: beside each other, both would be smaller
+than their text [inch]."""
 
 _BAR: Final = 0.62
-"""Height of a bar, of the room of its line."""
+"""Height of a bar, as a share of its row."""
 
 _NEAR: Final = 0.1
-"""Contribution of the step within which overshoot and settling are seen."""
+"""Share of the step around the reference in which overshoot and settling are visible."""
 
 _GOAL_MM: Final = 1.6
-"""Half of the size of the goal's cross in print [mm]."""
+"""Half the size of the goal's cross in print [mm]."""
 
 _NOTE_LETTERS: Final = 42
-"""Of a line below the axis: a column has room for as many."""
+"""Longest line below the axis that fits a column [letters]."""
 
 _MINUS: Final = "\N{MINUS SIGN}"
 
@@ -123,7 +124,7 @@ def explain_for_figure(
 
 
 def _tell(found: Attribution) -> str:
-    """Return in one clause why there are no contributions."""
+    """Return the reason why there are no contributions, as one clause."""
     if found.withheld:
         return found.withheld
     if found.without_value:
@@ -151,7 +152,8 @@ def draw_attribution(
         figure.set_size_inches(width, 0.82 * width + low)
         seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
         if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
-            # The square above the bars is laid out first, and takes a point of their names' room.
+            # The square above the bars is laid out first, and takes 0.1 points from the names'
+            # width.
             engine.set(w_pad=0.1)
         room_inch = 0.72 * width
     else:
@@ -179,7 +181,7 @@ def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
     texts = [re.sub("^-", _MINUS, step.text) for step in steps]
     span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
     if span > 2.2 * (high - low or 1.0):
-        # Words longer than the panel's half would leave no room for bars.
+        # Text wider than half of the panel would leave no room for bars.
         texts = [text.replace(", ", ",\n", 1) for text in texts]
         span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
     for row, (step, text) in enumerate(zip(steps, texts, strict=True)):
@@ -252,7 +254,10 @@ def _find_rows(time_s: Values, window_s: tuple[float, float] | None) -> NDArray[
 
 
 def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
-    """Return when a loop's signal comes within a tenth of its step; None without one."""
+    """Return from when a loop's signal stays visible near its reference, and its end [s].
+
+    The signal is near within a tenth of its step. None if it has no step or never comes near.
+    """
     curve = read_curve(told.run, signal)
     steps = [step for step in find_steps(told.run, signal) if curve is not None]
     steps = [step for step in steps if told.found.metric.startswith(f"{step.loop.name}.")]
@@ -274,7 +279,7 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
         lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
     close_up = find_close_up([run for run, _, _ in lines])
     if close_up is not None and all(end.run for end in close_up.ends):
-        close_up = None  # the run itself, which is the first, ends elsewhere
+        close_up = None  # the first run, the recorded one, ends elsewhere
     goal = None if told.run.goal_xy_m is None else np.array(told.run.goal_xy_m)
     place = _choose_place(axes, told, close_up)
     for run, looks, _ in lines:
@@ -323,7 +328,7 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Word
 
 
 def _tell_miss(told: Explained, miss_m: float) -> str:
-    """Return a distance, with the decimals of the waterfall if that shows the same metric."""
+    """Return a distance as text, with the waterfall's decimals if it shows the same metric."""
     if told.found.metric == "final.position_error":
         return choose_step_scale(told.found).format_value(miss_m)
     return format_length(miss_m)

@@ -28,10 +28,10 @@ from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 _LINE_INCH = 0.27
-"""Height of a bar with its words."""
+"""Height of a bar with its text [inch]."""
 
 _BARS = 0.72
-"""Width of the bars with the words beside them, as a share of the figure's."""
+"""Width of the bars with the text beside them, as a share of the figure's."""
 
 
 def write_difference_figure(
@@ -91,10 +91,10 @@ def _tell(axes: tuple[AxisModel, ...]) -> str:
 
 _HEIGHT: Final = 1.0
 _STACKED_HEIGHT: Final = 2.6
-"""Of the figure, as a share of its width: beside each other, or each panel below the last."""
+"""Height of the figure as a share of its width, for panels side by side and stacked."""
 
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower than this, panels stand below each other: their labels would collide."""
+"""Narrower figures have their panels stacked: side by side, their labels would collide [inch]."""
 
 _BAND: Final[Mapping[str, Any]] = MappingProxyType(
     {"alpha": 0.25, "linewidth": 0.0, "label": "central 95 % of simulated errors"}
@@ -187,7 +187,7 @@ def _draw_rates(axes: Axes, traces: AxisTraces, start_s: float) -> None:
 
 
 _PLANE_ROWS: Final = 2.2
-"""Height of the panel of paths, in those of the panels over time."""
+"""Height of the panel of paths, as a multiple of a panel over time."""
 
 _ROW_HEIGHT: Final = 0.26
 """Height of a panel over time, as a share of the figure's width."""

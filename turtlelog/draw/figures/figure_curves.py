@@ -28,13 +28,14 @@ from turtlelog.theory import (
 Values = NDArray[np.float64]
 
 _MOST_SWINGS: Final = 8.0
-"""Way of a curve up and down, over its height: along the way of more its marks would hide it."""
+"""Largest path of a curve up and down over its height; along a longer path the marks would hide
+it."""
 
 _RING_POINTS: Final = 2.4
-"""Poles of several loops at one place are rings of half this width."""
+"""Half the width of rings, for poles of several loops at one place [points]."""
 _MOST_RINGS: Final = 4
 _LARGER: Final = 1.0
-"""Poles than the markers of curves [points]."""
+"""Additional size of poles over the markers of curves [points]."""
 
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 _LAST_S: Final = 5.0
@@ -62,9 +63,9 @@ def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
 
 
 def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
-    """Draw a line; if points are left out, the extremes of `kept` stay and a note is added."""
+    """Draw a line; if points are left out, extremes of `kept` remain and a note is added."""
     across, up = _thin(axes, across, up, kept)
-    if len(up) == 1:  # a line would be nothing
+    if len(up) == 1:  # a line needs two points
         looks |= {"marker": "o", "ms": 3.0, "markevery": None}
     if "markevery" in looks:
         looks["markevery"] = _space_marks(up, looks["markevery"])
@@ -135,7 +136,7 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
-    """Return the style of each gain: the colour of the first run with it, dashes for its others."""
+    """Return the style of each gain: the colour of its first run, and dashes for others."""
     styled: dict[float, Mapping[str, Any]] = {}
     for run, looks in zip(runs, choose_lines(len(runs)), strict=True):
         for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
@@ -166,7 +167,7 @@ def list_paper_poles() -> list[Pole]:
 
 
 def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
-    """Draw poles; of equal ones the first are larger discs below."""
+    """Draw poles; if some are equal, the first are larger discs below the others."""
     labels = name_some(axes, [pole.label for pole in poles])
     for number, (pole, label) in enumerate(zip(poles, labels, strict=True)):
         later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
@@ -177,7 +178,7 @@ def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of loops known to theory, rising; without runs, those of the paper."""
+    """Return the gains of loops known to theory, increasing; without runs, those of the paper."""
     if not runs:
         return PAPER_GAINS
     found = {

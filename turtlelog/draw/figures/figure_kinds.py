@@ -39,17 +39,17 @@ DrawFigure = Callable[[Figure, Sequence[Run]], None]
 Arrange = Callable[[Figure, Sequence[Run], Sequence[Draw]], None]
 
 MOST_STATES: Final = 12
-"""Panels of states in a figure: of more it would be higher than any page."""
+"""Largest number of state panels in a figure; more would be higher than any page."""
 
 _ROW_HEIGHT: Final = 0.25
-"""A row of two panels, over the width of both."""
+"""Height of a row of two panels, as a share of their total width."""
 
 _LOOPS: Final[Mapping[str, str]] = {
     "heading": "a loop of the heading",
     "along_track": "a loop along the track",
     "distance": "a loop of the distance",
 }
-"""What a panel is of, by the signal that is controlled."""
+"""Loop that a panel shows, by its controlled signal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +74,7 @@ class Panel:
     is_usual: bool = True
 
     def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
-        """Return the data that each run lacks; empty if none."""
+        """Return the data that each run lacks for the panel; empty if none."""
         if self.loop and not any(self._is_of(run) for run in runs):
             return (_LOOPS[self.loop],) * len(runs)
         return find_lacks(runs, self.needs)
@@ -114,7 +114,7 @@ class FigureKind:
     arrange: Arrange = draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
-        """Return what is missing to draw it; None if nothing; theory needs no runs."""
+        """Return the data that the figure lacks; None if it can be drawn; theory needs no runs."""
         if not runs:
             return (find_lack_of_gain(()) or None) if self.needs in OF_THEORY else "a recording"
         if self.draw is not None:
@@ -132,7 +132,7 @@ class FigureKind:
         return (*found, *self.list_more(runs))
 
     def find_height(self, runs: Sequence[Run]) -> float:
-        """Return its height divided by its width: less for fewer panels, more beside a plane."""
+        """Return the height divided by the width: smaller for fewer panels, larger with a plane."""
         if self.draw is draw_plane and has_one_plane(runs):
             return 1.0
         if self.arrange is draw_overview:
@@ -144,7 +144,7 @@ class FigureKind:
         return self.height * (1.0 + kept) / (1.0 + usual)
 
     def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
-        """Draw it for several runs.
+        """Draw the figure for several runs.
 
         Raises:
             ShowError: If a pose is too far away for the limits of axes.
@@ -178,12 +178,12 @@ def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = Non
 
 
 def _panels(figure: str) -> tuple[Panel, ...]:
-    """Return the panels of a figure: the plots that refer to it."""
+    """Return the panels of a figure, which are the plots that name it."""
     return tuple(_panel(name) for name, plot in TIME_PLOTS.items() if plot.figure == figure)
 
 
 def _track(*, is_usual: bool = True) -> Panel:
-    """Return the panel of the way along the track, or of the error where all follow a reference."""
+    """Return the panel of the along-track position, or of the error if all runs have a path."""
     return replace(_panel("along_track", is_usual=is_usual), draw=_draw_track)
 
 
@@ -221,7 +221,7 @@ def list_state_panels(
 
 
 def _is_idle(name: str, runs: Sequence[Run]) -> bool:
-    """Return whether a state is 0 throughout in every run that has it."""
+    """Return whether a state is always 0 in every run that has it."""
     curves = [read_curve(run, name) for run in runs if name in run.declaration.states]
     return not any(curve.values.any() for curve in curves if curve is not None)
 

@@ -36,27 +36,28 @@ from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 Values = NDArray[np.float64]
 
 _MOST_LINES: Final = 3
-"""Dead times that have a line each; more are a band from the least limit to the greatest."""
+"""Largest number of dead times with a line each; more become a band from least to greatest
+limit."""
 
 _MOST_LOOPS: Final = 4
-"""Of runs of several laws; more would be higher than a page."""
+"""Largest number of loops of several laws; more would be higher than a page."""
 
 _FAR: Final = 2.5
-"""A limit beyond this many times the largest gain is told in words, not drawn: all runs would crowd
-at the left border."""
+"""Largest limit that is drawn, as a multiple of the largest gain. Larger limits are written as
+text: otherwise all runs would crowd at the left."""
 
 _MOST_NAMED: Final = 8
-"""Runs whose points have names; of more the names would hide the points."""
+"""Largest number of runs with a name at each point; more names would hide the points."""
 
 _RATIO: Final = 4.0
-"""Largest over least gain from which the axis of gains is logarithmic."""
+"""Ratio of largest to smallest gain from which the gain axis is logarithmic."""
 
 _GAINS: Final = 48
-"""Of a curve of theory: one in a millimetre of a panel."""
+"""Number of gains of a theoretical curve: one per millimetre of a panel."""
 
 _COLUMN_INCH: Final = 1.5
-"""A panel is at least so wide: in narrower ones the values of two limits touch. Loops whose panels
-would be narrower stand below each other."""
+"""Smallest width of a panel [inch]; in narrower ones the values of two limits touch. Loops with
+narrower panels are stacked."""
 
 _ROW_INCH: Final = 1.45
 
@@ -111,7 +112,7 @@ def draw_gains(
     for column, loop in enumerate(columns):
         own_axes = grid[column * len(rows) :, 0] if is_stacked else grid[:, column]
         values = [_find_values(found, name, loop) for name in rows]
-        # A metric of the whole run stands once, over the first gain.
+        # A metric of the whole run is shown once, over the first gain.
         shown = [one if one and (one.loop or column == 0) else None for one in values]
         last = max(row for row, one in enumerate(shown) if one is not None)
         for row, (axes, one) in enumerate(zip(own_axes, shown, strict=False)):
@@ -132,9 +133,9 @@ class GainLimits:
 
     Attributes:
         dead_time_s: Total dead time of the loop [s].
-        period_s: Its sampling period [s].
-        overshoot: Kp above which it overshoots [1/s]; None if the loop is not proportional.
-        stability: Kp above which it is unstable [1/s]; None if no Kp is stable.
+        period_s: Sampling period of the loop [s].
+        overshoot: Kp above which the loop overshoots [1/s]; None if the loop is not proportional.
+        stability: Kp above which the loop is unstable [1/s]; None if no Kp is stable.
         design: Loop for computing responses.
         gains: Gains of one of its runs, for which the limits of Kp are valid.
     """
@@ -155,7 +156,7 @@ class LoopGains:
         name: Name of the loop.
         gains: Kp of each run [1/s]; NaN if unknown.
         limits: Limits from theory, one for each timing, in order of dead time.
-        step: Size of the step and limit of the command, in rad or m and per second; None if runs
+        step: Size of the step [rad or m] and limit of the command [rad/s or m/s]. None if runs
             differ in them, or theory does not know the loop.
     """
 
@@ -197,7 +198,7 @@ def _draw_panel(
     places = np.unique(gains[asked])
     if len(places) == asked.sum():
         order = np.argsort(gains[asked], kind="stable")
-        # NaN parts the line where a run has no value.
+        # NaN interrupts the line if a run has no value.
         line: dict[str, Any] = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
         axes.plot(gains[asked][order], found.values[asked][order], **line)
     small = 4.5 if len(runs) <= _MOST_NAMED else 3.4 if len(runs) <= 3 * _MOST_NAMED else 2.4
@@ -230,7 +231,7 @@ def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
 
 
 def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
-    """Draw the gains above which theory's loop overshoots, and is unstable."""
+    """Draw the gains above which theory's loop overshoots or is unstable."""
     left, right = axes.get_xlim()
     starts: dict[str, float] = {}
     beyond = []
@@ -268,9 +269,9 @@ def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], n
 
 
 def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bool) -> None:
-    """Write the values of limits above their lines; two at the left end at the last line.
+    """Write the values of limits above their lines; two values at the left end at the last line.
 
-    In a column, the least and the greatest limit of overshoot would touch those of stability.
+    In a column figure, the least and greatest limits of overshoot would touch those of stability.
     """
     told = "-".join(dict.fromkeys(f"{limit:.3g}" for limit in (limits[0], limits[-1])))
     ends = is_left and limits[0] < limits[-1]
@@ -280,7 +281,7 @@ def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bo
 
 
 def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> None:
-    """Write the limits that the axis leaves out, on the side at which they are."""
+    """Write the limits outside the axis on the side where they are."""
     words = {"overshoot": "overshoots", "stability": "unstable"}
     for number, (kind, limit, color, is_right) in enumerate(beyond):
         side, at = ("right", 0.99) if is_right else ("left", 0.01)
@@ -311,7 +312,7 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
 
 
 def _overshoot(limit: GainLimits, kp: float) -> float:
-    """Return the overshoot of the linear sampled loop [%]; NaN if none or unstable."""
+    """Return the overshoot of the linear sampled loop [%]; NaN if none, or if it is unstable."""
     if limit.stability is None or kp >= limit.stability:
         return math.nan
     motion = limit.design.measure(replace(limit.gains, kp=kp), to_rest=False)
@@ -327,8 +328,9 @@ def _name_points(axes: Axes, runs: Sequence[Run], gains: Values, values: Values)
 
 
 _ALIKE: Final = 0.02
-"""Share by which steps may differ to have one curve of settling times: it would be off by as much,
-which is the half-width of the settling band."""
+"""Share by which steps may differ to share a curve of settling times; the curve's error equals it.
+
+It is half the width of the settling band."""
 
 
 def find_loop_gains(runs: Sequence[Run]) -> list[LoopGains]:
@@ -350,7 +352,7 @@ def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
                 continue
             pid, settings = model.require()
             process, period_s = settings["process"], settings["period_s"]
-            # Times of a real loop differ by less than is known of them.
+            # Rounded, because times of a real loop are not known more precisely.
             key = (round(process.dead_time_s, 4), round(period_s, 4), replace(pid, kp=1.0))
             if key not in limits:
                 limits[key] = _compute_limits(pid, process, period_s)
@@ -361,7 +363,7 @@ def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
 
 
 def _find_step(name: str, runs: Sequence[Run]) -> tuple[float, float] | None:
-    """Return the common step of all runs, and the limit of its command."""
+    """Return the common step of all runs, and the limit of their command."""
     found = []
     for run in runs:
         loop = run.declaration.find_loop(name)

@@ -23,12 +23,12 @@ from turtlelog.measure import measure_run
 from turtlelog.run import Run
 
 _MOST_NAMED: Final = 3
-"""So many runs are named that a figure does not show; of more it is said how many."""
+"""Number of runs that are named as missing from a figure; more are only counted."""
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 
 _OF_MOTION: Final = frozenset({POSES, GOAL, "speed commands", "turn rate commands"})
-"""What a recording without samples may have all the same."""
+"""Data that a recording without samples may contain."""
 
 _DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
 
@@ -76,7 +76,7 @@ def _is_marked(name: str, runs: Sequence[Run], found: Sequence[Sequence[Characte
 
 
 def _list_signals(name: str, runs: Sequence[Run]) -> list[str]:
-    """Return the signals of a figure's panels over time."""
+    """Return the signals of the panels over time in a figure."""
     kind = FIGURES[name]
     panels = kind.choose_panels(runs) if kind.draw is None else ()
     return [panel.plot for panel in panels if panel.plot]
@@ -93,7 +93,7 @@ def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
 
 
 def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
-    """Return why there is no close-up; nothing for runs without samples and goal."""
+    """Return the reason why there is no close-up; empty for runs without samples and goal."""
     if "plane" not in shown or not has_one_plane(runs):
         return []
     if lack_samples(runs) and not any(run.goal_xy_m for run in runs):
@@ -105,11 +105,11 @@ def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
 
 
 _Left = dict[tuple[str, tuple[int, ...]], list[str]]
-"""What is left out, by what is missing, and which runs lack it."""
+"""Omitted figures and panels, by the missing data and the runs that lack them."""
 
 
 def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
-    """Return the missing controller data in one line: without its samples none are expected."""
+    """Return missing controller data as one line: a recording without samples has none."""
     of_motion: _Left = {}
     of_controller: list[str] = []
     for (words, lacking), parts in left_out.items():
@@ -130,7 +130,7 @@ def has_table1(runs: Sequence[Run]) -> bool:
 
 
 def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
-    """Return a figure, or its panels if their needs differ, and the data that each run lacks."""
+    """Return a figure, or its panels if their needs differ, with the data that each run lacks."""
     kind = FIGURES[name]
     if kind.draw is not None:
         return [(name, find_lacks(runs, kind.needs))]

@@ -24,22 +24,22 @@ _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
 
 _OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, AIMED, BEARING_NOW})
-"""What has the colour of each run in a panel, and in a legend that of none."""
+"""Labels of lines in the colour of each run, which are colourless in a legend."""
 
 _ALIKE: Final = (
     ("goal bearing", "goal heading", "goal", "zero"),
     ("tolerance", "limit"),
     ("applied", "|applied|"),
 )
-"""What looks alike in different panels, each of which says which it is."""
+"""Labels that share a style in different panels, each of which shows its own."""
 
 _CURVES: Final = 2.0
-"""How high matplotlib puts a line unless told otherwise; references lie below."""
+"""Order in which matplotlib draws lines by default; references are below."""
 
 _MOST_NAMED: Final = 12
-"""Lines of theory that have an entry each: six rows of a column's two."""
+"""Largest number of theoretical lines with an entry each: six rows of two in a column."""
 _SOME: Final = 7
-"""Of more so many have one, in even steps: their colours tell where the others lie."""
+"""Number of entries if there are more, in even steps; colours show the lines between."""
 
 
 def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
@@ -52,7 +52,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             if label not in without:
-                # A goal is a cross in the plane and a line over time.
+                # A goal is a cross in the plane, and a line over time.
                 is_mark = isinstance(handle, Line2D) and handle.get_linestyle() == "None"
                 named.setdefault((label, is_mark), handle)
     if len(named) < 2 and not (named and without):
@@ -75,7 +75,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
 
 
 def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:
-    """Return labels of lines for a legend; of many only a few, and the legend says so."""
+    """Return labels of lines for a legend; if there are many, only some, and the legend says so."""
     if len(labels) <= _MOST_NAMED:
         return list(labels)
     shown = {*np.linspace(0, len(labels) - 1, _SOME).round().astype(int).tolist()}
@@ -92,7 +92,7 @@ def _join_alike(named: Mapping[tuple[str, bool], Any]) -> list[tuple[str, Any]]:
 
 
 def _describe_looks(label: str, handle: Any) -> Any:
-    """Return what entries have in common that are joined: solid lines their looks, others names."""
+    """Return the key that merged entries share: the style; for dashed lines also the name."""
     if not isinstance(handle, Line2D):
         return label
     alike = next((names for names in _ALIKE if label in names), label)
@@ -102,7 +102,7 @@ def _describe_looks(label: str, handle: Any) -> Any:
 
 
 def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
-    """Return how many columns of the widest entry fit."""
+    """Return the number of legend columns that fit, each as wide as the widest entry."""
     size = rcParams["legend.fontsize"]
     font = FontProperties(family=rcParams["font.family"], size=size)
     widest = max(
@@ -114,9 +114,9 @@ def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
 
 
 _BAR_INCH: Final = 0.42
-"""What a bar with its numbers and its name takes of the height of a figure."""
+"""Height of a bar with its numbers and its name [inch]."""
 _MOST_TICKS: Final = 7
-"""As many gains of three digits as a column has room for."""
+"""Largest number of labels: gains of three digits that fit a column."""
 
 
 def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:

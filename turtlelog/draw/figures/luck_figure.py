@@ -32,26 +32,28 @@ _LINE_INCH: Final = 1.3 * _TITLE_POINTS / 72.0
 _LABEL_INCH: Final = 1.25 * _POINTS / 72.0
 
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower than this, both panels would be smaller than their words: they stand over each other."""
+"""Narrower figures have their panels one above the other: beside each other, both would be smaller
+than their text [inch]."""
 
 _PANEL_INCH: Final = 2.4
-"""Height of the curves at least: five labels beside them take a quarter of it."""
+"""Smallest height of the curves [inch]; five labels beside them take a quarter of it."""
 
 _AXIS_INCH: Final = 0.45
-"""Height of the axis below the curves, with its words."""
+"""Height of the axis below the curves with its text [inch]."""
 
 _GHOST: Final = (0.5, 0.5, 0.5)
 _GHOST_WORDS: Final = (0.35, 0.35, 0.35)
-"""On paper a light grey would be lost."""
+"""Colour of a ghost's text; a lighter grey would not be visible on paper."""
 
 _DARKER: Final = 0.7
-"""Of a colour on paper: words in it are as thin as hairs."""
+"""Factor that darkens a colour for text on paper, because its strokes are thin."""
 
 _DOT_MM: Final = 1.2
-"""Half of the size of the mark of the run itself in print [mm]."""
+"""Half the size of the run's own mark in print [mm]."""
 
 _DASHES: Final[tuple[Any, ...]] = ((0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
-"""Patterns of the curves without one cause: where these coincide, each is seen."""
+"""Dash patterns of the curves without one cause, chosen so that coinciding curves are all
+visible."""
 
 _MINUS: Final = "\N{MINUS SIGN}"
 
@@ -114,7 +116,7 @@ def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) 
 
 
 def _wrap(sentences: Sequence[str], width_mm: float) -> str:
-    """Return sentences on one line if they fit, otherwise each on lines of its own."""
+    """Return sentences on one line if they fit, otherwise each on its own line."""
     whole = _break_lines(" ".join(sentences), width_mm)
     parts = [line for text in sentences for line in _break_lines(text, width_mm)]
     return "\n".join(whole if len(whole) == 1 else parts)
@@ -135,7 +137,7 @@ def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
     ends = []
     for number, line in enumerate(shown.lines):
         color, zorder = _choose_color(line), 3.0 - 0.1 * number
-        # Points of the run are seen where it has but one between two jumps.
+        # Points show the run's values if there is only one between two jumps.
         dashes = _DASHES[(number - 1) % len(_DASHES)] if line.kind == "cause" else "-"
         looks: dict[str, Any] = {"color": color, "zorder": zorder, "linestyle": dashes, "lw": 1.2}
         for first, last in line.pieces:
@@ -208,7 +210,7 @@ def _draw_plane(axes: Axes, plane: LuckPlane, side_inch: float) -> None:
     axes.plot(*plane.recorded_m, "o", ms=6.0, color=run, mec="white", mew=0.6, zorder=2.8)
     scale = place.half / place.half_mm
     ends_mm = np.concatenate([plane.ends_m, plane.ghosts_m]) / scale
-    for end_mm in np.unique(ends_mm.round(), axis=0):  # those within a millimetre are one
+    for end_mm in np.unique(ends_mm.round(), axis=0):  # ends within a millimetre are drawn once
         place.avoid_point(end_mm * scale, _DOT_MM)
     place.avoid_point(plane.recorded_m, _DOT_MM)
     darker = tuple(_DARKER * part for part in run)

@@ -37,23 +37,24 @@ from turtlelog.sweep.table.swept_views import SweptView, fill_cells
 Values = NDArray[np.float64]
 
 _MOST_VECTORS: Final = 2_500
-"""Cells that a PDF or SVG holds as shapes, some 100 bytes each; more are pixels in it."""
+"""Largest number of cells stored as shapes in a PDF or SVG, 100 bytes each; more become pixels."""
 
 _MOST_WORDS: Final = 12
-"""Names of places along a side: each takes 4 mm of a column."""
+"""Largest number of labels along a side: each takes 4 mm of a column."""
 
 _FEW_NUMBERS: Final = 6
-"""Numbers of an axis up to which each stands below its cell; a scale between them would say that
-there are cells where there are none."""
+"""Largest number of values with a label below each cell; a scale would suggest cells between
+them."""
 
 _LONGEST: Final = 16
-"""Letters of such a name."""
+"""Longest label [letters]."""
 
 _MOST_EDGED: Final = 1_000
-"""Dots with an edge: those of more are so small that their edges would be all that shows."""
+"""Largest number of dots with an edge: more dots are so small that only their edges would be
+visible."""
 
 _HALO: Final = 1.4
-"""Points of white around a line, which makes it stand out from every colour below."""
+"""Width of the white border around a line, which separates it from any colour below [points]."""
 
 LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
@@ -70,7 +71,7 @@ LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         },
     }
 )
-"""Theory's limits by their names in a legend, and how they look."""
+"""Styles of theory's limits, by their names in a legend."""
 
 
 def draw_map_panel(
@@ -117,9 +118,9 @@ def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis along a side; of many texts only every second, third ...
+    """Write the values of an axis along a side; if there are many, every second, third ...
 
-    Few numbers are written at their positions; more numbers get a scale.
+    A few numbers are written at their positions; more numbers get a scale.
     """
     if axis.is_number and len(axis) > _FEW_NUMBERS:
         return
@@ -140,7 +141,7 @@ def _draw_cells(
     values = scale_values(metric, cells.values)
     edges = find_edges(view.x), find_edges(view.axes[1])
     looks: dict[str, Any] = {"rasterized": values.size > _MOST_VECTORS, "zorder": 1.0}
-    # Shapes that touch leave seams where a viewer smooths their edges; a line covers them.
+    # Viewers show seams between adjacent shapes when they smooth edges; a line covers them.
     seamless: dict[str, Any] = (
         {} if looks["rasterized"] else {"edgecolors": "face", "linewidth": 0.3}
     )
@@ -178,7 +179,7 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
         cross: dict[str, Any] = {"marker": "x", "color": "0.5", "s": size, "linewidth": 0.6}
         axes.scatter(x[~known], y[~known], **cross, **looks)
         mark = Line2D([], [], color="0.5", marker="x", linestyle="", markersize=4.0)
-        named["no value"] = mark  # the lines that are printed say why
+        named["no value"] = mark  # the printed lines give the reason
     edge = 0.25 if len(values) <= _MOST_EDGED else 0.0
     looks |= {"s": size, "linewidth": edge, "edgecolor": "0.3"}
     if metric.is_verdict:
@@ -298,7 +299,7 @@ def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
 _SHADES: Final = 256
 
 _HATCHES: Final = ("", "////", "....", "xxxx")
-"""Of reasons for no value; the last stands for all others."""
+"""Hatches of the reasons for missing values; the last is for all other reasons."""
 
 _VALUELESS: Final[Mapping[str, Any]] = MappingProxyType({"facecolor": "0.93", "edgecolor": "0.6"})
 

@@ -27,8 +27,8 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 MOST_WORDED: Final = 4
-"""Of more runs the dots have no guides, and words tell extremes alone: a table of all would cover
-the curves."""
+"""Largest number of runs with guides and a table of values; for more runs, text gives only the
+extremes, because a table would cover the curves."""
 
 _GUIDE: Final[Mapping[str, Any]] = MappingProxyType(
     {"linestyle": (0, (1, 1.6)), "linewidth": 0.7, "zorder": GUIDE_ORDER}
@@ -44,27 +44,28 @@ _BAND: Final[Mapping[str, Any]] = MappingProxyType(
 )
 
 _ROOM: Final = 0.04
-"""Of a phase, shown before and behind it where the axis is cut to it."""
+"""Margin before and after a phase to which an axis is cut, as a share of the phase."""
 _LEAST_OVERSHOOT: Final = 0.1
-"""Where other marks crowd, less [% of the step] is thinner than the line of the curve."""
+"""Smallest overshoot that is marked among many marks [% of the step]; less is thinner than the
+curve's line."""
 
 _LEAST_PAUSE: Final = 0.005
-"""Of an axis: a narrower stripe is a line of a third of a millimetre in a column."""
+"""Smallest visible pause as a share of an axis: a third of a millimetre in a column."""
 
 _DEAD_WORDS: Final = "#8a4f1d"
 _CUT: Final = 0.8
-"""An axis is cut to a phase that is a smaller part of it."""
+"""Largest share of the whole axis for a phase to which the axis is cut."""
 
 _COORDINATES: Final = frozenset({"x", "y", "error_x", "error_y"})
 _WAYS: Final = frozenset({"along_track", "distance"})
-"""What loops control that move a robot to its goal."""
+"""Signals controlled by loops that move a robot to its goal."""
 _MOMENTS: Final = frozenset({"settling_time", "time_to_goal", "position_error"})
 
 _SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "o", "square": "s", "cross": "x"}
-"""Marks as matplotlib has them."""
+"""Mark shapes of matplotlib."""
 
 _OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "heading"})
-"""Errors on whose curve the characteristics of a loop's signal stand, too."""
+"""Error curves that also show the characteristics of a loop's signal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +91,7 @@ class _Marked:
     color: Any
 
     def read(self, at_s: float) -> float:
-        """Return the value of the curve at a time, as the panel shows it."""
+        """Return the value of the curve at a time [s], as the panel shows it."""
         value = float(np.interp(at_s, self.curve.time_s, self.curve.values))
         return abs(value) if self.is_magnitude else value
 
@@ -151,13 +152,13 @@ def _mark_panel(
 
 
 _Told = tuple[Characteristic, str]
-"""A mark that is drawn, with its words."""
+"""A mark that is drawn, with its text."""
 
 
 def choose_marks(signal: str, marks: Sequence[Characteristic]) -> list[Characteristic]:
     """Return the marks of a run that belong on the curve of a signal.
 
-    On coordinates stand the moments of the way to the goal, without its bands.
+    Curves of coordinates show the times of the path to the goal, without its bands.
     """
     if signal not in _COORDINATES:
         return [mark for mark in marks if mark.signal in {signal, _OF_ERRORS.get(signal, signal)}]
@@ -178,7 +179,7 @@ def _mark_run(panel: _Marked, marks: Sequence[Characteristic]) -> Iterator[_Told
 
 
 def _is_end(panel: _Marked, mark: Characteristic) -> bool:
-    """Whether a mark is where a coordinate ends: its own value stands there, not the distance."""
+    """Return whether a mark at the end of a coordinate shows its value instead of the distance."""
     is_coordinate = str(panel.axes.get_label()) in _COORDINATES
     return is_coordinate and mark.kind == "position_error"
 
@@ -189,7 +190,7 @@ def _word(panel: _Marked, mark: Characteristic, text: str) -> Word:
 
 
 def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> list[Table]:
-    """Return a table with a line for each of a few runs, and one of the extremes of all."""
+    """Return a table with a line for each run, if there are few, and one with the extremes."""
     low, high = axes.get_xlim()
     seen = {
         name: (color, [one for one in drawn if low <= one[0].at_s <= high])
@@ -213,7 +214,7 @@ def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> li
 
 
 def _tell_extremes(word: str, unit: str, values: Sequence[float], count: int) -> str:
-    """Return the minimum and the maximum of several runs in words."""
+    """Return the minimum and the maximum of several runs as text."""
     least, most = f"{min(values):.3g}", f"{max(values):.3g}"
     span = least if least == most else f"{least} to {most}"
     some = "" if len(values) == count else f" ({len(values)} of {count} runs)"
@@ -245,7 +246,7 @@ def _mark_overshoot(panel: _Marked, mark: Characteristic, others: Sequence[Chara
     _guide(panel, mark, mark.start_s)
     if not panel.is_alone:
         return mark.text
-    # An error has no peak: its curve shows what is missing.
+    # An error has no peak: its curve shows the remaining error.
     return "\n".join(list_mark_texts(mark, () if panel.is_error else others))
 
 
@@ -274,13 +275,13 @@ _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Character
     "largest_error": _mark_point,
     "cross_track_max": _mark_point,
 }
-"""What draws a metric, by its kind, and returns its words; a peak stands with its overshoot."""
+"""Functions that draw a metric and return its text, by kind; a peak is drawn with its overshoot."""
 
 
 def _guide(
     panel: _Marked, mark: Characteristic, from_s: float | None, at_s: float | None = None
 ) -> None:
-    """Draw a mark on the curve, with dotted lines down to the axis and along the curve's level.
+    """Draw a mark on the curve, with dotted lines to the time axis and along the curve's level.
 
     For several runs only settling times have a line, because their times differ.
     """
@@ -308,7 +309,7 @@ def _draw_band(panel: _Marked, mark: Characteristic) -> None:
     times_s = [mark.start_s, mark.span_s[1]]
     if panel.is_alone:
         panel.axes.fill_between(times_s, low, high, **_BAND)
-    color = "0.35"  # also of several runs, whose bands are often the same
+    color = "0.35"  # also for several runs, whose bands are often the same
     for level in [high] if panel.is_magnitude else [low, high]:
         panel.axes.plot(times_s, [level, level], color=color, **_GUIDE)
 
@@ -330,7 +331,7 @@ def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[Word]
 
 
 def _cut_to_phase(axes: Axes, found: Sequence[Sequence[Characteristic]]) -> None:
-    """Cut a separate axis to the segments of the loops that it shows."""
+    """Cut an axis of its own to the segments of the loops that it shows."""
     if len(axes.get_shared_x_axes().get_siblings(axes)) > 1:
         return
     signal = str(axes.get_label()).strip("|")

@@ -17,19 +17,19 @@ Values = NDArray[np.float64]
 
 USUAL: Final = ("*.overshoot", "*.settling_time", "final.position_error")
 OF_TRACKING: Final = ("*.rms_error", "*.largest_error")
-"""Where no loop answers to a step: errors of loops whose reference moves."""
+"""Default metrics if no loop responds to a step: errors of loops with a moving reference."""
 
 _LOGARITHMIC: Final = 30.0
-"""Greatest over least value from which a scale is logarithmic: on a linear one of 30 mm the least
-would be within 1 mm of 0."""
+"""Ratio of greatest to least value from which a scale is logarithmic. On a linear scale of 30 mm
+the least value would be within 1 mm of 0."""
 
 _LEAST_PERCENT: Final = 0.5
-"""Height of an axis of shares [%]: on a finer one the last digits of a run that does not overshoot
-would look like an overshoot. A quarter of the band in which a response counts as settled."""
+"""Smallest height of a percentage axis [%]. On a smaller one, the last digits of a run without
+overshoot would look like an overshoot. It is a quarter of the settling band."""
 
 _POINTS_PER_INCH: Final = 72.0
 _LETTER_WIDTH: Final = 0.65
-"""Of a digit over the size of its letters: DejaVu Sans, the widest font in use, has 0.636."""
+"""Width of a digit as a share of the font size: DejaVu Sans, the widest font in use, has 0.636."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,18 +53,18 @@ class MetricValues:
 
     @property
     def loop(self) -> str:
-        """Name of its loop; empty for the whole run."""
+        """Name of the metric's loop; empty for the whole run."""
         loop = self.id.rpartition(".")[0]
         return "" if loop in {"final", "run"} else loop
 
     @property
     def name(self) -> str:
-        """Name without its loop."""
+        """Name of the metric without its loop."""
         return self.id.rpartition(".")[2] if self.loop else self.id
 
     @property
     def is_logarithmic(self) -> bool:
-        """Whether its values need a logarithmic scale."""
+        """Whether the values need a logarithmic scale."""
         known = self.values[np.isfinite(self.values)]
         return (
             len(known) > 1
@@ -81,8 +81,7 @@ def measure_for_figure(
     Args:
         figure: Name of the figure, for errors.
         runs: Runs to measure.
-        names: Ids, patterns, or names of metrics of any loop (`overshoot`); the usual ones where
-            None.
+        names: Ids, patterns, or names of metrics of any loop (`overshoot`); None: the usual ones.
 
     Raises:
         ShowError: If no run has a value of any metric; the message has the first reason.
@@ -153,13 +152,13 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
         return
     if found.label.endswith("[%]"):
         high = max(high, low + _LEAST_PERCENT, _LEAST_PERCENT)
-    # Of what is shown, which reaches to 0: values that are nearly equal would stand at the edge.
+    # The room is a share of the axis, which includes 0; nearly equal values would be at the edge.
     room = 0.14 * (max(high, 0.0) - min(low, 0.0)) or 1.0
     axes.set_ylim(min(low - room, 0.0), max(high + room, 0.0))
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
-    """Place the ticks of the lower axis at values, at as many as fit."""
+    """Place the ticks of the lower axis at the values that have room."""
     axes.xaxis.set_major_locator(FixedLocator(_choose_places(axes, sorted({*values}))))
     axes.xaxis.set_minor_locator(NullLocator())
     formatter: Any = "{x:.4g}"
@@ -167,7 +166,7 @@ def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _choose_places(axes: Axes, values: Sequence[float]) -> list[float]:
-    """Return the smallest and largest values, and those between whose labels do not touch."""
+    """Return the smallest and largest values, and values between whose labels do not touch."""
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
     points = points * _POINTS_PER_INCH / axes.figure.dpi
     size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()

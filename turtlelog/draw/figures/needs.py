@@ -23,7 +23,7 @@ _STATES: Final = "states of its law that are not always 0"
 
 
 def _lack_command(run: Run, command: Command) -> str:
-    """Return why there is nothing to draw: no command, and no motion of the robot for it."""
+    """Return the reason why an axis cannot be drawn: no command, or no motion for it."""
     found = has_own(run, TIME_PLOTS[command])
     return "" if found else f"{command.replace('_', ' ')} commands"
 
@@ -38,7 +38,7 @@ def _lack(words: str, *, is_held: bool) -> str:
 
 
 def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
-    """Return what is missing for figures that need samples."""
+    """Return the missing data for figures that need samples."""
     return _lack(words, is_held=is_held) if len(run.samples) else SAMPLES
 
 
@@ -53,7 +53,7 @@ def _has_gain(run: Run) -> bool:
 
 
 def find_lack_of_gain(runs: Sequence[Run]) -> str:
-    """Return what theory lacks: python-control, or a gain."""
+    """Return what theory's figures lack: python-control, or a gain."""
     if find_spec("control") is None:
         return PYTHON_CONTROL
     if find_gains(runs):
@@ -64,9 +64,9 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
 
 
 def _find_lack_of_locus(run: Run) -> str:
-    """Return what a root locus lacks: either an ideal or a sampled loop is sufficient.
+    """Return the data that a root locus lacks; an ideal or a sampled loop is sufficient.
 
-    For a loop that is not proportional, it is why theory does not know it.
+    For a loop that is not proportional, the result is the reason why theory has no model.
     """
     lack = find_lack_of_gain([run])
     if lack == PYTHON_CONTROL:
@@ -121,7 +121,7 @@ _LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
         "wanted_turn_rate": lambda run: _lack_wanted(run, "turn_rate"),
     }
 )
-"""What a panel may need: from a run to what it lacks, empty where nothing."""
+"""Functions from a run to the data that it lacks, by need; empty if it has them."""
 
 
 def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:

@@ -25,17 +25,19 @@ _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
 _NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
 _LEAST_DPI, _MOST_DPI = 50, 600
-"""Letters of 7 points are 5 pixels high at 50 dots per inch; printers resolve 600."""
+"""Range of resolutions: letters of 7 points have 5 pixels at 50 dots per inch; printers resolve
+600."""
 
 _DPI: Final = 300.0
 
 _SLIDE_INCH: Final = (6.4, 3.6)
-"""16:9, so small that lettering of 8 points is 1/32 of its height: 17 points where it is shown."""
+"""Size of a slide, 16:9. Letters of 8 points are 1/32 of its height, which is 17 points when
+projected [inch]."""
 _PROJECTED_INCH: Final = 40.0 / 3.0
-"""Width of a slide in presentation programs."""
+"""Width of a slide in presentation programs [inch]."""
 _SLIDE_DPI: Final = 144.0
 _LOW_ROWS: Final = 3
-"""Panels in so many rows of a slide have no room for a unit beside its name."""
+"""Rows of panels from which units on a slide are on a line of their own."""
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -61,18 +63,18 @@ LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
         "xtick.major.width": 0.6,
         "ytick.major.width": 0.6,
         "axes.formatter.useoffset": False,
-        # Text that can be selected: TrueType in PDF, in SVG text that names its font.
+        # Selectable text: TrueType in PDF, text with the name of its font in SVG.
         "pdf.fonttype": 42,
         "svg.fonttype": "none",
         "svg.hashsalt": "turtlelog",
     }
 )
-"""Settings of matplotlib under which every figure is drawn and written."""
+"""Settings of matplotlib for drawing and writing every figure."""
 
 _DRAWING: Final = RLock()
-"""Held by the thread that draws: matplotlib's settings belong to the whole process."""
+"""Lock of the drawing thread, because matplotlib's settings belong to the whole process."""
 if hasattr(os, "register_at_fork"):
-    # A process that is forked while another thread draws would wait for that thread for ever.
+    # A process forked while another thread draws would wait for that thread for ever.
     os.register_at_fork(
         before=_DRAWING.acquire,
         after_in_parent=_DRAWING.release,
@@ -93,7 +95,8 @@ def to_rgb(color: Color) -> tuple[float, ...]:
 
 
 _MOST_BROAD: Final = 24
-"""Lines of the usual width: in a column of 40 mm more of them leave no ground between."""
+"""Largest number of lines of usual width: in a column of 40 mm more would leave no space
+between."""
 _THIN: Final = 0.7
 
 STROKES: Final[Mapping[Dash, Any]] = MappingProxyType(
@@ -104,7 +107,7 @@ STROKES: Final[Mapping[Dash, Any]] = MappingProxyType(
         "dash-dot": (0, (4, 1.2, 1, 1.2)),
     }
 )
-"""Dashes as matplotlib has them, in widths of their line."""
+"""Dashes of matplotlib, in multiples of the line's width."""
 
 _MARKERS: Final[Mapping[Marker, tuple[str, float]]] = MappingProxyType(
     {
@@ -117,29 +120,29 @@ _MARKERS: Final[Mapping[Marker, tuple[str, float]]] = MappingProxyType(
         "right": (">", 4.6),
     }
 )
-"""Markers as matplotlib has them, with the sizes at which they look alike [points]."""
+"""Markers of matplotlib, with sizes at which they look equally large [points]."""
 
 _MARK_EVERY: Final = 0.24
-"""How far the markers of a run are apart on its curve, over the diagonal of its panel."""
+"""Distance of a run's markers on its curve, as a share of the panel's diagonal."""
 
 REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewidth": 0.7})
-"""Goals, limits, zeros."""
+"""Style of goals, limits and zeros."""
 
 IDEAL_ENDS: Final = "ideal, first and last run"
-"""Name of the ideal responses of the first and the last of many runs."""
+"""Label of the ideal responses of the first and the last of many runs."""
 
 AIM: Final[Mapping[str, Any]] = MappingProxyType(
     {"linewidth": 0.8, "linestyle": STROKES[choose_dash("aim")], "zorder": 1.9, "marker": ""}
 )
-"""What a law, or the goal, asks for where that moves."""
+"""Style of moving references, of a law or a goal."""
 
 MEASURED: Final[Mapping[str, Any]] = MappingProxyType({"color": to_rgb(palette.MEASURED)})
-"""What a robot did of a command, beside a model."""
+"""Style of a robot's measured motion beside a model."""
 
 MODELLED: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": to_rgb(palette.MODEL), "linestyle": STROKES[SUPPOSED_DASH]}
 )
-"""What a model does of a command."""
+"""Style of a model's response to a command."""
 
 SENSED: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -152,12 +155,12 @@ SENSED: Final[Mapping[str, Any]] = MappingProxyType(
         "label": "sensed",
     }
 )
-"""What the controller reads of a pose; below what it is."""
+"""Style of sensed poses, drawn below the true ones."""
 
 PUSHED: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.92", "linewidth": 0.0, "zorder": 0.5, "label": "disturbance"}
 )
-"""While something pushes the plant."""
+"""Style of the time while a disturbance acts on the plant."""
 
 _MOST_LETTERS: Final = 28
 _NAMES: Final = frozenset(
@@ -168,7 +171,7 @@ _NAMES: Final = frozenset(
         *(AIMED, BEARING_NOW),
     }
 )
-"""What figures name beside runs."""
+"""Names in figures beside those of runs."""
 
 
 PageKind = Literal["column", "page", "slide"]
@@ -228,12 +231,12 @@ class Page:
 
     @property
     def height_inch(self) -> float:
-        """Height of a figure [inch] for a slide; on paper each figure has its own."""
+        """Height of a figure for a slide [inch]; on paper each figure has its own."""
         return _SLIDE_INCH[1] if self.kind == "slide" else math.inf
 
     @property
     def pixels_per_inch(self) -> float:
-        """Resolution of a PNG, per inch of a figure as it is drawn."""
+        """Resolution of a PNG [pixels per inch of the drawn figure]."""
         if self.kind == "slide":
             return (self.dpi or _SLIDE_DPI) * _PROJECTED_INCH / _SLIDE_INCH[0]
         return self.dpi or _DPI
@@ -253,14 +256,14 @@ class Page:
 
 
 def choose_colors(count: int) -> list[tuple[float, ...]]:
-    """Return the colour of each run, as on screen."""
+    """Return the colour of each run, the same as on screen."""
     return [*map(to_rgb, choose_run_colors(count))]
 
 
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     """Return colour and marker of each run.
 
-    Of more runs than have a hue of their own, the first lie on top: the fast swings of a large gain
+    If there are more runs than hues, the first are on top: the fast oscillations of a large gain
     would cover all others.
     """
     lines: list[dict[str, Any]] = [{"color": color} for color in choose_colors(count)]
@@ -290,14 +293,14 @@ def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
 
 
 def _clean(name: str) -> str:
-    """Return a name that matplotlib shows literally; `?` for letters missing in its font."""
+    """Return a name that matplotlib shows literally; letters missing in its font become `?`."""
     font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
     shown = "".join(
         letter if font.get_char_index(ord(letter)) else "?" for letter in " ".join(name.split())
     )
     if shown in _NAMES:
         return f"run {shown}"
-    # A name that begins with `_` would be left out.
+    # matplotlib would leave out a name that begins with `_`.
     return f" {shown}" if shown.startswith("_") else shown
 
 

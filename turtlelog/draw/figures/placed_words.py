@@ -1,4 +1,4 @@
-"""Words beside what they name: where nothing else is, in panels over time upright or in a table."""
+"""Placement of text beside the marks that it names, where it covers least; or in a table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,33 +15,35 @@ from numpy.typing import NDArray
 Values = NDArray[np.float64]
 
 GUIDE_ORDER: Final = 1.6
-"""How high guide lines lie: below all curves."""
+"""Drawing order of guide lines: below all curves."""
 
 _WORDS_POINTS: Final = 6.5
 _LINE_MM: Final = 1.25 * _WORDS_POINTS * 25.4 / 72.0
 _DOT_MM: Final = 0.8
 _LEADER_MM: Final = 4.0
-"""Words that stand further from their dot have a line to it."""
+"""Distance from which a line connects text and its dot [mm]."""
 
 _NO_ROOM: Final = 150.0
-"""Points of curves, 15 mm of them, or one word or dot: words that cover as much are left out."""
+"""Points of curves from which covered text is left out: 15 mm of curve, or one other text or
+dot."""
 
 _GUIDE_POINTS: Final = 40
-"""Points of a guide line that words avoid: a tenth of a curve's, as it may rather be covered."""
+"""Points of a guide line that text avoids: a tenth of a curve's, because it may rather be
+covered."""
 
 _MARK_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 12.0, 14.0, 16.0, 19.0, 22.0, 25.0, 28.0, 32.0, 38.0)
-"""How far words may stand from their dot, best first: marks of one phase end in one corner."""
+"""Distances of text from its dot, best first [mm]: the marks of one phase end in one corner."""
 
 _MOST_COVERED: Final = 12.0
 """Points of curves that a table may cover: 1.2 mm of a curve."""
 
 _PLACES: Final = np.linspace(0.0, 1.0, 15)
-"""Where a table may stand, from one side of what is free to the other."""
+"""Places of a table, from one side of the free area to the other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Word:
-    """Words for a dot of a panel, or for a span of time, in which they stand upright."""
+    """Text for a dot of a panel, or upright text for a span of time."""
 
     text: str
     at: tuple[float, float]
@@ -50,18 +52,18 @@ class Word:
 
 
 Table = Sequence[tuple[str, Any]]
-"""Lines of words with their colours."""
+"""Lines of text with their colours."""
 
 
 def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ()) -> None:
-    """Write words near their dots where they cover least.
+    """Write text near dots where it covers least.
 
-    Words that would cover much have no room and are left out: their dot stays.
+    Text that would cover much is left out; its dot remains.
 
     Args:
-        axes: The panel, at its place in the figure.
-        words: For its dots and spans.
-        tables: Of these the first is written that covers no curve; otherwise the last.
+        axes: Panel at its final place in the figure.
+        words: Texts for dots and spans of the panel.
+        tables: Tables; the first that covers no curve is written, otherwise the last.
     """
     place, to_panel = _survey(axes)
     low, high = sorted(axes.get_xlim())
@@ -82,14 +84,14 @@ def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ())
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Placed:
-    """Words at their place, in parts of the panel.
+    """Text at its place, in fractions of the panel.
 
     Attributes:
-        word: What is written.
-        middle: Of its box, shape (2,).
-        is_upright: Whether it stands in its span.
-        leader: From the dot to the box where that is far, shape (2, 2).
-        cost: How much it covers.
+        word: The text.
+        middle: Middle of its box, shape (2,).
+        is_upright: Whether the text is upright in its span.
+        leader: Line from the dot to the box if it is far, shape (2, 2).
+        cost: Number of points that it covers.
     """
 
     word: Word
@@ -100,19 +102,19 @@ class _Placed:
 
 
 _AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)
-"""How far words may stand from their dot, best first."""
+"""Distances of text from its dot, best first [mm]."""
 
 
 @dataclass(slots=True, kw_only=True)
 class WordSpace:
-    """A panel with linear axes, and what words should not cover.
+    """A panel with linear axes, and the points that text should not cover.
 
     Attributes:
-        center: Of the panel, in data units, shape (2,).
+        center: Center of the panel, in data units, shape (2,).
         half: Half of its width and height, in data units, shape (2,).
         half_mm: The same in print [mm], shape (2,).
         taken: Points of lines and dots, shape (n, 2).
-        boxes: Of words that stand there: left, right, bottom, top, in data units.
+        boxes: Boxes of placed text: left, right, bottom, top, in data units.
     """
 
     center: Values
@@ -122,7 +124,7 @@ class WordSpace:
     boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def avoid_line(self, points: Values) -> None:
-        """Keep words off a line, of which the panel shows a part."""
+        """Make text avoid a line, of which the panel may show a part."""
         inside = np.flatnonzero((np.abs(points - self.center) <= 1.2 * self.half).all(axis=1))
         if not len(inside):
             return
@@ -133,7 +135,7 @@ class WordSpace:
         self.taken.append(np.stack([np.interp(at, way, part[:, i]) for i in (0, 1)], axis=1))
 
     def avoid_point(self, point: Values, radius_mm: float = 0.0) -> None:
-        """Keep words off a dot, or a mark of some size."""
+        """Make text avoid a dot, or a mark with a radius."""
         ring = np.stack([np.cos(_WAYS), np.sin(_WAYS)], axis=1) * radius_mm
         marks = point + ring * self.half / self.half_mm
         self.taken.append(np.repeat(marks, _OF_A_DOT // len(_WAYS), axis=0))
@@ -145,7 +147,7 @@ class WordSpace:
         height_mm: float,
         away_mm: tuple[float, ...] = _AWAY_MM,
     ) -> tuple[Values, float]:
-        """Return the middle of a box near a dot that covers least, and how much it covers."""
+        """Return the middle of the box near a dot that covers least, and the points covered."""
         scale = self.half / self.half_mm
         half = np.array([width_mm, height_mm]) / 2.0 * scale
         points = np.concatenate(self.taken) if self.taken else np.empty((0, 2))
@@ -163,12 +165,12 @@ class WordSpace:
         return best, float(least)
 
     def take_box(self, middle: Values, half: Values) -> None:
-        """Keep other words off a box."""
+        """Make other text avoid a box."""
         (left, bottom), (right, top) = (middle - half).tolist(), (middle + half).tolist()
         self.boxes.append((left, right, bottom, top))
 
     def count_covered(self, middle: Values, half: Values, points: Values) -> float:
-        """Return how much a box would cover: words most, what lies outside most of all."""
+        """Return the points that a box would cover; text counts more, and the outside most."""
         over = np.abs(middle - self.center) + half - 0.98 * self.half
         outside = 1e4 * float((np.maximum(over, 0.0) / self.half).sum())
         margin = half + 0.8 * self.half / self.half_mm
@@ -176,14 +178,14 @@ class WordSpace:
         return outside + covered + 1e3 * self.count_words(middle, half)
 
     def count_struck(self, dot: Values, end: Values) -> int:
-        """Return how many words the way from a dot to its own would strike through."""
+        """Return the number of texts that a line from a dot to its own text would cross."""
         way = np.linspace(dot, end, _WAY_POINTS)[:, None, :]
         left, right, bottom, top = np.array(self.boxes).reshape(-1, 4).T
         low, high = np.stack([left, bottom], axis=1), np.stack([right, top], axis=1)
         return int(((low < way) & (way < high)).all(axis=2).any(axis=0).sum())
 
     def count_words(self, middle: Values, half: Values) -> int:
-        """Return how many words a box would cover."""
+        """Return the number of texts that a box would cover."""
         low, high = middle - half, middle + half
         return sum(
             low[0] < right and high[0] > left and low[1] < top and high[1] > bottom
@@ -194,7 +196,7 @@ class WordSpace:
 def _place_in_order(
     survey: WordSpace, to_panel: Any, marked: Sequence[tuple[Word, Values]]
 ) -> list[_Placed]:
-    """Return the places of words, of which each keeps off those before it."""
+    """Return the places of texts, each of which avoids those before it."""
     place = replace(survey, taken=[*survey.taken], boxes=[*survey.boxes])
     found = []
     for word, dot in marked:
@@ -216,7 +218,7 @@ def _place_in_order(
 
 
 def _survey(axes: Axes) -> tuple[WordSpace, Any]:
-    """Return what words should not cover in a panel, and how data are turned into its parts."""
+    """Return the points to avoid in a panel, and the transform from data to panel fractions."""
     figure = axes.get_figure(root=True)
     box = axes.get_position()
     inch = np.array(figure.get_size_inches()) if figure is not None else np.ones(2)
@@ -264,7 +266,7 @@ def _place_beside(place: WordSpace, word: Word, dot: Values) -> _Placed:
 
 
 def _place_upright(place: WordSpace, word: Word, center: float) -> tuple[_Placed, Values]:
-    """Return words in their span, where they cover least, and half of their box."""
+    """Return upright text in its span where it covers least, and half the size of its box."""
     half = _measure(word)[::-1] / 2.0 * place.half / place.half_mm
     points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
     heights = np.linspace(half[1] + 0.03, max(0.97 - half[1], half[1] + 0.03), 25)
@@ -282,7 +284,7 @@ def _write_placed(axes: Axes, placed: _Placed) -> None:
 
 
 def _measure(word: Word) -> Values:
-    """Return the width and height of words [mm], shape (2,)."""
+    """Return width and height of text [mm], shape (2,)."""
     lines = word.text.split("\n")
     width_mm = max(measure_text_mm(line, _WORDS_POINTS) for line in lines) + 1.0
     return np.array([width_mm, _LINE_MM * len(lines)])
@@ -306,23 +308,23 @@ def _drop_gaps(points: Values) -> Values:
 _MM_PER_POINT: Final = 25.4 / 72.0
 _WAYS: Final = np.radians(np.arange(0.0, 360.0, 15.0))
 _RING_WAYS: Final = np.radians(90.0 + 22.5 * np.array([0, 8, 1, -1, 7, -7, 4, -4, 2, -2, 6, -6]))
-"""Where the name of a ring may stand, best first."""
+"""Angles at which the name of a ring may be placed, best first [rad]."""
 
 _APART_MM: Final = 0.1
-"""Between points of a line that words avoid: words that a curve strikes through cover hundreds."""
+"""Distance of the points of a line that text avoids [mm]; a crossing curve counts hundreds."""
 
 _MOST_POINTS: Final = 4_000
-"""On a line that swings."""
+"""Largest number of points on an oscillating line."""
 
 _WAY_POINTS: Final = 40
-"""From a dot to its words."""
+"""Points from a dot to its text."""
 
 _OF_A_DOT: Final = 400
-"""Points of a mark, which words avoid as 40 mm of a line."""
+"""Points of a mark, so that text avoids it like 40 mm of a line."""
 
 
 def measure_text_mm(text: str, points: float = 7.0) -> float:
-    """Return how wide a line of words is in print [mm]."""
+    """Return the width of a line of text in print [mm]."""
     font = FontProperties(family=rcParams["font.family"], size=points)
     width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
     return float(width) * _MM_PER_POINT
@@ -331,7 +333,7 @@ def measure_text_mm(text: str, points: float = 7.0) -> float:
 def place_words(
     axes: Axes, place: WordSpace, text: str, dot: Values, color: Any, points: float
 ) -> None:
-    """Write words near a dot where they cover least."""
+    """Write text near a dot where it covers least."""
     lines = text.split("\n")
     width_mm = max(measure_text_mm(line, points) for line in lines) + 0.5
     height_mm = 1.25 * points * _MM_PER_POINT * len(lines)

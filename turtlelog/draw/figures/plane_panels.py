@@ -60,22 +60,22 @@ _RING: Final[Mapping[str, Any]] = MappingProxyType(
 _OF_MANY: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.8", "linewidth": 0.4, "zorder": 1.6}
 )
-"""Paths of very many runs: their ends have the colours."""
+"""Style of the paths of very many runs, whose ends have the colours."""
 
 _RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder": 1.7})
-"""Paths of runs that never come to rest, where others do."""
+"""Style of runs that never come to rest, if others do."""
 
 _MOST_TICKS: Final = 5
 
 _PLANE: Final = "plane"
-"""The label of axes that show where runs drove."""
+"""Label of axes that show paths."""
 
 _FAINT: Final = 0.25
-"""How opaque the part of a path is that a page's times leave out."""
+"""Opacity of the part of a path outside the page's time window."""
 
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the paths from start to goal, and next to them the ends of runs that arrive."""
+    """Draw the paths from start to goal, and beside them the ends of runs that arrive."""
     close_up = find_close_up(runs)
     worst = find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
@@ -93,7 +93,7 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
-    """Return whether the plane has no panel next to it: no run arrives, or leaves its path."""
+    """Return whether the plane has no panel beside it: no run arrives, or leaves its path."""
     return find_close_up(runs) is None and find_worst_place(runs) is None
 
 
@@ -124,7 +124,7 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 
 def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
-    """Return runs with how their paths look: of very many grey, and faint where one never rests."""
+    """Return runs with path styles: grey for very many, faint for a run that never rests."""
     if has_grey_paths(runs):
         return [(run, {**looks, **_OF_MANY}) for run, looks in style_runs(runs)]
     restless = find_restless(runs)
@@ -139,7 +139,7 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
     colors = choose_colors(len(runs))
     is_many = has_grey_paths(runs)
-    # In the order of gains the last would cover the others.
+    # Random order, because in the order of gains the last runs would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
     for number in order:
         looks: dict[str, Any] = {"color": colors[number], "ms": 2.2 if is_many else 3.0}
@@ -168,7 +168,7 @@ def stress_window(
     Args:
         figure: Figure without its legend.
         runs: Runs of the figure, in its order.
-        window_s: Start and end, from each run's first sample [s]; None for all.
+        window_s: Start and end, from each run's first sample [s]; None: all.
     """
     if window_s is None:
         return
@@ -251,7 +251,7 @@ def _write(axes: Axes, label: Label, color: Any) -> None:
 
 
 def _measure_letters(figure: Figure) -> Lettering:
-    """Return the room that words take: a close-up is about two fifths of the figure wide."""
+    """Return the size of text, for a close-up of about two fifths of the figure's width."""
     half_points, size = 0.2 * figure.get_figwidth() * 72.0, _WORDS_POINTS
     return Lettering(
         letter=0.62 * size / half_points, line=1.5 * size / half_points, gap=8.0 / half_points
@@ -273,7 +273,7 @@ class _FromOrigin(MaxNLocator):
         self._origin_m = origin_m
 
     def tick_values(self, vmin: float, vmax: float) -> list[float]:
-        """Return where ticks are between two ends [m]."""
+        """Return the positions of ticks between two ends [m]."""
         from_origin = super().tick_values(vmin - self._origin_m, vmax - self._origin_m)
         return [float(tick) + self._origin_m for tick in from_origin]
 
@@ -291,27 +291,28 @@ def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> 
 _PATH: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.8", "linewidth": 3.0, "zorder": 1.1, "solid_joinstyle": "miter", "label": "path"}
 )
-"""A broad band, on which the driven way is seen."""
+"""Style of a tracked path: a broad band on which the driven path is visible."""
 
 _WAY: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.35", "linewidth": 0.5, "zorder": 2.2, "solid_capstyle": "butt"}
 )
 
 _MOST_WAYS: Final = 60
-"""About two in a centimetre of a path around half a page: more would be a grey area."""
+"""Largest number of deviation lines: two per centimetre of a path around half a page; more would be
+a grey area."""
 
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
 
 def _draw_tracked_paths(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draw each path that a law tracks once, below what was driven."""
+    """Draw each tracked path once, below the driven paths."""
     for number, path in enumerate(list_paths(runs)):
         name = {} if number else {"label": _PATH["label"]}
         axes.plot(*outline_path(path).T, **{**_PATH, "label": None, **name})
 
 
 def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draw of a run alone where its reference on the path is, at equal times, as seen from it."""
+    """Draw lines from a single run to its reference on the path at equal times."""
     ways_m = read_way_to_reference(runs[0]) if len(runs) == 1 else None
     if ways_m is None or has_own_way(runs[0]):
         return
@@ -325,13 +326,13 @@ def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
 
 
 def _draw_worst_place(axes: Axes, worst: WorstPlace, color: Any) -> None:
-    """Draw how far from the path the run is that is furthest off, in its colour."""
+    """Draw the largest deviation from the path of all runs, in the colour of its run."""
     ends = np.array([worst.path_xy_m, worst.xy_m])
     axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
 
 
 def _choose_step(duration_s: float) -> float:
-    """Return a round time of which about as many fit into a run as there is room for."""
+    """Return a round time step, such that the lines of a run have room [s]."""
     least_s = max(duration_s, 1e-3) / _MOST_WAYS
     decade = 10.0 ** np.floor(np.log10(least_s))
     return float(next(step * decade for step in _STEPS if step * decade >= least_s * (1 - 1e-9)))

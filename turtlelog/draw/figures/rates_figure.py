@@ -35,23 +35,24 @@ from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 Values = NDArray[np.float64]
 
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower than this, the close-up stands below: half a column shows no delay."""
+"""Narrower figures have the close-up below: half a column would not show a delay [inch]."""
 
 _ROW_INCH: Final = 1.25
 _LEFT_INCH: Final = 0.75
 
 _BEFORE_S: Final = 0.25
-"""Shown before the change [s]."""
+"""Time shown before the change [s]."""
 
 _LEAST_AFTER_S: Final = 0.8
 _LENGTHS: Final = 6.0
-"""Dead times and lags that are shown after a step: after 5 lags it has followed to 1 %."""
+"""Time shown after a step, in dead times plus time constants: after 5 time constants the response
+is within 1 %."""
 
 _FINE: Final = 600
-"""Points of the model in the close-up."""
+"""Number of points of the model in the close-up."""
 
 _SHOWN_MS: Final = 2.0
-"""Width of an interval from which it is drawn [ms]: a narrower one is a stroke."""
+"""Smallest width of an interval that is drawn [ms]: a narrower one is a single stroke."""
 
 _REASON_LETTERS: Final = 58
 
@@ -75,11 +76,11 @@ class DrawnAxis:
     """Data drawn for one axis.
 
     Attributes:
-        model: Result of the identification, or why there is none.
+        model: Result of the identification, or the reason why there is none.
         brackets: Meaning of the values in brackets.
         command: Held command.
         measured: Measured rate of the robot; None if it is unknown.
-        traces: The same with the model, if it is known.
+        traces: Measured rate and model, if a model is known.
         outliers_s: End times of steps that the fit left out, shape (m,).
     """
 
@@ -146,7 +147,7 @@ def _tell_time(run: Run) -> str:
 
 
 def lacks_commands(run: Run) -> bool:
-    """Return whether there is no command, so that nothing is followed."""
+    """Return whether there is no command that the robot could follow."""
     return not any(_is_driven(run, name) for name in COMMAND_WORDS)
 
 
@@ -219,7 +220,8 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
     time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.residual
     draw_thinned(axes, time_s, values, values, **MEASURED)
     if len(one.outliers_s):
-        # An outlier is told at the pose after its step, traces at middles of one step or several.
+        # An outlier has the time of the pose after its step, traces that of the middle of one or
+        # more steps.
         near = np.searchsorted(time_s, one.outliers_s)[:, None] + np.arange(-2, 2)
         near = np.clip(near, 0, len(values) - 1)
         rows = near[np.arange(len(near)), np.abs(values[near]).argmax(axis=1)]
@@ -229,7 +231,7 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
 
 
 def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> None:
-    """Tell above a panel how large what does not count in the fit is, of several the largest."""
+    """Write above a panel the size of the outliers that the fit ignores, or of the largest."""
     largest = int(np.abs(values).argmax())
     told = f"left out: {values[largest]:+.3g} {unit} at {time_s[largest]:.2f} s"
     if len(values) > 1:
@@ -239,7 +241,7 @@ def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> Non
 
 
 def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
-    """Draw all large changes of the command over each other, and how robot and model follow."""
+    """Draw all large changes of the command over each other, with robot and model."""
     dead_s, lag_s = _read(one.model.dead_time_s), _read(one.model.lag_s)
     longest_s = 0.0 if one.model.dead_time_s is None else max(one.model.dead_time_s.high, 0.0)
     after_s = max(_LENGTHS * (dead_s + lag_s), _LEAST_AFTER_S)
@@ -253,11 +255,11 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     changes = find_command_changes(one.command)
     for change in changes:
         until_s = min(change.end_s + longest_s, change.half_s + after_s)
-        # What the robot does before then still follows the change before.
+        # Before that time the robot still follows the previous change.
         from_s = min(change.begin_s + dead_s, change.half_s)
         _draw_command(axes, one.command, change, min(change.end_s, until_s))
         if one.measured is not None:
-            # Not joined to tenths of a second, as those of the whole run: delays are shorter.
+            # Not averaged over tenths of a second like the whole run: delays are shorter.
             _draw_followed(axes, change, *_read_fine(one, run), (from_s, until_s), **_EACH)
         if one.traces is not None:
             fine_s = np.linspace(from_s, until_s, _FINE)
@@ -272,7 +274,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
 
 
 def _draw_command(axes: Axes, command: Curve, change: CommandChange, until_s: float) -> None:
-    """Draw a change as it was commanded, from the level before it."""
+    """Draw a commanded change, from the level before it."""
     rows = (command.time_s >= change.begin_s) & (command.time_s <= until_s)
     time_s = [change.half_s - _BEFORE_S, *command.time_s[rows], until_s]
     values = [change.before, *command.values[rows], command.values[rows][-1]]
@@ -288,13 +290,13 @@ def _draw_followed(
     span_s: tuple[float, float],
     **looks: Any,
 ) -> None:
-    """Draw what follows a change, over the time from when the command has made half of it."""
+    """Draw the response to a change, over time from half of the commanded change."""
     rows = (time_s >= span_s[0]) & (time_s <= span_s[1])
     axes.plot(time_s[rows] - change.half_s, change.scale(values[rows]), **looks)
 
 
 def _draw_interval(axes: Axes, dead_time: Estimate) -> None:
-    """Draw between which times the dead time ends, at the upper edge."""
+    """Draw the interval of the dead time's end, at the upper edge."""
     if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
         return
     ends = [dead_time.low, dead_time.high]
@@ -304,7 +306,7 @@ def _draw_interval(axes: Axes, dead_time: Estimate) -> None:
 
 
 def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
-    """Return the mean rate of each step between two poses, at its middle."""
+    """Return the mean rate of each step between two poses, at its middle [s]."""
     if one.traces is None:
         return one.measured or (np.empty(0), np.empty(0))
     time_s, moved, _ = measure_axis_steps(run.poses, one.model.axis)
@@ -334,4 +336,4 @@ def _tell_ms(found: Estimate) -> str:
 
 
 _EXACT_S: Final = 5e-5
-"""Width of an interval that tenths of a millisecond do not show [s]."""
+"""Largest width of an interval that tenths of a millisecond do not show [s]."""

@@ -41,53 +41,53 @@ from turtlelog.theory import (
 )
 
 _POINTS: Final = 600
-"""On each curve of a frequency response: 3 in a millimetre of a column."""
+"""Number of points of each frequency response: 3 per millimetre of a column."""
 
 _GAINS: Final = 160
-"""At which the poles of a root locus are computed."""
+"""Number of gains at which the poles of a root locus are computed."""
 
 _MOST_LOCI: Final = 6
-"""Panels of root loci: three rows of two."""
+"""Largest number of root locus panels: three rows of two."""
 
 _FAR: Final = 2.5
-"""Of Nyquist's plane around 0, and of a step response around 1: an open loop with an integrator has
-no bound, nor has an unstable response."""
+"""Largest visible distance from 0 in Nyquist's plane and from 1 in a step response. An open loop
+with an integrator has no bound, nor has an unstable response."""
 
 _BESIDE: Final = 0.4
-"""Least part of Nyquist's plane above and on the right of 0."""
+"""Smallest visible part of Nyquist's plane above and to the right of 0."""
 
 _NO_OVERSHOOT: Final = 0.05
-"""In %: less is none in the digits that are shown."""
+"""Smallest overshoot in the digits that are shown [%]."""
 
 _DECADES_BELOW: Final = 2.0
-"""Where a frequency response begins, below the crossover."""
+"""Decades below the crossover at which a frequency response begins."""
 
 _WIDER: Final = 1.2
-"""Each loop of a run is so much broader than the one on it [points]: of two that coincide, the
-dashes of the lower look out on both sides."""
+"""Additional width of each loop of a run below the others [points]: if two coincide, the lower one
+is visible on both sides."""
 
 _DASH_POINTS: Final = 1.6
-"""Width of a line to which dashes are scaled."""
+"""Width of a line to which dashes are scaled [points]."""
 
 _LARGER: Final = 2.2
-"""The same of their marks."""
+"""Additional size of the lower loops' marks [points]."""
 
 _MOST_TOLD: Final = 6
 
 _PLANE_INCH: Final = 3.0
-"""Least width of a plane of poles with the words beside it: two stand in a row of a page."""
+"""Smallest width of a plane of poles with its text [inch]: two fit into a row of a page."""
 _LINE_SHARE: Final = 0.45
-"""Height of the line of ideal poles, over that of a plane."""
+"""Height of the axis of ideal poles, as a share of a plane's."""
 _ROOM_INCH: Final = 0.35
-"""For the words above and below a plane."""
+"""Height of the text above and below a plane [inch]."""
 
 _MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "linestyle": ":"})
 
 _MOST_SAMPLES: Final = 20_000
-"""Of a step response: more than a page resolves."""
+"""Largest number of samples of a step response: more than a page resolves."""
 
 _UNSTABLE_LENGTH: Final = 40.0
-"""Over the dead time and a sample: as long as an unstable response is drawn."""
+"""Drawn length of an unstable response, as a multiple of dead time plus sampling period."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,12 +95,12 @@ class _LoopCurve:
     """One loop to draw.
 
     Attributes:
-        run: Name of its run; empty if there is one run.
-        is_many: Whether there are so many runs that a bar of colours names them.
-        layer: Number of the loop in its law: 0 is on top.
+        run: Name of the run; empty if there is only one.
+        is_many: Whether a colour bar names the runs, because there are many.
+        layer: Index of the loop in its law; 0 is on top.
         model: Model of the loop in theory.
         found: Properties of the loop.
-        run_looks: Colour and marker of its run.
+        run_looks: Colour and marker of the run.
     """
 
     run: str
@@ -112,7 +112,7 @@ class _LoopCurve:
 
     @property
     def color(self) -> Any:
-        """Colour of its run."""
+        """Colour of the loop's run."""
         return self.run_looks["color"]
 
     @property
@@ -122,31 +122,31 @@ class _LoopCurve:
         order = 2.6 - 0.3 * self.layer
         dashes = STROKES[LOOP_DASHES[self.layer % len(LOOP_DASHES)]]
         if self.layer % len(LOOP_DASHES):
-            # matplotlib scales dashes by the width of the line: two must fit into a legend.
+            # matplotlib scales dashes by the line's width: two dashes must fit into a legend.
             dashes = (0, tuple(_DASH_POINTS / width * part for part in dashes[1]))
         own = {"linestyle": dashes, "linewidth": width, "zorder": order}
         return {**self.run_looks, **own}
 
     @property
     def mark(self) -> dict[str, Any]:
-        """How a single point of it looks; that of a lower loop is a ring."""
+        """Style of a single point; a ring for a lower loop."""
         looks: dict[str, Any] = {"color": self.color, "ms": 3.5 + _LARGER * self.layer, "zorder": 3}
         return looks | ({"mfc": "none", "mew": 0.9} if self.layer else {})
 
     def tell_gain(self) -> str:
-        """Return Kp, and whether theory's loop is unstable with it."""
+        """Return Kp as text, and whether theory's loop is unstable with it."""
         verdict = "" if self.found.stable else " (unstable)"
         return f"Kp = {self.found.gains.kp:g}{verdict}"
 
     def label(self, tell: Callable[[PidLoop], str]) -> str:
-        """Return an entry for a legend: the run and the loop, and what is told of it."""
+        """Return a legend entry: the run, the loop, and the text of `tell`."""
         if self.is_many:
             return self.run
         return f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
 
 
 def find_lack_of_theory(runs: Sequence[Run]) -> str:
-    """Return why there is no loop of theory; empty if there is one."""
+    """Return the reason why theory has no loop; empty if it has one."""
     if not runs:
         return "a recording"
     models = [model for run in runs for model in model_run_loops(run)]
@@ -181,7 +181,7 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _tell_equal_phases(axes: Axes, curves: Sequence[_LoopCurve]) -> None:
-    """Return which runs have the same curve: Kp alone does not change the phase."""
+    """Write which runs have the same curve: Kp alone does not change the phase."""
     told = [
         f"{len(group)} runs have one phase of {group[0].model.loop.name}"
         f" ({1e3 * group[0].found.dead_time_s:.4g} ms)"
@@ -215,7 +215,7 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     axes.set(xlabel="real part", ylabel="imaginary part", aspect="equal")
     crossings = [curve.found.margins.gain_margin for curve in curves if curve.found.margins]
     left = min(-1.0, *(-1.0 / margin for margin in crossings if margin is not None), -1.0)
-    # Above and on the right there is nothing but mirrored curves and the circle.
+    # Above and to the right there are only mirrored curves and the circle.
     right, top = np.clip(1.2 * furthest, _BESIDE, 1.2)
     axes.set(xlim=(max(1.25 * left, -_FAR), right), ylim=(-1.3, top))
 
@@ -223,8 +223,8 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
 def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the poles of the closed loops against Kp, with those of the runs marked.
 
-    First that of the ideal loop in the s plane, where the plant is 1/s and the law proportional;
-    then those of the sampled loops in the z plane.
+    The first panel shows the ideal loop in the s plane, if the plant is 1/s and the law
+    proportional. The others show the sampled loops in the z plane.
     """
     curves = _style_loops(runs)
     names = _name_poles(runs, curves)
@@ -258,7 +258,7 @@ def _set_height(figure: Figure, rows: float, columns: int) -> None:
 
 
 def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of proportional loops on a plant that is 1/s; without runs the paper's."""
+    """Return the gains of proportional loops on a plant 1/s; without runs those of the paper."""
     ideal = [run for run in runs if find_plant(run).name != LAGGED]
     return find_gains(ideal) if ideal or not runs else ()
 
@@ -276,7 +276,7 @@ def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[Pol
 
 
 def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, str]:
-    """Return what a legend says of the poles of each run, by its name: its gains."""
+    """Return the legend text of each run's poles, by its name: its gains."""
     found: dict[str, str] = {}
     for name in _name_styled(runs):
         own = [curve for curve in curves if curve.run == name]
@@ -308,7 +308,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
-    """Return the loops of runs that theory knows: the run has a colour, its loop dashes."""
+    """Return the loops of runs that theory knows: runs differ in colour, loops in dashes."""
     known = [list_known(model_run_loops(run)) for run in runs]
     loops = dict.fromkeys(model.loop.name for models in known for model in models)
     layers = {name: layer for layer, name in enumerate(loops)}
@@ -335,7 +335,7 @@ def _name_styled(runs: Sequence[Run]) -> list[str]:
 def _name_loops(
     axes: Axes, curves: Sequence[_LoopCurve], tell: Callable[[PidLoop], str]
 ) -> list[str | None]:
-    """Return what a legend says of each loop; of many runs only which dashes are of which loop."""
+    """Return the legend text of each loop; for many runs only the dashes of each loop."""
     labels = [curve.label(tell) for curve in curves]
     if not any(curve.is_many for curve in curves):
         return name_some(axes, labels)
@@ -345,7 +345,7 @@ def _name_loops(
 
 
 def _tell_margins(found: PidLoop) -> str:
-    """Return the margins in short words for a legend."""
+    """Return the margins as short legend text."""
     margins = found.margins
     if margins is None:
         return "unstable"
@@ -358,7 +358,7 @@ def _tell_margins(found: PidLoop) -> str:
 
 
 def _tell_step(found: PidLoop) -> str:
-    """Return overshoot and settling time in short words for a legend."""
+    """Return overshoot and settling time as short legend text."""
     if not found.stable:
         return "unstable"
     if found.overshoot_percent is None or found.settling_time_s is None:
@@ -384,7 +384,7 @@ def _respond(model: LoopModel, frequencies: NDArray[np.float64]) -> NDArray[np.c
 
 
 def _unwrap_degrees(values: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Return a phase that begins between -360 and 0 deg."""
+    """Return a phase [deg] that begins between -360 and 0 deg."""
     turned = np.degrees(np.unwrap(np.angle(values)))
     return np.asarray(turned - 360.0 * np.ceil(turned[0] / 360.0))
 
@@ -400,14 +400,14 @@ def _every(step: float) -> Any:
 
 
 def _draw_ends(axes: Axes, frequencies: Sequence[float]) -> None:
-    """Draw where the frequencies of sampled loops end."""
+    """Draw the largest frequency of sampled loops."""
     for frequency in frequencies:
         looks = {**REFERENCE, "linestyle": STROKES["dotted"]}
         axes.axvline(frequency, **looks, label="π / T, the highest frequency", zorder=1.2)
 
 
 def _name_margins(axes: Axes) -> None:
-    """Name the marks of all loops, whatever their colours."""
+    """Add legend entries for the marks of all loops, without colour."""
     for marker, name in (("o", "phase margin (PM)"), ("s", "gain margin (GM)")):
         axes.plot([], [], marker, ms=3.5, color="0.35", label=name)
 
@@ -419,7 +419,7 @@ def _mark_margins(
     frequencies: NDArray[np.float64],
     turned: NDArray[np.float64],
 ) -> None:
-    """Mark the phase margin from -180 deg up, and the gain margin from 0 dB down."""
+    """Mark the phase margin from -180 deg upward, and the gain margin from 0 dB downward."""
     margins, looks = curve.found.margins, curve.looks
     if margins is None:
         return
@@ -454,7 +454,7 @@ def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
 
 
 def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str]) -> None:
-    """Draw how the poles move as Kp rises to half more than where it matters."""
+    """Draw the poles for increasing Kp, up to 1.5 times the largest relevant Kp."""
     first = group[0]
     gains, settings = first.model.require()
     limit = first.found.stable_gains[-1][1] if first.found.stable_gains else 0.0
@@ -479,7 +479,7 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
 
 
 def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a response, cut when it leaves the axes, as unstable ones do."""
+    """Return a response, cut where it leaves the axes, as unstable ones do."""
     beyond = np.abs(values - 1.0) > _FAR
     if not beyond.any():
         return values
@@ -487,7 +487,7 @@ def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _choose_duration(found: PidLoop) -> float:
-    """Return how long a step response is drawn [s]."""
+    """Return the drawn duration of a step response [s]."""
     if found.settling_time_s is not None:
         return 1.4 * found.settling_time_s
     if found.stable:

@@ -1,4 +1,4 @@
-"""Metrics of many runs by group: every run a point, beside a box where they are many."""
+"""Strip plots of metrics by group: every run a point, with a box if there are many."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,25 +22,26 @@ from turtlelog.run import Parameter, Run
 Values = NDArray[np.float64]
 
 _MOST_GROUPS: Final = 12
-"""Side by side; in a column each then has 6 mm."""
+"""Largest number of groups side by side; in a column each has 6 mm."""
 
 _MOST_KEYS: Final = 2
-"""Keys whose values name a group; of more the names would have no room below it."""
+"""Largest number of keys in the name of a group; more would have no room below it."""
 
 _MOST_LETTERS: Final = 22
 
 _BOX_FROM: Final = 10
-"""Values from which quartiles say something: of fewer each lies between two points or on one."""
+"""Number of values from which quartiles are useful: with fewer, each lies between two points or on
+one."""
 
 _HALF_WIDTH: Final = 0.17
-"""Of the points' strip, where the distance between groups is 1."""
+"""Half the width of a group's points, as a share of the distance between groups."""
 
 _PANEL_INCH: Final = 1.75
 _NARROW_INCH: Final = 2.3
-"""A panel is at least so wide, where there is more than one: its groups have names below it."""
+"""Smallest width of each of several panels [inch], because groups have names below."""
 
 _SIDE_INCH: Final = 0.65
-"""Of a panel's width, for the numbers and the two lines beside its axis."""
+"""Width of a panel for the numbers and the two lines beside its axis [inch]."""
 
 _BOX: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -59,9 +60,9 @@ class RunGroups:
     """Runs in groups.
 
     Attributes:
-        label: What they differ in, for an axis.
-        names: One for each group.
-        rows: Numbers of the runs of each group.
+        label: Differing quantity, for an axis.
+        names: Name of each group.
+        rows: Indices of the runs of each group.
     """
 
     label: str
@@ -70,10 +71,10 @@ class RunGroups:
 
 
 def group_runs(runs: Sequence[Run]) -> RunGroups:
-    """Return runs by their gain, or by what else of their scenarios differs; seeds do not count.
+    """Return runs grouped by gain, or by other differences of their scenarios except seeds.
 
     Raises:
-        ShowError: If they would be more groups than stand side by side.
+        ShowError: If there are too many groups for one panel.
     """
     keys = [key for key in list_differing(runs) if not key.endswith("seed")]
     gains = [key for run in runs for key in run.declaration.list_gains()]
@@ -108,7 +109,7 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
 
 
 def _name_key(key: str, runs: Sequence[Run]) -> str:
-    """Return the last part of a key, with its unit if it is a gain; others say theirs."""
+    """Return the last part of a key, with the unit of a gain; other keys contain their unit."""
     unit = find_gain_unit(runs, key)
     return f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
 
@@ -132,13 +133,13 @@ def _tell(value: Parameter | None) -> str:
 def draw_strips(
     figure: Figure, runs: Sequence[Run], *, metrics: Sequence[str] | None = None
 ) -> None:
-    """Draw a panel for each metric, with the runs of each group as points and, of many, a box.
+    """Draw a panel for each metric: the runs of each group as points, and a box if there are many.
 
     Args:
         figure: Figure to draw on.
-        runs: In groups by gain, or by what else differs.
-        metrics: Ids, patterns, or names of metrics of any loop; overshoot, settling time and final
-            position error unless given.
+        runs: Runs, which are grouped by gain, or by other differences.
+        metrics: Ids, patterns, or names of metrics of any loop. Default: overshoot, settling time
+            and final position error.
 
     Raises:
         ShowError: If there are too many groups, or no run has a value.
@@ -162,7 +163,7 @@ def draw_strips(
 
 
 def _choose_columns(groups: RunGroups, count: int, width_inch: float) -> int:
-    """Return as many columns of panels as there is room for, fewer where names would slant."""
+    """Return the number of panel columns that fit, fewer if names would be slanted."""
     most = max(1, min(count, int(width_inch / _NARROW_INCH)))
     widest = _measure_widest(_name_groups(groups))
     fitting = [n for n in range(most, 0, -1) if widest <= _find_room(groups, width_inch / n)]
@@ -170,7 +171,7 @@ def _choose_columns(groups: RunGroups, count: int, width_inch: float) -> int:
 
 
 def _find_room(groups: RunGroups, panel_inch: float) -> float:
-    """Return how wide the name of a group may be below a panel [mm]."""
+    """Return the width for a group's name below a panel [mm]."""
     return 0.95 * 25.4 * (panel_inch - _SIDE_INCH) / len(groups.names)
 
 
@@ -179,7 +180,7 @@ def _measure_widest(names: Sequence[str]) -> float:
 
 
 def _name_groups(groups: RunGroups) -> list[str]:
-    """Return names below a panel, with how many runs there are unless all have as many."""
+    """Return names below a panel, with the number of runs unless all groups have the same."""
     if _tell_sizes(groups):
         return [*groups.names]
     named = zip(groups.names, groups.rows, strict=True)
@@ -187,7 +188,7 @@ def _name_groups(groups: RunGroups) -> list[str]:
 
 
 def _tell_sizes(groups: RunGroups) -> str:
-    """Return how many runs all groups have; empty if they differ, as their names tell it."""
+    """Return the common number of runs per group as text; empty if the numbers differ."""
     sizes = {len(rows) for rows in groups.rows}
     if len(sizes) > 1 or len(groups.rows) == 1:
         return ""
@@ -222,7 +223,7 @@ def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: flo
 
 
 def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: bool) -> None:
-    """Draw a group's values, spread where they are many, and its box or its median."""
+    """Draw a group's values, spread sideways if there are many, and its box or its median."""
     if not len(known):
         return
     beside = 0.2 if is_boxed else 0.0
@@ -245,10 +246,10 @@ def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: 
 
 
 def _spread(values: Values) -> Values:
-    """Return how far points stand aside, so that near ones do not hide each other.
+    """Return sideways offsets of points, so that close values do not hide each other.
 
-    By the golden ratio in the order of the values: neighbours stand far apart, and the same runs
-    give the same picture.
+    Offsets follow the golden ratio in the order of the values: neighbours are far apart, and equal
+    runs give equal pictures.
     """
     if len(values) < 3:
         return np.zeros(len(values))

@@ -1,4 +1,4 @@
-"""Figures of a sweep as files: maps over two keys, curves over one, sensitivities of all."""
+"""Figures of a sweep as files: maps over two keys, curves over one, sensitivities of all keys."""
 
 import io
 import math
@@ -29,31 +29,32 @@ from turtlelog.sweep.table.swept_results import read_swept_results
 from turtlelog.sweep.table.swept_views import SweptView, choose_view, require_values
 
 _PANEL_INCH: Final = 2.5
-"""Height of a map with its title and the name of its lower side."""
+"""Height of a map with its title and the label of its lower side [inch]."""
 
 _TORNADO_INCH: Final = 0.75
 _BAR_INCH: Final = 0.34
-"""Heights of a tornado without bars, and of a bar: two lines of lettering."""
+"""Height of each bar of a tornado plot [inch]: two lines of text."""
 
 _SQUEEZED: Final = 0.62
-"""Share of their heights to which panels fit on a slide: of less, the names of sides touch."""
+"""Smallest height of panels on a slide as a share of the usual; on lower ones, labels of sides
+touch."""
 
 _LETTERS_PER_INCH: Final = 16.0
-"""Of the notes below the panels, 7 points high."""
+"""Letters per inch of the notes below the panels, at 7 points."""
 
 _LINE_INCH: Final = 0.14
 
 _NARROWEST_INCH: Final = 2.6
-"""A map beside another is at least so wide: its bar and its side take an inch."""
+"""Smallest width of a map beside another [inch]: its bar and its side take one inch."""
 
 MapKind = Literal["map", "curves", "tornado"]
-"""What a figure of a sweep shows."""
+"""Content of a sweep figure."""
 
 _METHODS: Final = (
     "range along each key, below it its values at both ends; at the line all keys are held at",
     "Spearman's rank correlation; grey: 95 % of independent keys",
 )
-"""Of sensitivities, in a grid and in a sample."""
+"""Descriptions of the sensitivities in a grid and in a sample."""
 
 
 def write_map_figure(
@@ -67,11 +68,11 @@ def write_map_figure(
     """Write the metrics of a sweep as one figure, and return its path.
 
     Args:
-        view: As `choose_view` returns it.
-        limits: Of theory, as `find_loop_limits` returns them.
+        view: View from `choose_view`.
+        limits: Limits from theory, as from `find_loop_limits`.
         path: File name that ends in .pdf, .png or .svg.
-        kind: Maps over two axes (over one, curves), curves over one of them, or how far each key
-            moves a metric.
+        kind: Maps over two axes (for one axis, curves), curves over one axis, or the change of a
+            metric along each key.
         page: Page format.
 
     Raises:
@@ -97,21 +98,21 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
     kind: MapKind = "map",
     page: Page | None = None,
 ) -> Figure:
-    """Return the map of a sweep, drawn, which a notebook shows.
+    """Return the drawn map of a sweep, which a notebook shows.
 
     Args:
-        table: Of `sweep_scenario`, or the file of one.
-        metrics: Ids or patterns; None: up to four of them.
-        x: Key at the bottom; None: chosen.
-        y: Key at the side; None: chosen.
-        at: Values of keys that are held.
-        kind: Maps over two keys (over one, curves), curves over one of them, or how far each key
-            moves a metric (`tornado`).
+        table: Table from `sweep_scenario`, or its file.
+        metrics: Ids or patterns; None: up to four metrics of the table.
+        x: Key of the horizontal axis; None: chosen.
+        y: Key of the vertical axis; None: chosen.
+        at: Values of keys that are held constant.
+        kind: Maps over two keys (for one key, curves), curves over one key, or the change of a
+            metric along each key (`tornado`).
         page: Page format.
 
     Raises:
-        SweepError: If a key does not vary, a metric is not there, or no row has a value.
-        LogError: If the file is no table of a sweep.
+        SweepError: If a key does not vary, a metric does not exist, or no row has a value.
+        LogError: If the file is not a table of a sweep.
     """
     if isinstance(table, SweepTable):
         results = read_table_results(table, metrics)
@@ -132,7 +133,7 @@ def draw_sweep(
     kind: MapKind = "map",
     page: Page | None = None,
 ) -> bytes:
-    """Return the figure that `write_map_figure` writes, in one of `FIGURE_FORMATS`."""
+    """Return the content of the file that `write_map_figure` writes, in one of `FIGURE_FORMATS`."""
     page, data = page or Page(kind="page"), io.BytesIO()
     kind = "curves" if view.y is None and kind == "map" else kind
     with mpl.rc_context(dict(LOOKS)):
@@ -142,7 +143,7 @@ def draw_sweep(
 
 
 def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
-    """Return the figure of a sweep, drawn."""
+    """Return the drawn figure of a sweep."""
     metrics = view.results.metrics
     found = [find_sensitivities(view.results, one, dict(view.held)) for one in metrics]
     most = max(len(one.keys) for one in found)
@@ -171,7 +172,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
 
 
 def _write_below(figure: Figure, words: Sequence[str]) -> None:
-    """Write lines below the panels, broken where they are wider than the figure, which grows."""
+    """Write lines below the panels, wrapped to the figure's width; the figure grows."""
     letters = int(figure.get_figwidth() * _LETTERS_PER_INCH)
     lines = [line for one in words for line in textwrap.wrap(one, letters)]
     width, height = figure.get_size_inches()
@@ -210,15 +211,15 @@ def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
 
 
 _MOST_KEYS: Final = 12
-"""Bars of a panel: each has 4 mm of a column."""
+"""Largest number of bars in a panel: each has 4 mm of a column."""
 
 _NO_VALUE: Final = "#a03020"
 
 _THIN: Final = 0.01
-"""Of the widest bar: one of less looks like none, and its ends are told."""
+"""Share of the widest bar below which a bar is not visible and its ends are written."""
 
 _ROOM_FOR_WORDS: Final = 0.9
-"""Of what the bars span, to the right of them."""
+"""Room for text to the right of the bars, as a multiple of their span."""
 
 _HEIGHT: Final = 0.62
 
@@ -227,7 +228,7 @@ def _draw_tornado(axes: Axes, found: Sensitivities) -> None:
     """Draw a bar for each key: the metric's range along it, or its rank correlation."""
     keys = found.keys[:_MOST_KEYS]
     title = label_metric(found.metric) if found.chance is None else found.metric.name
-    axes.set_title(title, loc="right")  # beside long names of keys there is no room on both sides
+    axes.set_title(title, loc="right")  # long names of keys leave no room on both sides
     axes.grid(visible=False, axis="y")
     axes.set_yticks(range(len(keys)), labels=[_name(one) for one in keys])
     axes.set_ylim(max(len(keys), 1) - 0.4, -0.6)
@@ -242,7 +243,7 @@ def _draw_tornado(axes: Axes, found: Sensitivities) -> None:
 
 
 def _name(one: Sensitivity) -> str:
-    """Return a key, and below it its values where the metric is least and greatest."""
+    """Return a key, and below it its values at the least and the greatest value of the metric."""
     name = one.axis.name.replace(", ", ",\n")
     if one.least_place is not None and one.most_place is not None:
         ends = (one.axis.tell_place(place) for place in (one.least_place, one.most_place))
@@ -262,7 +263,7 @@ def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) 
         low, high = _scale(found, one.least), _scale(found, one.most)
         axes.barh(number, high - low, _HEIGHT, left=low, color=color, alpha=0.8)
         if one.left_out:
-            # What has no value, such as a loop that never settles, may be the largest effect.
+            # Missing values, as of a loop that never settles, may be the largest effect.
             told = f" {one.left_out} of {len(one.axis)} values: no value"
             axes.text(high, number, told, fontsize=6.2, va="center", color=_NO_VALUE)
         elif high - low < _THIN * widest:

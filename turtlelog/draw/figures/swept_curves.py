@@ -1,4 +1,4 @@
-"""Metrics of a sweep against one key, a line for each value of a second, with theory's limits."""
+"""Metrics of a sweep against one key, a line per value of a second key, and theory's limits."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -26,31 +26,33 @@ from turtlelog.sweep.table.swept_views import SweptView, fill_cells
 Values = NDArray[np.float64]
 
 _MOST_LINES: Final = 12
-"""Values of a second key that have a line each: neighbours on the ramp are told apart."""
+"""Largest number of values of a second key with a line each: neighbouring colours remain
+distinct."""
 
 _MOST_TOLD: Final = 6
-"""Values that a legend says are left out; of more it says the steps."""
+"""Largest number of omitted values that a legend lists; otherwise it gives the step."""
 
 _ALIKE: Final = 0.005
-"""Curves that differ by less of a panel's height are one line in print: a third of a millimetre."""
+"""Difference below which curves are one line in print: a third of a millimetre, as a share of a
+panel's height."""
 
 _RAMP_COLORS: Final = 256
 
 _MOST_MARKED: Final = 40
-"""Values of the key up to which each is a dot on the line: one in 2 mm of a panel."""
+"""Largest number of key values with a dot on the line: one per 2 mm of a panel."""
 
 _MOST_DOTS: Final = 500
-"""Rows of a sample up to which their dots are large: they cover a tenth of a panel."""
+"""Largest number of sample rows with large dots: these cover a tenth of a panel."""
 
 _DECADES: Final = 100.0
-"""Largest over least value from which the axis is logarithmic: linear, all of the lower decade
-would lie within a line's width of its floor."""
+"""Ratio of largest to smallest value from which the axis is logarithmic. On a linear axis the whole
+lower decade would be as thin as a line."""
 
 
 def choose_curve_axes(
     view: SweptView, limits: Sequence[LoopLimits]
 ) -> tuple[SweptAxis, SweptAxis | None]:
-    """Return what curves run over, a gain before all else, and what each is of."""
+    """Return the axis along curves, preferably a gain, and the axis with one line per value."""
     if view.y is None:
         return view.x, None
     gains = [one.gain for one in limits]
@@ -58,7 +60,7 @@ def choose_curve_axes(
 
 
 def choose_series(series: SweptAxis | None) -> list[int]:
-    """Return the places of a second axis that have a line; of many a few in even steps."""
+    """Return the indices of a second axis that have a line; if many, a few in even steps."""
     if series is None:
         return [0]
     count = min(len(series), _MOST_LINES)
@@ -72,12 +74,12 @@ def draw_curves(
 
     Args:
         axes: Axes to draw on.
-        view: Of one axis or two.
-        metric: One of its results.
-        limits: Of theory, as `find_loop_limits` returns them.
+        view: View with one or two axes.
+        metric: Metric among its results.
+        limits: Limits from theory, as from `find_loop_limits`.
 
     Returns:
-        What a legend names, with how it looks.
+        Legend entries with their styles.
     """
     along, series = choose_curve_axes(view, limits)
     if view.results.is_sampled and len(view.results.axes) > 1:
@@ -115,23 +117,23 @@ def draw_curves(
 
 
 def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...]]:
-    """Return a colour for each line: of numbers from the ramp, in their order."""
+    """Return a colour for each line: numbers have colours of the ramp in their order."""
     if series is None or not series.is_number or count == 1:
         return choose_colors(count)
-    # The ramp is that of more runs than have hues; its ends are the least and the greatest.
+    # The ramp is that of more runs than hues; its ends are the least and the greatest value.
     ramp = choose_run_colors(_RAMP_COLORS)
     rows = np.linspace(0, _RAMP_COLORS - 1, count).round().astype(int)
     return [to_rgb(ramp[row]) for row in rows]
 
 
 def _name_value(series: SweptAxis, place: int) -> str:
-    """Return what a legend says of a line: `law.kp_linear = 4`."""
+    """Return the legend text of a line: `law.kp_linear = 4`."""
     pairs = zip(series.keys, series.values[place], strict=True)
     return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:
-    """Return which values of a second key have no line."""
+    """Return the values of a second key without a line, as text."""
     left = [place for place in range(len(series)) if place not in places]
     if len(left) <= _MOST_TOLD:
         return f"left out: {', '.join(series.tell_place(place) for place in left)}"
@@ -139,7 +141,7 @@ def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:
 
 
 def _tell_alike(axes: Axes, curves: Values) -> None:
-    """Say above a panel how many of its curves are one line."""
+    """Write above a panel how many of its curves coincide."""
     known = curves[np.isfinite(curves)]
     least = _ALIKE * float(np.ptp(known)) if len(known) else 0.0
     groups: list[Values] = []
@@ -164,7 +166,7 @@ def _draw_line(
     numbers, known = along.numbers, np.isfinite(values)
     if along.is_number:
         axes.plot(numbers, values, color=color, linewidth=0.9, zorder=2.0)
-    # A value between two that are missing has no line on either side.
+    # A value between two missing values has no line on either side.
     alone = known & ~np.r_[False, known[:-1]] & ~np.r_[known[1:], False]
     shown = known if len(numbers) <= _MOST_MARKED else alone
     axes.plot(numbers[shown], values[shown], "o", color=color, markersize=2.6, zorder=2.1)
@@ -174,7 +176,7 @@ def _draw_line(
 
 
 def _mark_valueless(axes: Axes, numbers: Values, color: Any) -> dict[str, Any]:
-    """Mark at the upper edge where rows have no value."""
+    """Mark rows without a value at the upper edge."""
     mark: dict[str, Any] = {"color": color, "marker": "x", "linestyle": "", "ms": 3.0}
     at = np.full(len(numbers), 0.985)
     axes.plot(numbers, at, transform=axes.get_xaxis_transform(), **mark)
@@ -184,7 +186,7 @@ def _mark_valueless(axes: Axes, numbers: Values, color: Any) -> dict[str, Any]:
 def _draw_sample(
     axes: Axes, view: SweptView, metric: SweptMetric, along: SweptAxis
 ) -> dict[str, Any]:
-    """Draw a dot for each row: of those that were drawn no two share a value of another key."""
+    """Draw a dot for each row: random rows do not share values of another key."""
     (color,) = choose_colors(1)
     numbers = along.numbers[along.places[view.rows]]
     values = scale_values(metric, metric.values[view.rows])
@@ -203,7 +205,7 @@ def _draw_limits(
     place: int,
     color: Any,
 ) -> dict[str, Any]:
-    """Draw theory's limits of one column as upright lines, in the colour of its curve."""
+    """Draw theory's limits of one column as vertical lines, in the colour of its curve."""
     column = found.columns[place if len(found.columns) > 1 else 0]
     low, high = float(along.numbers[0]), float(along.numbers[-1])
     named: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Panels over time, and how panels stand in a figure: curves, level lines, gaps and outliers."""
+"""Panels over time and their arrangement in a figure: curves, level lines, gaps and outliers."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -57,7 +57,7 @@ _LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
         "sensed": {"marker": ".", "markersize": 2.4, "markeredgewidth": 0.0, "zorder": 1.7},
     }
 )
-"""Width and order of each kind of curve; its colour and its dash are those of `charts.looks`."""
+"""Width and order of each kind of curve; colour and dashes come from `charts.looks`."""
 
 _LEVELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
@@ -69,12 +69,12 @@ _LEVELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
 )
 
 _GRID: Final = {"color": "0.8", "linewidth": 0.5}
-"""Zero in a panel of commands or states."""
+"""Style of the zero line in a panel of commands or states."""
 
 _COMMANDED: Final[Mapping[str, Any]] = MappingProxyType(
     {"linewidth": 0.5, "zorder": 1.8, "marker": "", "label": "commanded"}
 )
-"""Commands beside measured rates of the same run, in its colour."""
+"""Style of commands beside measured rates of the same run, in its colour."""
 
 _LOST: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -86,7 +86,7 @@ _LOST: Final[Mapping[str, Any]] = MappingProxyType(
         "label": "dropped out",
     }
 )
-"""Poses that the controller does not get: strokes at the lower edge."""
+"""Style of poses that the controller does not receive: strokes at the lower edge."""
 
 _OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
     {"linestyle": "", "marker": "v", "markersize": 4.0, "clip_on": False, "label": "outlier"}
@@ -99,21 +99,21 @@ _GAP: Final[Mapping[str, Any]] = MappingProxyType(
 _DIMMED: Final[Mapping[str, Any]] = MappingProxyType(
     {"alpha": 0.35, "linewidth": 0.6, "zorder": 1.4}
 )
-"""A run that never settles, below those that do."""
+"""Style of a run that never settles, below those that do."""
 
 _WORDS_POINTS: Final = 6.5
 
 _OUTLIER_ROOM: Final = 0.15
-"""Of an axis' length, for a line of words on outliers below the curves."""
+"""Share of an axis for a line of text on outliers below the curves."""
 
 
 def draw_time_plot(
     axes: Axes, runs: Sequence[Run], *, name: str, scale: Scale | None = None
 ) -> None:
-    """Draw one plot of `TIME_PLOTS` or a state: of a run alone all curves, of several a few kinds.
+    """Draw a plot of `TIME_PLOTS` or a state: all curves of a single run, a few kinds of several.
 
-    Beside it stands what the plot's signal aims at. Runs that never settle are dimmed where others
-    do, and do not set the axes.
+    The references of the plot's signal are drawn, too. Runs that never settle are dimmed if others
+    settle, and do not set the axis limits.
     """
     plot = find_plot(name, runs)
     scale = scale or plot.scale
@@ -122,12 +122,12 @@ def draw_time_plot(
         origin_m = find_origin(runs)["xy".index(name)]
         runs, _ = move_near(runs)
     if plot.command is None and scale != "symlog":
-        axes.set_label(f"|{name}|" if scale == "log" else name)  # where marks find it
+        axes.set_label(f"|{name}|" if scale == "log" else name)  # name by which marks find it
     _scale(axes, scale)
     _draw_levels(axes, runs, plot, scale)
     restless = find_restless(runs)
     _draw_curves(axes, runs, plot, scale, restless)
-    # A distance has no sign to take away.
+    # A distance is never negative, so its magnitude is the same.
     has_sign = scale == "log" and name != "distance"
     label = f"|{plot.title}| [{plot.unit}]" if has_sign else plot.label
     label = label_coordinate(name, origin_m) if origin_m else label
@@ -146,7 +146,7 @@ def draw_time_plot(
 
 
 def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label: str) -> None:
-    """Draw states of a law: one of every run, or several of one run."""
+    """Draw states of a law: one state of every run, or several states of one run."""
     if len(names) == 1:
         draw_time_plot(axes, runs, name=names[0])
         return
@@ -168,7 +168,7 @@ def _scale(axes: Axes, scale: Scale) -> None:
 
 
 def _draw_levels(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale) -> None:
-    """Draw level lines under their names, each name once."""
+    """Draw level lines with their names, each name once."""
     levels = list_plot_levels(runs, plot, scale)
     if any(level.kind == "limit" for level in levels) or plot.command is not None:
         draw_level(axes, [0.0], **_GRID)
@@ -180,7 +180,7 @@ def _draw_levels(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale) 
 def _draw_curves(
     axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, restless: frozenset[int]
 ) -> None:
-    """Draw the curves of all runs; what several aim at alike is drawn once."""
+    """Draw the curves of all runs; a reference that several share is drawn once."""
     is_alone, is_many = len(runs) == 1, len(runs) > len(FEW)
     aims: list[Curve] = []
     colors = choose_run_colors(len(runs))
@@ -208,7 +208,7 @@ def _draw_curves(
 def _choose_looks(
     found: PlottedCurve, looks: Mapping[str, Any], color: Color, *, is_alone: bool
 ) -> dict[str, Any]:
-    """Return how a curve looks: what a run did has its marker."""
+    """Return the style of a curve; the run's own curve has its marker."""
     hue = to_rgb(choose_curve_color(found.kind, color, is_alone=is_alone))
     own = {**looks, "color": hue, "linestyle": STROKES[choose_dash(found.kind)]}
     if found.kind not in ("run", "measured"):
@@ -222,7 +222,7 @@ def _choose_looks(
 
 
 def _is_known(aim: Curve, aims: list[Curve]) -> bool:
-    """Whether another run has the same reference; otherwise it is one of those that are drawn."""
+    """Return whether a reference is in `aims`; otherwise it is added there."""
     if any(_are_alike(aim, other) for other in aims):
         return True
     aims.append(aim)
@@ -242,14 +242,14 @@ def _draw(axes: Axes, run: Run, kind: CurveKind, curve: Curve, looks: Mapping[st
 
 
 def _are_alike(one: Curve, other: Curve) -> bool:
-    """Whether two references are the same: of runs that track one path by time."""
+    """Return whether two references are equal, as for runs that track one path by time."""
     return np.array_equal(one.time_s, other.time_s) and np.array_equal(
         one.values, other.values, equal_nan=True
     )
 
 
 def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_forced: bool) -> None:
-    """Give an axis the height of what was measured: of magnitudes and commands, or where forced."""
+    """Fit an axis to the measured values, for magnitudes and commands or if forced."""
     curves = [curve for run in runs for curve in list_own(run, plot)]
     if scale == "log":
         sizes = [take_magnitude(curve).values for curve in curves]
@@ -265,7 +265,7 @@ def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_fo
 
 
 def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
-    """Shade when something pushes the plant, and stretches without poses, with their length."""
+    """Shade disturbances of the plant, and gaps without poses with their length."""
     if plot.command is not None and (pushed_s := find_disturbance(run)) is not None:
         axes.axvspan(*pushed_s, **PUSHED)
     for start_s, end_s, words in list_seen_gaps(run):
@@ -276,7 +276,7 @@ def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
 
 
 def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
-    """Name the outliers that the axis leaves out, with a mark at each one's time."""
+    """Write the outliers beyond the axis, with a mark at the time of each."""
     lines = []
     colors = choose_run_colors(len(runs))
     for run, name, color in zip(runs, label_runs(runs), colors, strict=True):
@@ -296,11 +296,11 @@ def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
 
 
 Draw = Callable[[Axes, Sequence[Run]], None]
-"""Draws one panel of some runs."""
+"""A function that draws one panel for some runs."""
 
 
 def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
-    """Draw panels over each other on one time axis."""
+    """Draw panels one above the other on one time axis."""
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
     for axes, panel in zip(grid[:, 0], panels, strict=True):
         panel(axes, runs)
@@ -309,10 +309,10 @@ def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> N
 
 
 def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
-    """Draw where runs drove, and panels on one time axis in two columns around it.
+    """Draw the paths, and panels on one time axis in two columns around them.
 
-    The plane stands at the top of the left column. Of runs without samples it takes all of that,
-    and of runs without poses there is none.
+    The plane is at the top of the left column. For runs without samples it takes the whole column;
+    for runs without poses there is none.
     """
     if not any(len(run.poses) for run in runs):
         draw_stack(figure, runs, panels)
@@ -341,12 +341,12 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
 
 
 def count_plane_rows(panels: Sequence[object]) -> int:
-    """Return the rows of two columns that a plane takes so that beside panels no place is empty."""
+    """Return the rows that a plane takes of two columns, so that no place is empty."""
     return 1 + (len(panels) + 1) % 2
 
 
 def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
-    """Name the axes of a panel over time."""
+    """Label the axes of a panel over time."""
     firsts = dict.fromkeys(run.first_row for run in runs)
     axes.set(xlabel=f"time from the first {' or '.join(firsts)} [s]", ylabel=label)
     axes.margins(x=0.01)

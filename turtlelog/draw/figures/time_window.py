@@ -1,4 +1,4 @@
-"""A part of time: the axes of a figure that show runs over time are cut to it."""
+"""A time window to which the time axes of a figure are cut."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -14,20 +14,20 @@ from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
 _TIME = "time from the first"
-"""How the labels of axes begin that show runs over time."""
+"""Beginning of the labels of time axes."""
 
 _MOST_AT_REST: Final = 0.6
-"""Of a time axis: where curves come to rest before this part of it, it ends there."""
+"""Largest share of a time axis for curves that come to rest, if the axis ends there."""
 
 _AFTER_REST: Final = 0.15
-"""How much longer the axis is."""
+"""Length of the axis after the beginning of rest, as a share of the time before it."""
 
 
 def require_window(runs: Sequence[Run], page: Page) -> None:
-    """Refuse times at which no run was going on.
+    """Refuse a time window in which no run has data.
 
     Raises:
-        ShowError: With the times that there are.
+        ShowError: With the available times.
     """
     asked = [
         (name, bound_s)
@@ -48,7 +48,7 @@ def require_window(runs: Sequence[Run], page: Page) -> None:
 
 
 def find_shown_times(runs: Sequence[Run], page: Page) -> tuple[float, float] | None:
-    """Return from when to when a page shows runs [s]; None if it shows all of them."""
+    """Return the time window of a page [s]; None if it shows the whole runs."""
     if page.from_s is None and page.to_s is None:
         return None
     first_s, last_s = _find_span(runs)
@@ -59,13 +59,13 @@ def find_shown_times(runs: Sequence[Run], page: Page) -> tuple[float, float] | N
 
 
 def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
-    """Show what lies within the page's times, each curve at the height that it has there.
+    """Cut time axes to the page's time window, with heights that fit the visible curves.
 
-    Without such times an axis along which nothing more happens in its second half ends there.
+    Without a window, an axis whose curves rest in its second half ends there.
     """
     window_s = find_shown_times(runs, page)
     if window_s is None:
-        # Commands that stay the same say nothing of rest.
+        # Constant commands do not show that a robot is at rest.
         if not page.has_marks and (not runs or any(len(run.poses) for run in runs)):
             _end_at_rest(list_time_axes(figure), _find_span(runs)[1] if runs else 0.0)
         return
@@ -77,7 +77,7 @@ def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
 
 
 def _end_at_rest(found: Sequence[Axes], end_s: float) -> None:
-    """End axes where their curves come to rest, if that is in their first half, and say so."""
+    """End axes where their curves come to rest, if that is in the first half, with a note."""
     is_linear = all(axes.get_yscale() == "linear" for axes in found)
     lengths_s = {axes.get_xlim()[1] for axes in found}
     if not is_linear or len(lengths_s) != 1:
@@ -98,7 +98,7 @@ def _list_curves(axes: Axes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def list_time_axes(figure: Figure) -> list[Axes]:
-    """Return the axes that show runs over time; those above others have no label of their own."""
+    """Return the time axes; those above others have no label of their own."""
     found = []
     for axes in figure.axes:
         alike = axes.get_shared_x_axes().get_siblings(axes)
@@ -108,7 +108,7 @@ def list_time_axes(figure: Figure) -> list[Axes]:
 
 
 def fit_height(axes: Axes, window_s: tuple[float, float], margin: float = 0.06) -> None:
-    """Give an axis the height of what its curves do within some time."""
+    """Fit the height of an axis to its curves within a time window."""
     values = np.concatenate([*_list_visible(axes, window_s), np.empty(0)])
     is_log = axes.get_yscale() == "log"
     values = values[np.isfinite(values) & (values > 0.0 if is_log else True)]
@@ -123,7 +123,7 @@ def fit_height(axes: Axes, window_s: tuple[float, float], margin: float = 0.06) 
 
 
 def _list_visible(axes: Axes, window_s: tuple[float, float]) -> Iterator[np.ndarray]:
-    """Yield the values of curves within some time, with where they enter and leave it."""
+    """Yield the values of curves within a time window, including its ends."""
     for line in axes.get_lines():
         if line.get_transform() != axes.transData or line.get_linestyle() == "None":
             continue
@@ -145,7 +145,7 @@ def _read_edges(
 
 
 def _find_span(runs: Sequence[Run]) -> tuple[float, float]:
-    """Return from when to when runs last, each from its first sample [s]."""
+    """Return the start and end of all runs, from the first sample of each [s]."""
     starts = [min([*run.poses.time_ns[:1].tolist(), run.start_ns]) - run.start_ns for run in runs]
     ends = [run.end_ns - run.start_ns for run in runs]
     return min(starts) / 1e9, max(ends) / 1e9

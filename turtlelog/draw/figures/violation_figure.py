@@ -1,4 +1,4 @@
-"""The signal that a check holds to a band: the part outside, where it begins, where it is worst."""
+"""The signal of a check with its allowed band, the first and the worst violation."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -24,18 +24,18 @@ Values = NDArray[np.float64]
 _RED: Final = "#c62828"
 _HEIGHT: Final = 0.5
 _SMALL: Final = 0.12
-"""Share of the axis below which limits and what is outside would be too small to be told apart."""
+"""Share of the axis below which limits and violations would be too close to distinguish."""
 
 _SHORT: Final = 0.01
-"""Share of the axis of time below which what is outside is narrower than its own dot of 2 mm."""
+"""Share of the time axis below which a violation is narrower than its dot of 2 mm."""
 _MOST_STRIPES: Final = 60
-"""Of more the panel would be red."""
+"""Largest number of violations that are shaded; more would make the panel red."""
 _STRIPE: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": _RED, "alpha": 0.3, "linewidth": 2.5, "zorder": 0.8}
 )
 
 _TITLE_LETTERS: Final = 11.5
-"""Letters of a title in an inch of its figure."""
+"""Letters of a title per inch of its figure."""
 
 _LEAST_INCH: Final = 2.2
 _BAND: Final[Mapping[str, Any]] = MappingProxyType(
@@ -58,12 +58,12 @@ _POINT: Final[Mapping[str, Any]] = MappingProxyType(
 def draw_violation(
     figure: Figure, runs: Sequence[Run], *, violated: ViolatedSignal | None = None
 ) -> None:
-    """Draw the signal of a check with its band; where it holds, how near it comes.
+    """Draw the signal of a check with its band; if the check holds, also its closest approach.
 
     Args:
         figure: Figure to draw on.
-        runs: The one that was checked.
-        violated: What the check found; nothing can be drawn without it.
+        runs: Sequence of the checked run.
+        violated: Result of the check; nothing can be drawn without it.
 
     Raises:
         ShowError: If there is not exactly one run, or nothing was checked.
@@ -118,7 +118,7 @@ def _name_limit(axes: Axes, time_s: Values, end: Values, name: str, *, is_low: b
 
 
 def _draw_outside(axes: Axes, violated: ViolatedSignal) -> None:
-    """Draw in red what is outside, with the row after it where a value holds."""
+    """Draw the part outside in red, including the next row if a value is held."""
     outside = violated.outside
     if not outside.any():
         return
@@ -137,7 +137,7 @@ def _draw_outside(axes: Axes, violated: ViolatedSignal) -> None:
 
 
 def _list_short(violated: ViolatedSignal) -> list[float]:
-    """Return the middles of what is outside for too short to be seen [s]."""
+    """Return the middles of violations that are too short to be visible [s]."""
     time_s = violated.curve.time_s
     edges = np.diff(np.concatenate([[False], violated.outside, [False]]).astype(int))
     begin_s = time_s[np.flatnonzero(edges == 1)]
@@ -147,7 +147,7 @@ def _list_short(violated: ViolatedSignal) -> list[float]:
 
 
 def _measure_outside(violated: ViolatedSignal) -> str:
-    """Return for how long it is outside; of a single row that it is one, and how long it lasts."""
+    """Return the duration outside as text; for a single row, also how long its value is held."""
     time_s = violated.curve.time_s
     lasts_s = np.append(np.diff(time_s), 0.0)
     rows = int(violated.outside.sum())
@@ -156,7 +156,7 @@ def _measure_outside(violated: ViolatedSignal) -> str:
 
 
 def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
-    """Shade the band; where the signal goes far beyond what is of interest, show that alone."""
+    """Shade the band; if the signal goes far beyond, show only the part near the band."""
     low, high = axes.get_ylim()
     near = _find_near(violated)
     if np.ptp(near) < _SMALL * (high - low):
@@ -171,7 +171,7 @@ def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
     below = low * whole if violated.low is None else violated.low
     above = high * whole if violated.high is None else violated.high
     if violated.metric:
-        pass  # is asked for at one moment
+        pass  # one moment has no span to shade
     elif violated.curve.holds and violated.is_moving:
         axes.fill_between(time_s, below, above, step="post", **_BAND)
     else:
@@ -180,7 +180,7 @@ def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
 
 
 def _find_near(violated: ViolatedSignal) -> Values:
-    """Return values that must be seen: limits, what is outside, the moments that are named."""
+    """Return values that must be visible: limits, violations, named moments."""
     ends = [end[np.isfinite(end)] for end in (violated.low, violated.high) if end is not None]
     outside = violated.curve.values[violated.outside]
     return np.concatenate([*ends, outside, [violated.first.value, violated.worst.value]])
@@ -189,7 +189,7 @@ def _find_near(violated: ViolatedSignal) -> Values:
 def _name_moments(
     axes: Axes, violated: ViolatedSignal, named: Mapping[str, ViolationMoment]
 ) -> None:
-    """Mark moments, and name them where the words cover least."""
+    """Mark moments, and write their names where they cover least."""
     figure = axes.get_figure(root=True)
     width, height = figure.get_size_inches() if figure is not None else (1.0, 1.0)
     x, y = np.array(axes.get_xlim()), np.array(axes.get_ylim())

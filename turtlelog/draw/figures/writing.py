@@ -44,13 +44,13 @@ from turtlelog.run import Run
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 
 _UNUSED_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern", "cmap", "post", "name", "OS/2")
-"""How letters join, how glyphs are found and what they are called: a PDF finds glyphs by their
-numbers, at places of its own. ISO 32000-1, 9.9: of a CIDFontType2 it needs glyf, head, hhea, hmtx,
-loca, maxp, and cvt, fpgm and prep if there are any."""
+"""Font tables on ligatures, look-up and names of glyphs, which a PDF does not need, because it
+finds glyphs by index. ISO 32000-1, 9.9: a CIDFontType2 needs glyf, head, hhea, hmtx, loca, maxp,
+and cvt, fpgm and prep if there are any."""
 _LEAST_INCH: Final = 3.0
-"""A narrower figure is no lower: its lettering is the same."""
+"""Width below which a figure keeps its height [inch], because its text has the same size."""
 _MOST_COLUMNS: Final = 4
-"""More runs than these stand as rows."""
+"""Largest number of runs as columns; more runs are rows."""
 _WIDE: Final = frozenset(
     {
         *("plant", "plane", "panel", "bode", "nyquist", "step"),
@@ -58,16 +58,16 @@ _WIDE: Final = frozenset(
     }
 )
 _WIDE_OF_RUNS: Final = frozenset({"root-locus"})
-"""Of theory alone these have one panel."""
+"""Figures with one panel if they show theory alone."""
 _LEAST_DRAWN: Final = 3
-"""Figures for each process where their number is not given: a process costs as long as a fifth of
-a small figure to fork, and the copies of what it changes as much again."""
+"""Figures per process if the number of processes is not given. A fork takes as long as a fifth of a
+small figure, and the copies of changed memory as long again."""
 _NO_DATE: Final = {
     "pdf": {"CreationDate": None, "ModDate": None},
     "svg": {"Date": None},
     "png": {"Software": None},
 }
-"""Without these the same runs give the same bytes."""
+"""Metadata without dates, so that equal runs give identical files."""
 
 
 def draw_figure(
@@ -122,15 +122,14 @@ def write_figures(
     """Write figures as `<folder>/<name>.<format>` and return the files.
 
     Args:
-        runs: Runs to draw; one in detail, several in the same axes. Theory needs none.
-        folder: Folder of the files; it is made if it does not exist.
-        only: Names of `FIGURES`, or figures by such names that take their place; otherwise all
-            usual ones that the runs hold the data for.
+        runs: Runs to draw: one in detail, several in the same axes, none for theory.
+        folder: Folder of the files, which is created if necessary.
+        only: Names of `FIGURES`, or figures that replace them by name. Default: all usual figures
+            for which the runs have data.
         formats: Formats from `FIGURE_FORMATS`.
         page: Page format.
         jobs: Number of processes, at least 1; None: one per core if that is faster. They are
-            forked, so there is a single one on systems other than Linux. The files are the same,
-            byte for byte.
+            forked; other systems than Linux use one process. The files do not depend on it.
 
     Raises:
         ShowError: If a name or format is unknown, `jobs` is not a number of processes, the runs
@@ -150,7 +149,7 @@ def add_figures(
     page: Page | None = None,
     jobs: int | None = 1,
 ) -> list[Path]:
-    """Write figures as `write_figures` does, with what `replace_together` yields."""
+    """Write figures as `write_figures` does, with the function that `replace_together` yields."""
     unknown = [form for form in formats if form not in FIGURE_FORMATS]
     if unknown or not formats:
         found = repr(unknown[0]) if unknown else "none"
@@ -174,10 +173,10 @@ def add_figures(
 def _draw_in_processes(
     draw: Callable[[str], list[bytes]], names: Sequence[str], jobs: int | None
 ) -> Iterator[tuple[str, list[bytes]]]:
-    """Yield each figure and its files, drawn in several processes where they can be forked.
+    """Yield each figure and its files, drawn in several processes if forking is possible.
 
-    Each draws figures that stand together, those of theory in one that loads their libraries: one
-    by one in turns they took a quarter more processor time.
+    Each process draws consecutive figures, and those of theory are in one process that loads their
+    libraries. Distributing them one by one took a quarter more processor time.
     """
     if jobs is None:
         jobs = min(count_cores(), len(names) // _LEAST_DRAWN)
@@ -218,7 +217,7 @@ def _draw_files(
     _settle_layout(figure)
     files = []
     for form in formats:
-        data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
+        data = io.BytesIO()  # matplotlib's PDF writer does not handle a full disk
         save_figure(figure, data, form, page)
         files.append(data.getvalue())
     return files
@@ -227,7 +226,7 @@ def _draw_files(
 def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
     """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
     with use_looks():
-        # `savefig` draws everything once more beforehand, to lay it out.
+        # `savefig` would draw everything once more to compute the layout.
         figure.dpi = (page or Page()).pixels_per_inch
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
@@ -259,11 +258,11 @@ def write_figure(figure: Figure, path: Path, page: Page) -> Path:
 
 @contextmanager
 def _drop_unused_tables() -> Iterator[None]:
-    """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing.
+    """Leave out font tables that no PDF uses: reducing them takes most of the writing time.
 
-    matplotlib offers no choice of these tables. It opens fonts by a public function of fontTools,
-    which leaves them out meanwhile, in this thread; should it open them otherwise, writing takes
-    longer, and the figures look the same.
+    matplotlib has no option for these tables. Fonts are opened by a public function of fontTools,
+    which leaves the tables out in this thread during the block. If matplotlib opened fonts in
+    another way, writing would take longer, and the figures would look the same.
     """
     usual, ours = subset.load_font, get_ident()
 
@@ -285,7 +284,7 @@ def _drop_unused_tables() -> Iterator[None]:
 
 
 def _settle_layout(figure: Figure) -> None:
-    """Lay a figure out once for all of its formats."""
+    """Compute the layout of a figure once for all of its formats."""
     with use_looks():
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
@@ -305,7 +304,7 @@ def _find_kind(
 
 
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
-    """Write the whole runs, Table 1 and the first metrics as LaTeX with booktabs; return the files.
+    """Write tables of runs, Table 1 and essential metrics as LaTeX with booktabs; return the files.
 
     Table 1 is left out if no run has a value for it.
 
@@ -317,7 +316,7 @@ def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
 
 
 def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list[Path]:
-    """Write tables as `write_tables` does, with what `replace_together` yields."""
+    """Write tables as `write_tables` does, with the function that `replace_together` yields."""
     runs = order_by_gain(runs)
     if len(runs) <= _MOST_COLUMNS:
         essentials = choose_essentials(runs, [measure_run(run) for run in runs])
@@ -339,7 +338,7 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
 
 
 _DPI: Final = 192
-"""Twice what browsers call an inch: sharp on screens of any kind."""
+"""Resolution in notebooks, twice the inch of browsers: sharp on screens of any kind."""
 
 _BROWSER_DPI: Final = 96
 

@@ -1,4 +1,4 @@
-"""Movies of runs: `film` says which moment each picture shows, `picture` draws it."""
+"""Movies of runs: `film` chooses the time of each picture, `picture` draws it."""
 
 from turtlelog.libraries import load_library
 

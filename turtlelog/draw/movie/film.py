@@ -1,4 +1,4 @@
-"""Which moment of the runs each picture of a movie shows."""
+"""The times of the runs that each picture of a movie shows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 SHORTEST_S: Final = 1.0
-"""Of a movie [s]: a shorter one is a picture."""
+"""Shortest movie [s]: a shorter one is a picture."""
 
 LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
-"""Of a movie [s]: an .mp4 takes 3 s of work for each of its seconds; a .gif is made from all of its
-pictures at once, 22 MB for each second."""
+"""Longest movie [s] by format. An .mp4 takes 3 s of work per second; a .gif is made from all
+pictures at once, 22 MB per second."""
 
 _STILL_S: Final = 1.5
-"""At its end nothing moves [s]: there is time to read how far off the runs are."""
+"""Time without motion at the end [s], for reading the distances of the runs."""
 
 _MOST_STILL: Final = 0.3
-"""Of the movie at most."""
+"""Largest share of the movie for that time."""
 
 _SLOWEST: Final = 0.25
-"""Slowest motion: a run of half a second takes two, and each of its poses can be seen."""
+"""Slowest motion: a run of half a second takes two seconds, so that each pose is visible."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,7 +37,7 @@ class Film:
     Attributes:
         timeline: Timeline of the times.
         zeros_ns: Zero of the timeline in each run's own time [ns].
-        time_s: Time of each picture on the timeline [s], shape (n,), rising, then constant.
+        time_s: Time of each picture on the timeline [s], shape (n,), increasing, then constant.
         driving: Number of pictures that show the runs driving.
         pace: Seconds of the runs per second of the movie.
     """
@@ -55,9 +55,9 @@ def plan_film(
     """Return the moments of a movie from the first pose of any run to the last.
 
     Args:
-        runs: At least one.
-        timeline: `sim_time` from each run's first sample, or that of a later phase, as
-            `translate_time`, where its zero is the start of that phase.
+        runs: Runs, at least one.
+        timeline: `sim_time`, from each run's first sample, or the timeline of a later phase, such
+            as `translate_time`, from the start of that phase.
         length_s: Length of the movie [s]. None: real time, up to 10 s.
         pictures_per_s: Picture rate [1/s].
 
@@ -83,7 +83,7 @@ def plan_film(
 
 
 def _choose_length(span_s: float) -> float:
-    """Return the length of a movie for which none is given [s]: real time, within bounds."""
+    """Return the default length of a movie [s]: real time, within limits."""
     return float(np.clip(span_s + _STILL_S, min(span_s / _SLOWEST + _STILL_S, 3.0), 10.0))
 
 

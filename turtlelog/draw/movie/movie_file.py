@@ -1,7 +1,7 @@
-"""A movie of one run or several, into .mp4 as VP9 or .gif.
+"""Writing of a movie of one or several runs as .mp4 (VP9) or .gif.
 
 VP9 and its encoder are free of fees, and FFmpeg as OpenCV ships it is under the LGPL. H.264, which
-even older players know, has no encoder that is both at hand and free of the GPL.
+even older players support, has no available encoder without the GPL.
 """
 
 import tempfile
@@ -22,7 +22,7 @@ from turtlelog.libraries import load_library
 from turtlelog.run import Run
 
 _SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}
-"""Width and height [pixels]: a slide, and what a page shows beside text."""
+"""Width and height [pixels]: those of a slide, and for a page with text beside it."""
 
 
 def write_movie(
@@ -70,11 +70,12 @@ def write_movie(
 _MOVIE_FORMATS: Final = (".mp4", ".gif")
 
 PICTURES_PER_S: Final = {".mp4": 24.0, ".gif": 20.0}
-"""As in the cinema; VP9 takes 0.13 s of processor time per picture. Pictures of a GIF last whole
-hundredths of a second, and many programs show none of less than five."""
+"""Picture rates [1/s]: as in the cinema for .mp4, where VP9 takes 0.13 s of processor time per
+picture. Pictures of a GIF last whole hundredths of a second, and many programs show none shorter
+than five."""
 
 _COLORS: Final = 128
-"""Colours of a GIF: twelve runs with their fainter paths and soft edges need about 90."""
+"""Colours of a GIF: twelve runs with faint paths and smooth edges need about 90."""
 
 
 def require_encoder(suffix: str) -> None:
@@ -82,7 +83,7 @@ def require_encoder(suffix: str) -> None:
 
     Raises:
         ShowError: If there is no movie format with this suffix.
-        LibraryError: If it is not installed.
+        LibraryError: If the encoder is not installed.
     """
     if suffix not in _MOVIE_FORMATS:
         raise ShowError(f"movie: expected a name that ends in .mp4 or .gif, found {suffix!r}")
@@ -90,7 +91,7 @@ def require_encoder(suffix: str) -> None:
 
 
 def _encode_movie(pictures: Iterable[Picture], path: Path) -> None:
-    """Write pictures, all of one size; the file is replaced when the new one is complete.
+    """Write pictures of one size; the file is replaced when the new one is complete.
 
     Raises:
         ShowError: If the file cannot be written.
@@ -106,7 +107,7 @@ def _encode_movie(pictures: Iterable[Picture], path: Path) -> None:
 
 def _encode_mp4(pictures: Iterable[Picture], path: Path) -> None:
     cv2 = load_library("cv2")
-    # OpenCV chooses the encoder by the file's ending, and the name to write to has another one.
+    # OpenCV chooses the encoder by the file's suffix, which the temporary name of the target lacks.
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
         whole = Path(folder) / "movie.mp4"
         writer: Any = None
@@ -127,7 +128,7 @@ def _encode_mp4(pictures: Iterable[Picture], path: Path) -> None:
 def _encode_gif(pictures: Iterable[Picture], path: Path) -> None:
     image = load_library("PIL.Image")
     shown = [image.fromarray(picture) for picture in pictures]
-    # One table of colours for all, from the last picture, which holds every one: nothing flickers.
+    # One colour table for all pictures, from the last, which has all colours: nothing flickers.
     table = shown[-1].quantize(_COLORS)
     frames = [picture.quantize(palette=table, dither=image.Dither.NONE) for picture in shown]
     frames[0].save(

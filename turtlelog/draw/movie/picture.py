@@ -1,6 +1,6 @@
 """The pictures of a movie: the plane on the left, curves and the goal on the right.
 
-What stands still is drawn once; for each picture only what moves is drawn over a copy of it.
+Static content is drawn once; for each picture, moving content is drawn over a copy of it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -49,7 +49,7 @@ from turtlelog.draw.movie.film import Film, Values
 from turtlelog.run import Run
 
 Picture = NDArray[np.uint8]
-"""Height times width times red, green and blue."""
+"""Pixels of a picture, shape (height, width, 3): red, green and blue."""
 
 _INCH: Final = (12.8, 7.2)
 _LOOKS: Final = {
@@ -63,7 +63,7 @@ _LOOKS: Final = {
     "lines.linewidth": 2.2,
     "axes.linewidth": 1.0,
 }
-"""Letters that can be read from the last row, of a picture as wide as a slide."""
+"""Settings of matplotlib; text is legible from the last row if the picture is a slide."""
 
 _PLANE: Final = (0.055, 0.095, 0.48, 0.79)
 _CURVES: Final = ((0.63, 0.725, 0.35, 0.16), (0.63, 0.49, 0.35, 0.16))
@@ -71,39 +71,39 @@ _GOAL: Final = (0.63, 0.035, 0.35, 0.345)
 _TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
 
 _FAINT: Final = 0.22
-"""How much of its colour the way has that is not driven yet."""
+"""Opacity of the path that is not driven yet."""
 
 _BESIDE: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.5", "linewidth": 1.2, "linestyle": ":", "zorder": 1.5}
 )
-"""What the ideal loop would do, and what is asked for."""
+"""Style of ideal responses and references."""
 
 _TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)])
 _TURTLE_SIZE: Final = 0.045
-"""Of the plane's half-width: large enough to see where it heads."""
+"""Size of a turtle as a share of the plane's half-width: large enough to see its heading."""
 
 _NEAR: Final = 3.0
-"""Half-widths of the close-up within which a robot is near the goal: it arrives within a second or
-so."""
+"""Distance in half-widths of the close-up below which a robot is near the goal: it arrives within
+about a second."""
 
 _MOST_POINTS: Final = 2000
-"""Of a trail: more than the picture is wide."""
+"""Largest number of points of a trail: more than the picture is wide."""
 
 _LETTERS: Final = Lettering(letter=0.095, line=0.22, gap=0.16, reach=1.85)
-"""At 13 points in the view of the goal, whose half-height is 90 points."""
+"""Size of text at 13 points in the view of the goal, whose half-height is 90 points."""
 
 _USUAL: Final = ("heading", "speed")
-"""What curves show of a robot whose loops are not known."""
+"""Default curves of a robot whose loops are unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Growing:
-    """A line that is drawn up to a moment.
+    """A line that is drawn up to a given time.
 
     Attributes:
-        line: The artist.
-        time_s: Of its points on the timeline [s].
-        points: Shape (n, 2).
+        line: Artist of matplotlib.
+        time_s: Times of its points on the timeline [s].
+        points: Points of the line, shape (n, 2).
     """
 
     line: Any
@@ -111,7 +111,7 @@ class _Growing:
     points: Values
 
     def grow(self, time_s: float, tip: Values | None) -> None:
-        """Show what was before a moment, and from there to the tip."""
+        """Show the part before a time, and a line from there to the tip."""
         shown = self.points[: int(np.searchsorted(self.time_s, time_s, side="right"))]
         self.line.set_data(*(shown if tip is None else np.vstack([shown, tip])).T)
 
@@ -121,9 +121,9 @@ class _Goal:
     """The view of the goal.
 
     Attributes:
-        axes: Where it is.
-        close_up: What it shows.
-        words: How far off runs are: shown when they have arrived.
+        axes: Axes of the view.
+        close_up: Content of the view.
+        words: Distances of the runs, shown when they have arrived.
     """
 
     axes: Axes
@@ -133,7 +133,7 @@ class _Goal:
 
 @dataclass(slots=True, kw_only=True)
 class _Stage:
-    """The figure with what moves in it; all sequences of runs are in one order."""
+    """The figure with its moving parts; all sequences of runs have one order."""
 
     figure: Figure
     film: Film
@@ -155,7 +155,7 @@ def draw_pictures(
     size: tuple[int, int],
     on_picture: Callable[[int, int], None] | None = None,
 ) -> Iterator[Picture]:
-    """Yield the pictures of a film, each of a size of width and height [pixels]."""
+    """Yield the pictures of a film, each of a given width and height [pixels]."""
     origin_m = find_origin(runs)
     runs, _ = move_near(runs)
     with use_looks(_LOOKS):
@@ -231,7 +231,7 @@ def _set_plane(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look]) -> Non
 def _start_trail(axes: Axes, run: Run, zero_ns: int, look: Look) -> _Growing:
     xy_m = part_path(run)
     time_s = (run.poses.time_ns - zero_ns) / 1e9
-    if len(xy_m) != len(time_s):  # a reset parts the way by a row of nan
+    if len(xy_m) != len(time_s):  # a reset separates the path by a row of nan
         xy_m = run.poses.xy_m
     rows = choose_rows(xy_m, _MOST_POINTS)
     rows = np.arange(len(xy_m)) if rows is None else rows
@@ -240,7 +240,7 @@ def _start_trail(axes: Axes, run: Run, zero_ns: int, look: Look) -> _Growing:
 
 
 def _choose_plots(runs: Sequence[Run]) -> list[str]:
-    """Return what two plots show: what loops control, in declared order."""
+    """Return the names of two plots: signals of the loops, in declared order."""
     controlled = [plot for run in runs for plot in list_controlled(run)]
     found = dict.fromkeys([*controlled, *_USUAL])
     return [name for name in found if any(has_own(run, TIME_PLOTS[name]) for run in runs)][:2]
@@ -249,7 +249,7 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
 def _set_curve(
     stage: _Stage, axes: Axes, runs: Sequence[Run], looks: Sequence[Look], name: str
 ) -> None:
-    """Draw a plot over time: what each run did grows, what was asked for stands."""
+    """Draw a plot over time: the curves of runs grow, references are complete."""
     plot = TIME_PLOTS[name]
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
         for found in list_plotted(run, plot, COMPARED):
@@ -314,7 +314,7 @@ def _set_goal(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look], close_u
 
 
 def _move(stage: _Stage, number: int, time_s: float) -> Iterator[Artist]:
-    """Yield what moves, where it is in a picture."""
+    """Yield the moving artists at their places in a picture."""
     for trails in (stage.trails, stage.near_trails):
         for trail, (xy_m, _) in zip(trails, stage.places, strict=False):
             trail.grow(time_s, xy_m[number])
@@ -338,7 +338,7 @@ def _move(stage: _Stage, number: int, time_s: float) -> Iterator[Artist]:
 
 
 def _show_goal(stage: _Stage, goal: _Goal, number: int) -> None:
-    """Show the view of the goal while a robot is near it: elsewhere it would be an empty box."""
+    """Show the view of the goal while a robot is near it; otherwise it would be an empty box."""
     goal_xy_m = goal.close_up.goal_xy_m
     ways = [xy_m[number] - goal_xy_m for xy_m, _ in stage.places]
     reach_m = _NEAR * goal.close_up.half_m
@@ -350,7 +350,7 @@ def _show_goal(stage: _Stage, goal: _Goal, number: int) -> None:
 
 
 def _tell_film(film: Film) -> str:
-    """Return what the time is counted from, where that is not the first sample, and how fast."""
+    """Return the zero of the time, if that is not the first sample, and the speed of the movie."""
     phase = film.timeline.removesuffix("_time").removeprefix("phase.")
     zero = "" if film.timeline == TIMELINE else f" from the start of {phase}"
     pace = f"{film.pace:.0f}" if film.pace >= 10.0 else f"{film.pace:.2g}"
@@ -358,28 +358,29 @@ def _tell_film(film: Film) -> str:
 
 
 def _find_ratio(figure: Figure, place: tuple[float, float, float, float]) -> float:
-    """Return the width of a place over its height."""
+    """Return the ratio of width to height of a place."""
     width, height = figure.get_size_inches()
     return float(place[2] * width / (place[3] * height))
 
 
 _HEIGHT: Final = 0.935
-"""Of the line's middle in the picture."""
+"""Height of the line's middle, as a share of the picture."""
 
 _MOST_NAMED: Final = 7
-"""Names above the picture: as many as have a hue of their own."""
+"""Largest number of names above the picture: as many as there are hues."""
 
 _NAMES_END: Final = 0.66
-"""Of the width: the rest is the clock's."""
+"""End of the names, as a share of the width: the rest belongs to the clock."""
 
 _LEAST_POINTS: Final = 10.0
-"""Of a name: in a .gif of 450 pixels in height smaller letters are a blot."""
+"""Smallest size of a name [points]: smaller letters are illegible in a .gif of 450 pixels in
+height."""
 
 
 def _name_runs_above(
     figure: Figure, runs: Sequence[Run], colors: Sequence[Any], *, left: float
 ) -> None:
-    """Name runs in their colours; long names are shortened, then smaller, and of many some."""
+    """Write names of runs in their colours; long ones are shortened, made smaller, or left out."""
     chosen = list(range(len(runs)))
     if len(runs) > _MOST_NAMED:
         chosen = np.linspace(0, len(runs) - 1, 4).round().astype(int).tolist()
@@ -401,7 +402,7 @@ def _name_runs_above(
 def _write_names(
     figure: Figure, told: Sequence[tuple[str, Any]], points: float, left: float
 ) -> tuple[float, list[Text]]:
-    """Write names beside each other while there is room; return where they end, and the texts."""
+    """Write names side by side while there is room; return their end and the texts."""
     texts: list[Text] = []
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     for name, color in told:

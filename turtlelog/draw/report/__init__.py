@@ -1,4 +1,4 @@
-"""A report as one file of HTML: plots to zoom, a plane to play, tables and provenance."""
+"""A report as one HTML file: zoomable plots, a plane with playback, tables and provenance."""
 
 from turtlelog.draw.report.map_report import write_map_report
 from turtlelog.draw.report.report_file import Explanation, write_report

@@ -1,4 +1,4 @@
-"""What a report draws, and the figures of Bokeh that it draws in."""
+"""The content that a report draws, and the figures of Bokeh for it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,26 +14,27 @@ from turtlelog.libraries import load_library
 from turtlelog.run import Run
 
 MOST_POINTS: Final = 2000
-"""Of a curve: wider than a screen has columns, so that what is left out is not seen before a zoom.
-"""
+"""Largest number of points of a curve: more than a screen has columns, so that omitted points are
+invisible before a zoom."""
 
 
 _FAR: Final = 1e3
-"""From here on 32 bits no longer hold a tenth of a millimetre or millisecond: 64 do."""
+"""Magnitude from which 32-bit numbers lose a tenth of a millimetre or millisecond; 64 bits are used
+then."""
 
 RING: Final = "#8a8a8a"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawn:
-    """A run, or what it would have been, as it is drawn.
+    """A run or a ghost, as it is drawn.
 
     Attributes:
-        run: Its data.
-        name: As the legend calls it.
-        color: The same in every plot.
+        run: Data of the run.
+        name: Name in the legend.
+        color: Colour in every plot.
         is_ghost: Whether it is a what-if.
-        is_plotted: Whether the plots over time show it, too.
+        is_plotted: Whether the plots over time also show it.
     """
 
     run: Run
@@ -50,16 +51,16 @@ def _make_crosshair() -> Any:
 
 @dataclass(slots=True, kw_only=True)
 class Plots:
-    """What stands in the page.
+    """The plots of a page.
 
     Attributes:
         roots: Figures by the id of their place.
-        config: For the script: ids of models, by what they are.
-        thinned: How many curves are drawn with fewer points than were recorded.
-        points: How many points a curve has at most.
-        kinds: Which kinds of curves there are.
-        crosshair: The time under the mouse, in all plots over time.
-        alternatives: What each figure shows in words, by its place.
+        config: Ids of models for the script, by their role.
+        thinned: Number of curves drawn with fewer points than were recorded.
+        points: Largest number of points of a curve.
+        kinds: Kinds of curves in the page.
+        crosshair: Line at the time under the mouse, in all plots over time.
+        alternatives: Description of each figure in words, by its place.
     """
 
     roots: dict[str, Any] = field(default_factory=dict)
@@ -72,12 +73,12 @@ class Plots:
 
 
 def to_hex(color: Color) -> str:
-    """Return a colour as HTML writes it."""
+    """Return a colour in HTML's notation."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def thin(plots: Plots, columns: Sequence[NDArray[Any]], kept: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return columns with the rows that draw the same, as small as they may be stored."""
+    """Return columns with the rows that give the same drawing, in the smallest suitable type."""
     rows = choose_rows(kept, plots.points)
     plots.thinned += rows is not None
     found = [np.asarray(column if rows is None else column[rows]) for column in columns]
@@ -85,13 +86,13 @@ def thin(plots: Plots, columns: Sequence[NDArray[Any]], kept: NDArray[Any]) -> l
 
 
 def store(values: NDArray[Any]) -> NDArray[Any]:
-    """Return values as small as they may be stored."""
+    """Return values in the smallest suitable type."""
     largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
     return np.asarray(values, dtype=np.float32 if largest < _FAR else np.float64)
 
 
 def make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
-    """Return a new figure, which stands at a place of the page."""
+    """Return a new figure at a place of the page."""
     plotting = load_library("bokeh.plotting")
     figure = plotting.figure(
         title=title,

@@ -1,4 +1,4 @@
-"""A sweep as one file of HTML: maps, curves, sensitivities, best rows, and where it comes from."""
+"""A sweep as one HTML file: maps, curves, sensitivities, best rows, and provenance."""
 
 import platform
 from base64 import b64encode
@@ -29,7 +29,7 @@ def write_map_report(
         view: View from `choose_view`.
         limits: Limits from theory, as from `find_loop_limits`.
         path: The .html file; replaced when the new one is complete.
-        command: Command that writes it again.
+        command: Command that creates the report.
 
     Raises:
         ShowError: If the file cannot be written.

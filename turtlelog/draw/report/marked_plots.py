@@ -1,4 +1,4 @@
-"""What plots of a report mark: characteristics, and the band that a failed check was held to."""
+"""Marks in the plots of a report: characteristics, and the bands of failed checks."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -19,21 +19,21 @@ from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, 
 from turtlelog.libraries import load_library
 
 MOST_MARKED: Final = 4
-"""Marks of more runs would hide each other."""
+"""Largest number of runs with marks; marks of more runs would hide each other."""
 
 _DEAD: Final = "#c77736"
 _WORDS: Final = "#767676"
-"""Stands out from white and from black alike: by 4.5 and by 4.6."""
+"""Colour of text: its contrast is 4.5 with white and 4.6 with black."""
 
 _LINE_PX: Final = 17
 _NEAR: Final = 0.2
-"""Of the width: words of dots that are nearer to each other stand below one another."""
+"""Distance of dots below which their text is one below another, as a share of the width."""
 
 _LATE: Final = 0.6
-"""Of the width: words of later dots stand on the left, or they would leave the plot."""
+"""Share of the width from which text is on the left of dots; otherwise it would leave the plot."""
 
 _SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "circle", "square": "square", "cross": "x"}
-"""Marks as Bokeh has them."""
+"""Mark shapes of Bokeh."""
 
 
 def mark_plots(
@@ -43,13 +43,13 @@ def mark_plots(
     signals: Collection[str],
     found: Sequence[Sequence[Characteristic]],
 ) -> None:
-    """Mark characteristics of signals, and the pauses; of one run names stand beside the dots.
+    """Mark characteristics of signals, and the pauses; for a single run, names are beside the dots.
 
     Args:
-        plots: The page.
-        figure: The plot of the signal.
-        drawn: Runs first.
-        signals: What the plot shows.
+        plots: Plots of the page.
+        figure: Plot of the signal.
+        drawn: Runs and ghosts, runs first.
+        signals: Signals of the plot.
         found: Characteristics of each run.
     """
     if len(found) > MOST_MARKED:
@@ -109,7 +109,7 @@ def _add_box(figure: Any, color: str, alpha: float, **edges: float) -> Any:
 def _draw_dot(
     figure: Any, mark: Characteristic, others: Sequence[Characteristic], whose: tuple[str, str]
 ) -> Any:
-    """Draw a dot where a metric is taken, None if it is not marked."""
+    """Draw a dot at a metric's place on the curve; return None for metrics without a dot."""
     text = ", ".join(list_mark_texts(mark, others))
     if mark.shape is None or not text:
         return None
@@ -124,7 +124,7 @@ def _draw_dot(
 
 
 def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> Iterator[Any]:
-    """Write the name of each dot beside it; names of dots that are near stand in one column."""
+    """Write the name of each dot beside it; names of close dots form a column."""
     end_s = float(plots.config["end_s"])
     known = sorted((mark for mark in marks if mark.shape), key=lambda mark: mark.marked_s)
     told = [(mark, ", ".join(list_mark_texts(mark, marks))) for mark in known]
@@ -154,35 +154,35 @@ def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> 
 
 
 def _find_middle(figure: Any, mark: Characteristic) -> float:
-    """Return the middle of what the curves of a plot span."""
+    """Return the middle of the range of a plot's curves."""
     values = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]
     known = [float(end) for found in values for end in (np.nanmin(found), np.nanmax(found))]
     return (min(known) + max(known)) / 2.0 if known else float(mark.level or 0.0)
 
 
 MOST_VIOLATIONS: Final = 6
-"""Failed checks that have a plot: of more the table tells, and a page of plots would be skimmed."""
+"""Largest number of failed checks with a plot; the table lists all."""
 
 RED: Final = "#d0342c"
 
 _SMALL: Final = 0.12
-"""Share of the axis below which limits and what is outside would be too small to be told apart."""
+"""Share of the axis below which limits and violations would be too close to distinguish."""
 
 _ROOM: Final = 0.18
-"""Of the height, above and below what is seen, for words."""
+"""Room for text above and below the visible range, as a share of the height."""
 
 _CLOSE: Final = 0.3
-"""Share of the width within which words of two moments stand on one another."""
+"""Distance of two moments below which their texts would overlap, as a share of the width."""
 
 
 def draw_violations(
     plots: Plots, found: Sequence[tuple[ViolatedSignal, Color | None]], x_range: Any
 ) -> None:
-    """Draw the signal of each failed check, on the axis of time of all plots.
+    """Draw the signal of each failed check on the common time axis.
 
     Args:
-        plots: The page, which gets places `violation-0`, `violation-1` and so on.
-        found: Signals, and the colour of the run of each.
+        plots: Plots of the page, which gets places `violation-0`, `violation-1` and so on.
+        found: Signals, with the colour of each signal's run.
         x_range: Bokeh's range of time.
     """
     for number, (violated, color) in enumerate(found[:MOST_VIOLATIONS]):
@@ -232,7 +232,7 @@ def _draw_line(figure: Any, time_s: Any, values: Any, mode: str | None, **looks:
 def _draw_band(
     figure: Any, violated: ViolatedSignal, height: tuple[float, float], end_s: float
 ) -> None:
-    """Shade what is asked for, where it is, and name its limits."""
+    """Shade the allowed band over its time, and name its limits."""
     time_s = violated.curve.time_s
     whole = np.ones(len(time_s))
     ends = {"low": violated.low, "high": violated.high}
@@ -259,7 +259,7 @@ def _draw_band(
         known = np.flatnonzero(np.isfinite(end))
         if len(known):
             row = known[0]
-            # Where the band begins late, its name would leave the plot on the right.
+            # If the band begins late, its name would leave the plot on the right.
             is_late = time_s[row] > 0.7 * end_s
             figure.text(
                 [time_s[row]], [end[row]], text=[name], text_color=to_hex(ALLOWED),
@@ -270,9 +270,9 @@ def _draw_band(
 
 
 def _find_height(violated: ViolatedSignal) -> tuple[float, float, bool]:
-    """Return from where to where the plot goes, and whether the signal goes beyond.
+    """Return the range of the plot, and whether the signal exceeds it.
 
-    Limits, what is outside, and the moments that are named are always seen.
+    Limits, violations and named moments are always visible.
     """
     ends = [end[np.isfinite(end)] for end in (violated.low, violated.high) if end is not None]
     values = violated.curve.values
@@ -297,11 +297,11 @@ def _name_moments(
     height: tuple[float, float],
     end_s: float,
 ) -> None:
-    """Mark the worst and the first moment, named on the side where there is room."""
+    """Mark the worst and the first moment, named on the side that has more room."""
     named = [(violated.worst, violated.worst_word)]
     if violated.first != violated.worst:
         named.append((violated.first, "first"))
-    # What is outside is an extreme: there is room beyond it, and less on its other side.
+    # A violation is an extreme: there is room beyond it, and less on the other side.
     is_above = violated.worst.value >= sum(height) / 2.0
     is_close = abs(violated.first.time_s - violated.worst.time_s) < _CLOSE * end_s
     for moment, word in named:

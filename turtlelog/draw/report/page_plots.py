@@ -1,4 +1,4 @@
-"""The plots of a report, as models of Bokeh, and what the script of the page must know of them."""
+"""The plots of a report as models of Bokeh, and their ids for the page's script."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -38,50 +38,52 @@ from turtlelog.measure import Metric
 from turtlelog.run import Run
 
 _MOST_OF_ALL: Final = 24_000
-"""Points of one signal over all runs: 12 runs have all of theirs; each costs 11 bytes of the file.
-"""
+"""Points of one signal over all runs: 12 runs have all of theirs; each point takes 11 bytes of the
+file."""
 
 _LEAST_POINTS: Final = 200
 _ROOM: Final = 0.012
-"""Of the time, before and behind it: dots at its ends are seen whole."""
+"""Margin before and after the time axis, as a share, so that dots at its ends are complete."""
 
 _MOST_STATES: Final = 6
-"""States of a law that have a plot: a page of more would be skimmed."""
+"""Largest number of plots of law states."""
 
 _MOST_TIPS: Final = 6
-"""Curves that are all read at the cursor; of more the one under it: tips would hide the plot."""
+"""Largest number of curves that are all read at the cursor; if there are more, only the one under
+the cursor: otherwise tips would hide the plot."""
 
 _GHOST: Final[frozenset[CurveKind]] = frozenset({"run"})
-"""Of what would have been, what it did alone."""
+"""Kinds of curves drawn of a ghost: only its own."""
 
 _DIMMED: Final = 0.3
 """Opacity of a run that never settles, below those that do."""
 
 _WIDTH: Final = 1.8
 _THIN: Final = 1.2
-"""Of all but what the run did."""
+"""Width of all curves except the run's own [pixels]."""
 
 _STROKES: Final[Mapping[Dash, str]] = MappingProxyType(
     {"solid": "solid", "dashed": "dashed", "dotted": "dotted", "dash-dot": "dotdash"}
 )
-"""Dashes as Bokeh has them."""
+"""Dashes of Bokeh."""
 
 _RARE: Final = 1e-3
-"""Share of rows that may be left out of view at either end: faults of a sensor are single ones."""
+"""Share of rows that may be left out of view at either end: faults of a sensor are rare."""
 
 _FAR_OFF: Final = 20.0
-"""Times the height of all other rows: with more, those would take less than a twentieth of it."""
+"""Multiple of the height of all other rows from which outliers are left out of view: with them, the
+others would take less than a twentieth of the plot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
-    """Where a check fails.
+    """The failure of a check.
 
     Attributes:
-        names: The signals that it names.
-        first_s: When it is first violated [s], None if at no moment.
-        run: Number of its run; None if it is of no run that is shown.
-        signal: What is drawn of it; None if there is none.
+        names: Signals in the check.
+        first_s: Time of the first violation [s]; None if there is no such time.
+        run: Index of the run; None if that run is not shown.
+        signal: Violated signal to draw; None if there is none.
     """
 
     names: tuple[str, ...]
@@ -95,12 +97,12 @@ def draw_plots(
     metrics: Sequence[Mapping[str, Metric]],
     violations: Sequence[Violation],
 ) -> Plots:
-    """Return the plane, the close-up of the goal where there is one, and the plots over time.
+    """Return the plane, the close-up of the goal if there is one, and the plots over time.
 
     Args:
         drawn: Runs first, then ghosts.
-        metrics: Of the runs.
-        violations: Where checks fail.
+        metrics: Metrics of the runs.
+        violations: Failures of checks.
     """
     plots = Plots(points=max(_LEAST_POINTS, min(MOST_POINTS, _MOST_OF_ALL // len(drawn))))
     plots.config = {
@@ -139,7 +141,7 @@ def draw_plots(
 
 
 def _choose_plots(runs: Sequence[Run]) -> list[str]:
-    """Return the plots over time of a report; of states those that are not always 0."""
+    """Return the plots over time of a report, including states that are not always 0."""
     names = [
         name
         for name, plot in TIME_PLOTS.items()
@@ -151,7 +153,7 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
 
 
 def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
-    """Whether a report has a plot: always, or because what is asked for in it moves."""
+    """Return whether a report has a plot: always, or because its reference moves."""
     if plot.report != "moving":
         return plot.report == "always"
     aims = [entry for entry in plot.curves if entry.kind == "aim"]
@@ -159,7 +161,7 @@ def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
 
 
 def _moves(runs: Sequence[Run], state: str) -> bool:
-    """Whether a state of a law is ever anything but 0."""
+    """Return whether a state of a law is ever different from 0."""
     plot = find_plot(state, runs)
     return any(curve.values.any() for run in runs for curve in list_own(run, plot))
 
@@ -225,13 +227,13 @@ def _draw_plot(
 
 
 def _concerns(found: Violation, name: str) -> bool:
-    """Whether a violation stands in a plot: in that of its signal, or of no signal in all."""
+    """Return whether a violation is marked in a plot; without a signal it is marked in all."""
     signals = {signal.removeprefix("measured_") for signal in found.names}
     return name in signals or signals.isdisjoint(TIME_PLOTS)
 
 
 def _list_plotted(drawn: Sequence[Drawn], plot: TimePlot) -> list[tuple[int, PlottedCurve]]:
-    """Return the curves of a plot with the numbers of their runs, the lowest first."""
+    """Return the curves of a plot with the indices of their runs, in the order of drawing."""
     kinds = None if len(drawn) == 1 else COMPARED
     restless = _find_restless(drawn)
     listed = [
@@ -250,9 +252,9 @@ def _list_curves(
     listed: Sequence[tuple[int, PlottedCurve]],
     config: dict[str, Any],
 ) -> dict[str, list[Any]]:
-    """Return curves as a table, each a row.
+    """Return curves as a table with one row per curve.
 
-    Curves that hold are stored as they are: the page's script turns them into steps.
+    Held values are stored as they are: the page's script turns them into steps.
     """
     is_alone = len(drawn) == 1
     restless = _find_restless(drawn)
@@ -276,19 +278,19 @@ def _list_curves(
         }
         for key, value in row.items():
             data[key].append(value)
-        # Between rows that are left out a value does not hold: steps would show what never was.
+        # A value is not held between thinned rows: steps would show values that never existed.
         holds = curve.holds and len(time_s) == len(curve.values)
         config["curves"].append({"run": number, "holds": holds, "aim": found.kind != "run"})
     return data
 
 
 def _find_restless(drawn: Sequence[Drawn]) -> frozenset[int]:
-    """Return the numbers of runs that never settle, where others do; ghosts are no runs."""
+    """Return the indices of runs that never settle if others do; ghosts are not included."""
     return find_restless([one.run for one in drawn if not one.is_ghost])
 
 
 def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
-    """Shade stretches without poses of a run alone, with their length in words."""
+    """Shade gaps without poses of a single run, with their duration as text."""
     models = load_library("bokeh.models")
     for start_s, end_s, words in list_seen_gaps(drawn[0].run) if len(drawn) == 1 else ():
         box = models.BoxAnnotation(
@@ -306,7 +308,7 @@ def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
 def _set_height(
     figure: Any, drawn: Sequence[Drawn], plot: TimePlot, curves: Sequence[Values]
 ) -> None:
-    """Give a plot the height of what runs that settle do, and of all where every one does."""
+    """Set the height of a plot from runs that settle, or from all if none is left out."""
     restless = _find_restless(drawn)
     if not restless:
         _keep_in_view(figure, curves)
@@ -319,7 +321,7 @@ def _set_height(
 
 
 def _keep_in_view(figure: Any, curves: Sequence[Values]) -> None:
-    """Leave a few rows far outside of all others out of view, and say so in the title."""
+    """Leave a few extreme rows out of view, with a note in the title."""
     values = np.concatenate([*curves, np.empty(0)])
     values = values[np.isfinite(values)]
     if not len(values):

@@ -1,4 +1,4 @@
-"""The plane of a report, and the close-up of the goal: turtles that the slider drives."""
+"""The plane of a report, and the close-up of the goal, with turtles moved by the slider."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -23,17 +23,17 @@ from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 
 _MOST_NAMED: Final = 4
-"""Ends of more runs would hide each other's distances."""
+"""Largest number of ends with distances; more would hide each other."""
 
 
 def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) -> None:
-    """Draw the plane, and the close-up of the goal where there is one."""
+    """Draw the plane, and the close-up of the goal if there is one."""
     models = load_library("bokeh.models")
     poses_of: dict[str, list[Any]] = {key: [] for key in ("t", "x", "y", "h")}
     for one in drawn:
         poses, breaks = one.run.poses, find_break_rows(one.run)
         time_s = (poses.time_ns - one.run.start_ns) / 1e9
-        # Where a robot was while it sent no poses is not known: neither way nor turtle is drawn.
+        # The robot's place during a gap without poses is unknown: neither path nor turtle is drawn.
         columns = [
             np.insert(time_s, breaks, time_s[breaks]),
             *part_path(one.run).T,
@@ -74,7 +74,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             _draw_ends(figure, drawn, shown)
         if is_grey:
             _draw_many_ends(figure, drawn)
-            # There is no legend where each gain has too few runs for an outline.
+            # There is no legend if each gain has too few runs for an outline.
             for legend in figure.legend:
                 legend.update(visible=shown is None, location="bottom_left")
         figure.x_range.renderers = figure.y_range.renderers = still
@@ -92,7 +92,7 @@ def _measure_size(drawn: Sequence[Drawn]) -> float:
 
 
 def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> list[Any]:
-    """Draw what does not move, and return what the view must hold."""
+    """Draw the static parts; return the artists that the view must contain."""
     still = []
     if shown is None and is_in_world([one.run for one in drawn]):
         still.append(
@@ -131,7 +131,7 @@ def _draw_rings(figure: Any, shown: CloseUp) -> None:
 
 
 def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
-    """Draw where runs end, and of each gain the median and what holds nine tenths of its ends."""
+    """Draw the ends of runs, and for each gain the median and an outline of 90 % of its ends."""
     colors = [to_hex(one.color) for one in drawn]
     x_m, y_m = np.array([one.run.poses.xy_m[-1] for one in drawn]).T
     figure.scatter(x_m, y_m, size=5, color=colors)
@@ -145,7 +145,7 @@ def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
 
 
 def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
-    """Draw a dot where each run ends; the nearest and the furthest say how far that is."""
+    """Draw a dot at the end of each run; the nearest and the furthest have their distance."""
     ends = shown.ends
     colors = [to_hex(drawn[end.run].color) for end in ends]
     x_m, y_m = zip(*(end.xy_m for end in ends), strict=True)
@@ -153,7 +153,7 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
     some = ends if len(ends) <= _MOST_NAMED else (ends[0], ends[-1])
     told = [one for n, one in enumerate(some) if not _is_near(one, some[:n], shown)]
     for number, end in enumerate(told):
-        # The nearest on the left, all others on the right: turtles come from one side.
+        # The nearest is labelled on the left, all others on the right: turtles come from one side.
         is_left = number == 0 and len(told) > 1
         figure.text(
             [end.xy_m[0]], [end.xy_m[1]], text=[format_length(end.miss_m)], y_offset=-4,
@@ -164,5 +164,5 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
 
 
 def _is_near(end: Any, others: Sequence[Any], shown: CloseUp) -> bool:
-    """Whether its words would stand on those of another end: within 8 % of the view's height."""
+    """Return whether its text would overlap another end's: within 8 % of the view's height."""
     return any(abs(end.xy_m[1] - other.xy_m[1]) < 0.16 * shown.half_m for other in others)

@@ -1,4 +1,4 @@
-"""Runs -> one HTML file that opens from a disk: sentences, plots and tables."""
+"""Writing of a report on runs as one HTML file with sentences, plots and tables."""
 
 import json
 import platform
@@ -48,7 +48,7 @@ from turtlelog.run import CUT_SHORT, Run
 from turtlelog.version import __version__
 
 _MOST_COLUMNS: Final = 4
-"""Metrics of more runs than these would be wider than a page."""
+"""Largest number of runs with a column of metrics each; more would be wider than a page."""
 
 _MOST_TITLED: Final = 4
 _MARKS_NOTE: Final = (
@@ -64,7 +64,7 @@ _KINDS: Final[Mapping[CurveKind, str]] = MappingProxyType(
         "beside": "lighter: the distance to the reference",
     }
 )
-"""What curves are beside what a run did."""
+"""Descriptions of the kinds of curves other than the run's own."""
 
 _LARGE: Final = 2**20
 
@@ -77,7 +77,7 @@ class Explanation:
         run: Explained run, one of those in the report.
         attribution: Attribution of its metric; None if there is none.
         what_ifs: Runs without causes, as from `simulate_what_ifs`.
-        note: Why there is no attribution; empty if there is one.
+        note: Reason why there is no attribution; empty if there is one.
     """
 
     run: Run
@@ -101,9 +101,9 @@ def write_report(
         runs: Runs, at least one.
         path: The .html file; replaced when the new one is complete.
         sources: File of each run, whose sha256 is shown; empty if unknown.
-        explanation: Causes of a metric of one of them; its what-ifs are drawn as ghosts.
+        explanation: Causes of a metric of one run; its what-ifs are drawn as ghosts.
         checks: Results of a specification.
-        command: Command that writes it again.
+        command: Command that creates the report.
 
     Raises:
         ShowError: If there is no run, or the file cannot be written.
@@ -113,7 +113,7 @@ def write_report(
         raise ShowError(f"{path}: a report needs at least one run")
     require_near(runs)
     load_library("bokeh")
-    # The text of a URL without its signature knows the whole one, but no copy of it does.
+    # The text of a URL lacks its signature; only the original object can be opened.
     texts = (source if isinstance(source, str) else str(source) for source in sources)
     known = [*texts] or [""] * len(runs)
     file_of = {id(run): file for run, file in zip(runs, known, strict=True)}
@@ -161,7 +161,7 @@ def write_report(
 
 
 def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
-    """Return the what-ifs as ghosts; the plots over time show that without all effects."""
+    """Return the what-ifs as ghosts; the plots over time show the one without all effects."""
     if explanation is None or explanation.attribution is None:
         return []
     colors = choose_cause_colors(explanation.attribution.causes)
@@ -202,7 +202,7 @@ def _write_explanation(name: str, explanation: Explanation) -> str:
 
 
 def _write_stage(plots: Plots, count: int, origin: str) -> str:
-    """Return the places of the plots and the controls, which the script brings to life."""
+    """Return the HTML of the plots' places and of the controls, which the script uses."""
     toggles = "".join(
         f'<label><input type="checkbox" checked data-run="{number}">'
         f'<span class="{"swatch ghost" if run["ghost"] else "swatch"}"'
@@ -254,7 +254,7 @@ def _write_tables(
 
 
 def hash_file(file: str) -> str:
-    """Return the sha256 of a file, of a bag's folder those of its files; empty if unknown."""
+    """Return the sha256 of a file, for a bag's folder those of its files; empty if unknown."""
     path = make_path(file)
     if file and path.is_dir():
         inner = sorted(one for one in path.iterdir() if one.is_file())
@@ -269,7 +269,7 @@ def hash_file(file: str) -> str:
 
 
 def _assemble(title: str, body: str, plots: Plots) -> str:
-    """Return the whole page: all scripts and styles stand in it."""
+    """Return the complete page with all scripts and styles."""
     document = load_library("bokeh.document").Document(title="")
     for figure in plots.roots.values():
         document.add_root(figure)
@@ -296,25 +296,25 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
 
 
 def _end_no_script(code: str) -> str:
-    """Return code that may stand in a page: within its texts this says the same."""
+    """Return code for a page with end tags in its texts escaped, which keeps their meaning."""
     return code.replace("</script", "<\\/script")
 
 
 def _escape(code: str) -> str:
-    """Return JSON that ends no script: `<` stands as an escape."""
+    """Return JSON with `<` escaped, so that it cannot end a script."""
     return code.replace("<", "\\u003c")
 
 
 _MOST_NAMED: Final = 4
-"""Runs or checks that a sentence names; of more it says how many there are."""
+"""Largest number of runs or checks that a sentence names; otherwise it gives their number."""
 
 
 def conclude_runs(
     runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
 ) -> list[str]:
-    """Return which run ends nearest to its goal and which furthest, which are equal, or cut.
+    """Return sentences on the runs that end nearest and furthest, and on equal or cut runs.
 
-    Runs under different conditions are not ranked; then it returns what differs.
+    Runs under different conditions are not ranked; the differences are returned instead.
     """
     found = _list_misses(runs, metrics)
     sentences = []
@@ -342,7 +342,7 @@ def conclude_runs(
 
 
 def _list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -> dict[int, float]:
-    """Return the final position error of each run that aims at a goal [m], by its number."""
+    """Return the final position error of each run with a goal [m], by its index."""
     found = {}
     for number, (run, known) in enumerate(zip(runs, metrics, strict=True)):
         metric = known.get("final.position_error")
@@ -353,10 +353,10 @@ def _list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -
 
 
 def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
-    """Return how many checks fail and which, and how many are skipped; empty without checks.
+    """Return a sentence on failed and skipped checks; empty without checks.
 
     Args:
-        verdicts: Name of the run, of the check, and its verdict.
+        verdicts: Name of the run, name of the check, and verdict of each check.
     """
     judged = [found for found in verdicts if found[2] != "SKIPPED"]
     failed = [f"{check} in {run}" for run, check, verdict in judged if verdict == "FAIL"]
@@ -377,7 +377,7 @@ def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
 
 
 def _conclude_cause(name: str, found: Attribution) -> str:
-    """Return what causes the value of a run, in the words of `turtlelog explain`; empty if none."""
+    """Return the causes of a run's value, in the words of `turtlelog explain`; empty if none."""
     if found.withheld or found.without_value or not found.acting:
         return ""
     told = found.sentences[: 3 if choose_named(found) else 2]

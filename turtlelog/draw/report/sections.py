@@ -1,4 +1,4 @@
-"""The parts of a report that are text: tables, steps of an attribution, checks, provenance."""
+"""The text parts of a report: tables, steps of an attribution, checks, provenance."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -17,28 +17,28 @@ from turtlelog.explain import Attribution, write_sentences
 from turtlelog.run import Run
 
 _MOST_DIFFERING: Final = 8
-"""Keys in a table of what differs: more would be wider than a page."""
+"""Largest number of keys in a table of differences: more would be wider than a page."""
 
 _LEAST_PERCENT: Final = 0.4
-"""Of the width: a narrower bar would not be seen."""
+"""Smallest visible width of a bar [% of the width]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckLine:
-    """What a check found, as it is shown.
+    """The result of a check, as text.
 
     Attributes:
         run: Name of the run, or of a file that could not be read.
         check: Name of the check.
         verdict: `PASS`, `FAIL` or `SKIPPED`.
-        value: With its unit; empty if there is none.
-        limit: Likewise.
-        margin: Likewise.
-        expected: What was to hold, as written.
-        first_violation_s: When it is first violated [s], None if at no moment.
-        reason: Why it fails or is skipped, where values do not say it.
-        names: Of the signals that it is about.
-        signal: What violated it, with the band that it left; None if no signal did.
+        value: Measured value with its unit; empty if there is none.
+        limit: Limit with its unit; empty if there is none.
+        margin: Margin with its unit; empty if there is none.
+        expected: Expectation, as written.
+        first_violation_s: Time of the first violation [s]; None if there is no such time.
+        reason: Reason why it fails or is skipped, if values do not show it.
+        names: Names of the signals in the check.
+        signal: Violated signal with its band; None if no signal is violated.
     """
 
     run: str
@@ -55,12 +55,12 @@ class CheckLine:
 
 
 def show(text: object) -> str:
-    """Return text of anybody as HTML that shows it as it is."""
+    """Return any text as HTML that shows it literally."""
     return escape(escape_controls(str(text)))
 
 
 def write_table(table: Table) -> str:
-    """Return a table with its notes; the best and the worst of a column are marked in words."""
+    """Return a table with its notes; the best and worst values of a column are marked in words."""
     heads = [show(f"{one.title} [{one.unit}]" if one.unit else one.title) for one in table.columns]
     rows = []
     for row, cells in enumerate(table.rows):
@@ -77,7 +77,7 @@ def write_table(table: Table) -> str:
 
 
 def write_attribution(name: str, found: Attribution) -> str:
-    """Return the steps from the logged value to what is left, and what they rest on."""
+    """Return the steps from the logged value to the remaining one, and their basis."""
     waterfall = draw_up_attribution(found)
     sentences = "".join(f"<li>{show(text)}</li>" for text in write_sentences(found))
     bars = ""
@@ -102,7 +102,7 @@ def write_attribution(name: str, found: Attribution) -> str:
 
 
 def write_checks(lines: Sequence[CheckLine]) -> str:
-    """Return the checks as a table, those that fail first, each with when it is first violated."""
+    """Return the checks as a table, failed ones first, each with its first violation."""
     heads = ["verdict", "run", "check", "value", "limit", "margin", "first violated", "why"]
     order = sort_checks(lines)
     rows = []
@@ -122,12 +122,12 @@ def write_checks(lines: Sequence[CheckLine]) -> str:
 
 
 def sort_checks(lines: Sequence[CheckLine]) -> list[CheckLine]:
-    """Return checks in the order in which they are shown: those that fail first."""
+    """Return checks in the order of display: failed ones first."""
     return sorted(lines, key=lambda line: line.verdict != "FAIL")
 
 
 def _place_violations(lines: Sequence[CheckLine]) -> str:
-    """Return the places of the plots of failed checks, each with what it shows in words."""
+    """Return the places of the plots of failed checks, each with a description."""
     failed = [line for line in lines if line.verdict == "FAIL"]
     drawn = [(line, line.signal) for line in failed if line.signal is not None][:MOST_VIOLATIONS]
     parts = []
@@ -153,14 +153,14 @@ def write_provenance(
     versions: Iterable[str],
     command: str,
 ) -> str:
-    """Return where all of this comes from.
+    """Return the provenance of the report.
 
     Args:
-        runs: That are shown.
-        names: Theirs.
-        sources: File and sha256 of each run, empty if they are not known.
-        versions: Of what wrote the report.
-        command: That writes it again, empty if it is not known.
+        runs: Runs in the report.
+        names: Names of the runs.
+        sources: File and sha256 of each run; empty if unknown.
+        versions: Versions of the programs that wrote the report.
+        command: Command that creates the report; empty if unknown.
     """
     parts = [f"<p>{show(', '.join(versions))}.</p>"]
     if command:
@@ -179,7 +179,7 @@ def write_provenance(
 
 
 def _write_differences(runs: Sequence[Run], names: Sequence[str]) -> str:
-    """Return a table of the keys in which scenarios differ, and where the whole ones are."""
+    """Return a table of the keys in which scenarios differ, with links to the complete ones."""
     keys = list_differing(runs)[:_MOST_DIFFERING]
     rows = [
         f'<tr><th scope="row">{show(name)}</th>'
@@ -208,7 +208,7 @@ def _iterate_known(run: Run) -> Iterator[tuple[str, object]]:
 
 
 def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
-    """Return a table that scrolls by itself where the window is narrower; heads are HTML."""
+    """Return a table that scrolls by itself in a narrow window; heads are HTML."""
     caption = f"<caption>{show(title)}</caption>" if title else ""
     head = "".join(f'<th scope="col">{text}</th>' for text in heads)
     label = f' aria-label="{show(title)}"' if title else ""

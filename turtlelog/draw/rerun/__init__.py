@@ -6,9 +6,10 @@ from turtlelog.libraries import load_library
 
 
 def _import_rerun() -> None:
-    """Import Rerun without what it logs of viewers that go away and of full disks.
+    """Import Rerun without its log messages about closed viewers and full disks.
 
-    turtlelog says so in a line. Rerun reads its log filter once, here; one of the user's own stays.
+    turtlelog reports these errors in one line. Rerun reads its log filter once, here; a filter set
+    by the user is kept.
     """
     name = "RUST_LOG"
     if name in os.environ:

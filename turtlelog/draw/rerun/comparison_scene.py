@@ -68,12 +68,12 @@ from turtlelog.run import Run
 
 _THIN_WIDTH: Final = 1.0
 _OF_MANY: Final = Look(color=palette.PATH_OF_MANY, width=0.75)
-"""Of the paths of very many runs: their ends have the colours."""
+"""Style of the paths of very many runs, whose ends have the colours."""
 _MOST_EXTREMES: Final = 3
-"""Runs whose names stand in the plane: more would hide the ways."""
+"""Largest number of runs that are named in the plane: more names would hide the paths."""
 
 _EXTREME_SHARE: Final = 0.2
-"""Of half the plane: nearer to the goal, or to another one, a name would cover others."""
+"""Share of half the plane: a name nearer to the goal or to another name would cover others."""
 
 
 def write_comparison_rrd(
@@ -85,10 +85,12 @@ def write_comparison_rrd(
 ) -> None:
     """Write one recording of several runs; time zero is the first sample of each.
 
-    On the timeline of a later phase, such as `translate_time`, it is the start of that phase.
+    On the timeline of a later phase, such as `translate_time`, time zero is the start of that
+    phase.
 
     Args:
-        runs: One run or more; each has one colour in every view, in the order of `order_by_gain`.
+        runs: Runs, at least one; each has one colour in every view, in the order of
+            `order_by_gain`.
         path: The .rrd file; replaced when the new one is complete.
         documents: Markdown texts by title, shown as tabs; None: those of `document_runs`.
         size: See `write_run_rrd`.
@@ -124,18 +126,18 @@ def write_comparison_rrd(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Overlay:
-    """Several runs and how they are told apart; all sequences are in the same order.
+    """Several runs with names and colours; all sequences are in the same order.
 
     Attributes:
-        runs: At least one.
-        names: No two alike.
+        runs: Runs, at least one.
+        names: Different names of the runs.
         prefixes: Entity prefixes.
-        colors: The same in every view.
-        timelines: Aligned at the first samples.
-        series: The curves of each.
-        references: Level lines that all share.
-        restless: Numbers of those among many that never come to rest.
-        scale: By what many differ; None if that is no one number.
+        colors: Colours of the runs in every view.
+        timelines: Timelines, aligned at the first samples.
+        series: Curves of each run.
+        references: Common level lines.
+        restless: Indices of the runs among many that never come to rest.
+        scale: Number in which many runs differ; None if there is no single one.
     """
 
     runs: tuple[Run, ...]
@@ -149,7 +151,7 @@ class _Overlay:
     scale: GainScale | None = None
 
     def describe(self, documents: Mapping[str, str]) -> Content:
-        """Return what a recording of it holds."""
+        """Return the content of its recording."""
         content = describe_content(
             self.runs, self.prefixes, self.series, self.references, documents, names=self.names
         )
@@ -180,7 +182,7 @@ class _Overlay:
         )
 
     def _name_beyond(self, ranges: Mapping[str, tuple[float, float]]) -> dict[str, str]:
-        """Return which runs that never rest leave the range of each plot that shows them."""
+        """Return the runs without rest that exceed the range of each plot that shows them."""
         found: dict[str, list[int]] = {}
         for number in sorted(self.restless):
             for series in self.series[number]:
@@ -194,18 +196,18 @@ class _Overlay:
         }
 
     def name_briefly(self) -> tuple[str, ...]:
-        """Return what the runs are called where there is little room."""
+        """Return short names of the runs."""
         if self.scale is not None:
             return tuple(map(self.name_run, range(len(self.runs))))
         return cut_alike(self.names)
 
     def name_run(self, number: int) -> str:
-        """Return what a run among many is called in a picture: by what the colours tell."""
+        """Return the name of a run among many in a picture: the value that colours show."""
         return self.names[number] if self.scale is None else self.scale.name_run(number)
 
 
 def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[str]:
-    """Return a name for each group of equal runs: one is drawn, and says that it is all of them."""
+    """Return a name for each group of equal runs: one run is drawn with the names of all."""
     names = name_runs(runs)
     firsts = [runs[first] for first, *_ in groups]
     brief = shorten_run_names(firsts, [names[first] for first, *_ in groups])
@@ -227,7 +229,7 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
     """Return runs with their colours, curves and timelines."""
     colors = choose_run_colors(len(runs))
     restless = find_restless(runs) if len(runs) > MANY else frozenset()
-    # The legend stands along the track, and has no room for more than the runs.
+    # The legend of the along-track plot has no room for more names than those of the runs.
     references = [found for found in list_references(runs) if found.plot != ALONG_TRACK]
     return _Overlay(
         runs=tuple(runs),
@@ -248,7 +250,7 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
 
 
 def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tuple[Series, ...]:
-    """Return curves of a run among many; commands of one that swings on would cover all others."""
+    """Return the curves of a run among many, without oscillating commands, which hide others."""
     found = list_compared_series(run, name, color)
     if is_restless:
         found = tuple(series for series in found if series.plot not in entities.RESTLESS)
@@ -264,7 +266,7 @@ def _draw_overlay(
     overlay: _Overlay,
     content: Content,
 ) -> list[RunStream]:
-    """Draw all runs and what they share; return a stream for each run."""
+    """Draw all runs and their common parts; return a stream for each run."""
     draw_world(stream, overlay.runs)
     span = read_span(overlay.runs, overlay.timelines)
     draw_references(stream, overlay.references, span)
@@ -302,7 +304,7 @@ def _draw_overlay(
 
 
 def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
-    """Name the runs that end furthest from the goal, where they end; of very many show all ends."""
+    """Name the runs that end furthest from the goal at their ends; for very many, show all ends."""
     if has_grey_paths(overlay.runs):
         draw_ends(stream, overlay.runs, overlay.colors)
     if content.goal is None:
@@ -336,7 +338,7 @@ def _name_recording(names: Sequence[str]) -> str:
 
 
 def _list_path_parts(names: Sequence[str]) -> list[str]:
-    """Return a part of an entity path per name, without spaces, which a path shows as escapes."""
+    """Return a part of an entity path per name, without spaces, which paths show as escapes."""
     plain = [name_part(name) for name in names]
     if len(set(plain)) == len(plain):
         return plain

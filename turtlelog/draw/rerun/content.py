@@ -1,4 +1,4 @@
-"""What a recording holds, as far as its layout must know."""
+"""The content of a recording, as needed for its layout."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,62 +21,64 @@ from turtlelog.measure import find_signal
 from turtlelog.run import Run
 
 _CLOSE_UP = 2.0
-"""Half-height of the close-up, as a multiple of the largest error in it: it fills half of it."""
+"""Half-height of the close-up, as a multiple of the largest error in it, which fills half of it."""
 
 _SMALLEST_CLOSE_UP_DEG = 0.1
-"""Half-height of the close-up at least [deg]: also errors of 0 need a range with a height."""
+"""Smallest half-height of the close-up [deg]: even errors of 0 need a range."""
 
 _LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.4
-"""Shares of a plot that a legend of four lines takes in a window of 1600 x 900 pixels, where one of
-three plots below each other has 235 pixels of height."""
+"""Shares of a plot for a legend of four lines, in a window of 1600 x 900 pixels with plots 235
+pixels high, three above each other."""
 
 _MOST_IN_PLOT = 4
-"""How many runs a legend inside a plot names; of more, the names have a view of their own."""
+"""Largest number of names in a legend inside a plot; more names have a view of their own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """What a recording holds for its layout.
+    """The content of a recording for its layout.
 
     Attributes:
         prefixes: Entity prefix of each run; one empty prefix for a run alone.
         series: Entity paths of the curves, in the order of drawing.
         references: Plots that have level lines.
         lines: Entity paths of upright lines, shown in every plot.
-        legends: Plots that have a legend; None: those of several curves.
-        highest_speed_m_s: What the brightest colour of the trace by speed means; None without one.
-        steps_title: Title of the attribution, None without one.
-        luck_title: Title of the value from other starts, None without one.
-        starts: What else ends in the close-up of the goal, to end its title with.
+        legends: Plots with a legend; None: those with several curves.
+        highest_speed_m_s: Speed of the brightest colour of the trace by speed; None without a
+            trace.
+        steps_title: Title of the attribution; None without one.
+        luck_title: Title of the picture of values from other starts; None without one.
+        starts: Text on other ends in the close-up of the goal, for its title.
         has_dead_time: Whether the first run's dead times are drawn.
-        legend_names: Names of the runs where they need a view of their own, else none.
-        with_phases: How many runs have samples.
+        legend_names: Names of the runs if they need a view of their own, otherwise empty.
+        with_phases: Number of runs with samples.
         has_several_phases: Whether a run goes from one phase to another.
         has_events: Whether a run has events.
-        documents: Titles.
-        plane: What the plane shows.
-        goal: What the close-up of the goal shows, None without one.
+        documents: Titles of the documents.
+        plane: Bounds of the plane.
+        goal: Close-up of the goal; None without one.
         ranges: Fixed ranges of values, by plot.
-        close_ups: Plots whose range does not hold all of their curves.
+        close_ups: Plots whose range does not contain all of their curves.
         controlled: Plots of signals that a loop of a run controls.
-        worst: Where runs are furthest from their path, None if that is not shown.
-        states: The states of the laws, in groups.
+        worst: Largest deviations of runs from their path; None if not shown.
+        states: States of the laws, in groups.
         overlaid: Groups whose states share a plot.
-        idle: Plots of states that are 0 throughout in every run; they need no view.
-        outliers: How many outliers plots leave out of their ranges, in words, by plot.
+        idle: Plots of states that are always 0 in every run, which need no view.
+        outliers: Text on outliers beyond the ranges, by plot.
         phase_rows: Prefixes of the runs whose phases are shown; empty: all.
-        timelines: Names of all timelines: on each a trail grows to the cursor.
-        ghosts: Entity prefixes of what stands beside the runs in the plane.
-        arrows: What the arrows in the plane are, in words; empty without them.
-        origin: From where far coordinates are counted, in words; empty if nothing is far.
-        equal: Which runs are one curve, as all their rows are equal, in words; empty without them.
+        timelines: Names of all timelines, on each of which a trail grows to the cursor.
+        ghosts: Entity prefixes of ghosts in the plane.
+        arrows: Text on the arrows in the plane; empty without arrows.
+        origin: Text on the origin of shifted coordinates; empty if they are not shifted.
+        equal: Text on runs with equal rows, drawn as one curve; empty without them.
         is_small: Whether the window is too small for legends, phases and documents.
-        scale_title: Title of the bar that tells the colours of many runs; None without it.
-        scale_span: What the bar goes from and to, for where it has no room; empty without it.
-        end_s: Where the plots end [s]; None if they show all there is.
-        length_s: How long the longest run is [s], where the plots end before.
-        restless: Runs that never come to rest, in words: their commands are left out.
-        corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
+        scale_title: Title of the colour bar of many runs; None without a bar.
+        scale_span: Text on the range of the bar, for views without room for it; empty without a
+            bar.
+        end_s: End of the plots [s]; None if they show everything.
+        length_s: Duration of the longest run [s], if the plots end earlier.
+        restless: Text on runs that never come to rest, whose commands are left out.
+        corners: Rerun's name of the corner for the legend, by plot, if curves leave room.
     """
 
     prefixes: tuple[str, ...]
@@ -119,12 +121,12 @@ class Content:
     restless: str = ""
 
     def list_states(self, group: StateGroup) -> list[str]:
-        """Return the plots of those states of a group that are shown."""
+        """Return the plots of the shown states of a group."""
         plots = [f"{entities.STATE}/{name}" for name in group.names]
         return [plot for plot in plots if self.list_curves(plot) and plot not in self.idle]
 
     def list_curves(self, plot: str) -> list[str]:
-        """Return the entity paths of a plot's curves: of its own name, and below it."""
+        """Return the entity paths of a plot's curves: its own name, and names below it."""
         names = [join_path(prefix, plot) for prefix in self.prefixes]
         return [
             path
@@ -143,7 +145,7 @@ def describe_content(
     *,
     names: Sequence[str] = (),
 ) -> Content:
-    """Return what a recording of these runs holds, `series` being what is drawn of each."""
+    """Return the content of a recording of runs; `series` are the curves of each run."""
     close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
     states = group_states(*(run.declaration for run in runs))
     return Content(
@@ -184,7 +186,7 @@ def _list_timelines(runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:
-    """Return how many outliers each plot leaves out of its range, in words."""
+    """Return text on the number of outliers beyond the range, by plot."""
     found: dict[str, int] = {}
     for curves in (curves for run in series for curves in run):
         if curves.entity.endswith(f"/{entities.OUTLIERS}"):
@@ -200,7 +202,7 @@ def find_largest_shown(content: Content) -> float:
 def find_corners(
     series: Sequence[Series], ranges: Mapping[str, tuple[float, float]]
 ) -> dict[str, str]:
-    """Return the corner of each plot where the fewest rows of its curves lie, by Rerun's name."""
+    """Return Rerun's name of the emptiest corner of each plot."""
     first_ns = min((int(curves.time_ns[0]) for curves in series), default=0)
     last_ns = max((int(curves.time_ns[-1]) for curves in series), default=1)
     rows: dict[str, list[NDArray[np.float64]]] = {}
@@ -217,7 +219,7 @@ def find_corners(
 def find_emptiest_corner(
     time_ns: NDArray[np.int64], values: NDArray[np.float64], limits: tuple[float, float]
 ) -> str:
-    """Return the corner of a plot with these limits where the fewest rows of a curve lie."""
+    """Return the emptiest corner of a plot with given limits, for one curve."""
     low, high = limits
     across = (time_ns - time_ns[0]) / max(int(time_ns[-1] - time_ns[0]), 1)
     places = np.column_stack([across, (values - low) / (high - low)])
@@ -225,7 +227,7 @@ def find_emptiest_corner(
 
 
 def _find_emptiest(places: NDArray[np.float64]) -> str:
-    """Return the corner with the fewest places, from (0, 0) at the lower left to (1, 1)."""
+    """Return the corner with the fewest points, from (0, 0) at the lower left to (1, 1)."""
     is_right, is_left = places[:, 0] > 1.0 - _LEGEND_WIDTH, places[:, 0] < _LEGEND_WIDTH
     is_high = (places[:, 1] > 1.0 - _LEGEND_HEIGHT) & (places[:, 1] <= 1.0)
     is_low = (places[:, 1] < _LEGEND_HEIGHT) & (places[:, 1] >= 0.0)
@@ -247,7 +249,7 @@ def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
 
 
 def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool:
-    """Whether the states of a group share a plot: those of one run, if none would look like 0."""
+    """Return whether the states of a group share a plot: for one run, if none looks like 0."""
     plots = {f"{entities.STATE}/{name}": name for name in group.names}
     found = [curves for run in series for curves in run if curves.plot in plots]
     names, columns = [plots[one.plot] for one in found], [one.values[:, 0] for one in found]
@@ -257,7 +259,7 @@ def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool
 def find_ranges(
     series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
 ) -> dict[str, tuple[float, float]]:
-    """Return ranges of plots that hold all that was measured, and a little more."""
+    """Return ranges of plots that contain all measured values, with a margin."""
     levels = {reference.plot: reference.levels for reference in references}
     measured: dict[str, list[NDArray[np.float64]]] = {}
     for curves in (curves for run in series for curves in run if curves.is_measured):
@@ -267,9 +269,9 @@ def find_ranges(
 
 
 def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
-    """Return the range of heading errors that remain after turning: the turn itself hides them.
+    """Return the range of heading errors after turning, which the turn itself would hide.
 
-    None if a loop of the heading acts in every phase, or never.
+    Empty if a loop of the heading acts in every phase, or never.
     """
     largest_deg = 0.0
     for run in runs:

@@ -1,4 +1,4 @@
-"""Names in a recording: where each thing of a run is found. docs/rerun.md explains them."""
+"""Entity names in a recording. docs/rerun.md explains them."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -58,7 +58,7 @@ ALONG_TRACK: Final = "along_track"
 SPEED: Final = "speed"
 TURN_RATE: Final = "turn_rate"
 COMMANDED: Final = "commanded"
-MEASURED: Final = "as_measured"  # before `commanded`: the viewer draws later names on top
+MEASURED: Final = "as_measured"  # sorted before `commanded`: the viewer draws later names on top
 OUTLIERS: Final = "outliers"
 SENSED: Final = "sensed"
 DROPPED_OUT: Final = "dropped_out"
@@ -78,7 +78,7 @@ DOCUMENTS: Final = "documents"
 REFERENCE: Final = "reference"
 RUNS: Final = "runs"
 GHOSTS: Final = "ghosts"
-"""Plots draw curves in the order of their paths: a run above its ghosts."""
+"""Prefix of ghosts. Plots draw curves in the order of their paths: a run is above its ghosts."""
 
 LEGEND: Final = "legend"
 STEPS: Final = "attribution"
@@ -91,11 +91,11 @@ KEY_NAMES: Final = "plane/names/key/words"
 GAP_MM: Final = "gap_mm"
 GAP_M: Final = "gap_m"
 VIOLATED: Final = "violated"
-"""Below it, in the order of drawing, as the viewer draws later names on top: band to points."""
+"""Prefix of a violation's entities, from band to points; the viewer draws later names on top."""
 
 
 def name_plot(name: str) -> str:
-    """Return the entity of a plot over time: of a pair its own, with the unit of angles."""
+    """Return the entity of a plot over time; x and y share one; angles include their unit."""
     plot = TIME_PLOTS[name]
     return plot.pair or (f"{name}_deg" if plot.unit == "deg" else name)
 
@@ -114,15 +114,15 @@ def _group_plots() -> dict[str, tuple[TimePlot, ...]]:
 
 
 GROUPS: Final[Mapping[str, tuple[TimePlot, ...]]] = MappingProxyType(_group_plots())
-"""The plots over time of each entity: x and y stand together."""
+"""Plots over time of each entity; x and y share one."""
 
 
 RESTLESS: Final = frozenset(name for name, plots in GROUPS.items() if plots[0].is_filled)
-"""The plots that a run which never settles is left out of, among many."""
+"""Plots without the curves of runs among many that never settle."""
 
 
 def title_plot(entity: str) -> str:
-    """Return the title of a plot by its entity."""
+    """Return the title of a plot from its entity."""
     if entity in GROUPS:
         plots = GROUPS[entity]
         title = plots[0].title if len(plots) == 1 else entity.replace("_", " ")
@@ -139,17 +139,17 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def join_path(*parts: str) -> str:
-    """Return an entity path from parts that are escaped already; empty ones are left out."""
+    """Return an entity path from escaped parts; empty parts are left out."""
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))
 
 
 def locate_phases(prefix: str) -> str:
-    """Return where the phases of a run are: views of phases show paths as names of their rows."""
+    """Return the entity of a run's phases; views of phases show paths as names of rows."""
     return join_path(PHASE, prefix.rpartition("/")[2])
 
 
 def locate_dead_times(prefix: str) -> str:
-    """Return where the dead times of a run are: a row below that of its phases."""
+    """Return the entity of a run's dead times, shown in a row below its phases."""
     return f"{locate_phases(prefix)}_{DEAD_TIME}"
 
 

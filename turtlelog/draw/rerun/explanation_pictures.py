@@ -1,4 +1,4 @@
-"""An explanation as pictures: the steps of an attribution, and the luck of a run."""
+"""Pictures of an explanation: the steps of an attribution, and the effect of chance."""
 
 from collections.abc import Callable, Sequence
 from textwrap import wrap
@@ -18,31 +18,31 @@ from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 
 _WIDTH: Final = 100.0
-"""Of the picture; all else is in its units, of which one is 7 pixels in a window of 1200 x 860."""
+"""Width of the picture, and its unit of length: one unit is 7 pixels in a window of 1200 x 860."""
 
 _HEIGHT: Final = 36.0
 _FOOT: Final = 2.0
-"""Below it: in a small window words keep their height, and stand lower."""
+"""Space below the picture: in a small window text keeps its height, and extends lower."""
 _LETTER: Final = 0.95
 _SMALL_LETTER: Final = 2.3
 """Width of a letter in a window of 700 x 450, where a unit is 3 pixels."""
-_PADDING: Final = 2.4  # around words
-_ABOVE: Final = 1.9  # The viewer writes words below their point.
+_PADDING: Final = 2.4  # around text
+_ABOVE: Final = 1.9  # the viewer writes text below its point
 _GAP: Final = 0.6
 _LINE: Final = 3.6
 _TICK: Final = 0.7
 _MOST_TICKS: Final = 3
-"""Steps of the axis: its values have room also in a window of 700 x 450."""
+"""Steps of the axis: its values also have room in a window of 700 x 450."""
 _BAR_SHARE: Final = 0.66  # of a row
 _HIGHEST_BAR: Final = 5.5
 _LEAST_SCALE: Final = 25.0
-"""Longest bar at least, however long its words are."""
+"""Smallest length of the longest bar, however long the text is."""
 
 _PROSE_LETTER: Final = 0.84
-"""Of long lines, in which narrow letters and wide ones make up for each other."""
+"""Factor for long lines, in which narrow and wide letters compensate."""
 
 _LETTERS: Final = 100
-"""Of a line of text."""
+"""Largest length of a line of text [letters]."""
 
 
 def draw_waterfall_picture(
@@ -52,7 +52,7 @@ def draw_waterfall_picture(
 
     Args:
         stream: The recording.
-        waterfall: What it consists of.
+        waterfall: Waterfall to draw.
         more: Lines below its notes.
     """
     steps, scale, notes = waterfall.steps, waterfall.scale, (*waterfall.notes, *more)
@@ -89,7 +89,7 @@ def draw_waterfall_picture(
 
 
 def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
-    """Write in place of the steps why there are none."""
+    """Write the reason why there are no steps in their place."""
     lines = [line for sentence in sentences for line in wrap(sentence, _LETTERS)]
     most = int(_HEIGHT // _LINE)
     if len(lines) > most:
@@ -112,7 +112,7 @@ def view_waterfall(title: str) -> rrb.View:
 
 
 def view_picture(title: str, entity: str) -> rrb.View:
-    """Return the view of a picture in the units of this one."""
+    """Return the view of a picture in this picture's units."""
     return rrb.Spatial2DView(
         origin="/",
         contents=f"{join_path(entity)}/**",
@@ -123,7 +123,7 @@ def view_picture(title: str, entity: str) -> rrb.View:
 
 
 def choose_ticks(ends: Sequence[float], scale: StepScale) -> list[float]:
-    """Return round values between the ends of bars, 0 among them, in the metric's unit."""
+    """Return round values between the ends of bars, including 0, in the metric's unit."""
     low, high = min(0.0, *ends) * scale.factor, max(0.0, *ends) * scale.factor
     if not high > low:
         return [0.0]
@@ -139,9 +139,9 @@ def write_tick(value: float, scale: StepScale) -> str:
 
 
 def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> float:
-    """Return the middle of the words behind a bar: those of a short bar keep off its name.
+    """Return the middle of the text after a bar; that of a short bar avoids its name.
 
-    Words keep their size where the window is small, and stand around their middle.
+    Text keeps its size in a small window, and is placed around its middle.
     """
     half = _measure_words(step.text) / 2.0
     clear = names_end + _SMALL_LETTER * len(step.text) / 2.0
@@ -149,7 +149,7 @@ def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> flo
 
 
 def _find_scale(waterfall: Waterfall, names_end: float) -> float:
-    """Return the width of a unit, so that the words behind each bar have room."""
+    """Return the width of a unit such that the text after each bar has room."""
     low, high = waterfall.span
     span = high - low
     if not span > 0.0:
@@ -164,7 +164,7 @@ def _find_scale(waterfall: Waterfall, names_end: float) -> float:
 
 
 def _measure_words(text: str) -> float:
-    """Return how wide words are in the units of the picture, with room around them."""
+    """Return the width of text in the units of the picture, with a margin."""
     return _LETTER * len(text) + _PADDING
 
 
@@ -175,7 +175,7 @@ def _draw_bar(
     high: tuple[float, float],
     color: Color,
 ) -> None:
-    """Draw a filled rectangle: an image of one colour, since boxes are but outlines."""
+    """Draw a filled rectangle as an image of one colour, because boxes have only outlines."""
     entity = join_path(entities.STEPS, f"bar_{number}")
     width, height = max(high[0] - low[0], 0.15), high[1] - low[1]
     frame = rr.Transform3D(
@@ -189,7 +189,7 @@ def _draw_bar(
 def _write_words(
     stream: rr.RecordingStream, entity: str, words: Sequence[tuple[float, float, str, Color]]
 ) -> None:
-    """Write words around their middles."""
+    """Write texts, each around its middle."""
     points = rr.Points2D(
         [(x, y - _ABOVE) for x, y, _, _ in words],
         radii=rr.Radius.ui_points(0.0),
@@ -201,13 +201,13 @@ def _write_words(
 
 
 _LEFT: Final = 9.0
-"""Where the axis stands: words of values have room before it."""
+"""Position of the axis; values have room to its left."""
 
 _RIGHT: Final = 77.0
-"""Where the curves end; their names stand behind, in the units of the waterfall."""
+"""Right end of the curves, followed by their names, in the units of the waterfall."""
 
 _AXIS_FOOT: Final = 30.0
-"""Where the axis of the starts lies."""
+"""Height of the axis of the starts."""
 _PLAIN: Final = StepScale(factor=1.0, unit="", decimals=0)
 
 _END_RADIUS: Final = 1.6  # [points]
@@ -258,7 +258,7 @@ def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
 def draw_luck_ends(
     stream: rr.RecordingStream, shown: LuckPicture, close_up: CloseUp | None
 ) -> None:
-    """Draw where the starts end in the close-up of the goal, below the ends of the runs."""
+    """Draw the ends of the starts in the close-up of the goal, below the ends of the runs."""
     if shown.plane is None or close_up is None:
         return
     ends_m = np.concatenate([shown.plane.ends_m, shown.plane.ghosts_m])
@@ -273,7 +273,7 @@ def draw_luck_ends(
 
 
 def count_ends(shown: LuckPicture, close_up: CloseUp | None) -> str:
-    """Return how many starts end in the close-up, to end its title with; empty without both."""
+    """Return text on the number of ends in the close-up, for its title; empty without one."""
     if shown.plane is None or close_up is None:
         return ""
     ends_m = shown.plane.ends_m
@@ -293,7 +293,7 @@ def _draw_line(
     line: LuckLine,
     place: Callable[[Values], Values],
 ) -> None:
-    """Draw the parts of a curve; points where it is of the run, or of one start alone."""
+    """Draw the parts of a curve, and points for those of the run or of a single start."""
     points = place(np.stack([shown.places, line.values], axis=1))
     entity = join_path(entities.LUCK, f"curve_{name}")
     parts = [points[first : last + 1] for first, last in line.pieces]
@@ -322,7 +322,7 @@ def _mark_recorded(
     recorded: tuple[float, float],
     place: Callable[[Values], Values],
 ) -> _Words:
-    """Mark the run itself; return its words, on the side of the curve that has more room."""
+    """Mark the run itself; return its text, on the side of the curve with more room."""
     ((x, y),) = place(np.array([recorded])).tolist()
     dot = rr.Points2D([(x, y)], radii=rr.Radius.ui_points(_RECORDED_RADIUS), colors=[palette.MAIN])
     stream.log(join_path(entities.LUCK, "recorded"), dot, static=True)
@@ -336,7 +336,7 @@ def _draw_axes(
     top: float,
     place: Callable[[Values], Values],
 ) -> list[_Words]:
-    """Draw both axes; return their words."""
+    """Draw both axes; return their text."""
     first, last = float(shown.places[0]), float(shown.places[-1])
     low, high = shown.limits
     rises = [tick for tick in choose_ticks([low, high], _PLAIN) if low <= tick <= high]

@@ -1,4 +1,4 @@
-"""A run with its ghosts: the run without each effect, and the contributions of the effects."""
+"""Recording of a run with its ghosts, without each effect, and the effects' contributions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -73,13 +73,13 @@ _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
 _MOST_TOLD: Final = 2
-"""Ghosts whose values stand below the steps: more would be longer than the picture is wide."""
+"""Largest number of ghosts with a value below the steps: more would be wider than the picture."""
 
 _LONGEST: Final = 36
-"""Letters of a name in the key: they take 250 of the 480 pixels of the plane."""
+"""Longest name in the key [letters]: it takes 250 of the 480 pixels of the plane."""
 
 _LETTERING: Final = Lettering(letter=0.042, line=0.15, gap=0.08, reach=1.2)
-"""As measured in a window of 1200 x 860 pixels, where the close-up is 480 x 370."""
+"""Size of text, measured in a window of 1200 x 860 pixels, where the close-up is 480 x 370."""
 
 
 def write_explanation_rrd(
@@ -93,16 +93,17 @@ def write_explanation_rrd(
 ) -> None:
     """Write a recording of a run with its what-ifs as ghosts, and the attribution as steps.
 
-    The last what-if is the main ghost: the run without all acting effects. If there is none, it is
-    the ideal loop, if theory knows it. If contributions are withheld, the reason is shown instead.
+    The last what-if is the main ghost: the run without all acting effects. Without one, the ideal
+    loop is the main ghost if theory knows it. If contributions are withheld, the reason is shown
+    instead.
 
     Args:
         recorded: Recorded run.
         found: Causes of a value of the run.
-        what_ifs: Runs without causes, as `simulate_what_ifs` returns them.
+        what_ifs: Runs without causes, from `simulate_what_ifs`.
         path: The .rrd file; replaced when the new one is complete.
-        luck: The value from other starts, as `measure_luck` returns it: a picture beside the steps,
-            and the ends in the close-up of the goal.
+        luck: Values from other starts, from `measure_luck`: a picture beside the steps, and ends in
+            the close-up of the goal.
         documents: Markdown texts by title, shown as tabs after the table of contributions.
 
     Raises:
@@ -157,10 +158,10 @@ class _Scene:
 
     Attributes:
         recorded: Recorded run.
-        ghosts: The main one last; none if nothing is known.
+        ghosts: Ghosts, the main one last; empty if nothing is known.
         series: Curves of the run and of each simulated ghost.
-        gaps: How far the ghosts are away, over time.
-        references: Level lines that all share.
+        gaps: Distance of the ghosts over time.
+        references: Common level lines.
     """
 
     recorded: Run
@@ -171,26 +172,26 @@ class _Scene:
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """The recorded run, and what was simulated."""
+        """The recorded run and the simulated runs."""
         return (self.recorded, *(ghost.run for ghost in self.ghosts if ghost.is_run))
 
     @property
     def prefixes(self) -> tuple[str, ...]:
-        """Their entity prefixes."""
+        """Entity prefixes of the runs."""
         return (join_path(RUNS, _RECORDED), *(one.prefix for one in self.ghosts if one.is_run))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the runs."""
         return (_RECORDED, *(ghost.name for ghost in self.ghosts if ghost.is_run))
 
     @property
     def colors(self) -> tuple[Color, ...]:
-        """Their colours."""
+        """Colours of the runs."""
         return (palette.MAIN, *(ghost.look.color for ghost in self.ghosts if ghost.is_run))
 
     def describe(self, documents: Mapping[str, str]) -> Content:
-        """Return what a recording of it holds: phases of the run and its main ghost alone."""
+        """Return the content of its recording, with phases of the run and its main ghost only."""
         series = ((*self.series[0], *self.gaps), *self.series[1:])
         content = describe_content(self.runs, self.prefixes, series, self.references, documents)
         others = [ghost.prefix for ghost in self.ghosts if not ghost.is_run]
@@ -235,14 +236,14 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
 
 
 def _name_briefly(lacks: str, found: Attribution) -> str:
-    """Return a name for the close-up: the key of the plane has the whole one."""
+    """Return a name for the close-up; the key of the plane has the complete name."""
     if lacks in found.causes:
         return f"no {lacks}"
     return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
 
 
 def _choose_look(color: Color | None, *, is_main: bool) -> Look:
-    """Return the look of a ghost: the main one is grey, others have their cause's colour."""
+    """Return the look of a ghost: grey for the main one, otherwise the colour of its cause."""
     if is_main or color is None:
         return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)
     return Look(color=color, is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
@@ -296,7 +297,7 @@ def _draw_scene(
 
 
 def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> None:
-    """Draw how far the main ghost is away, and name all turtles."""
+    """Draw the distance of the main ghost, and name all turtles."""
     if scene.ghosts:
         main = scene.ghosts[-1]
         draw_gap(stream, scene.recorded, main, content.plane, "blue to grey")
@@ -307,7 +308,7 @@ def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> 
 
 
 def _name_steps(found: Attribution) -> str:
-    """Return what the view of the steps shows."""
+    """Return the title of the view of the steps."""
     value = found.resimulated if found.as_logged is None else found.as_logged
     if value is None:
         return f"Why {found.metric} has no value"
@@ -317,11 +318,11 @@ def _name_steps(found: Attribution) -> str:
 
 
 def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return the values of ghosts, which no bar shows where several causes act together.
+    """Return text on the values of ghosts, which no bar shows if several causes act together.
 
     Args:
         found: The attribution.
-        ghosts: Metrics of the what-ifs that are drawn, by what each lacks.
+        ghosts: Metrics of the drawn what-ifs, by the causes that each lacks.
     """
     acting = [share.cause for share in choose_acting_contributions(found)]
     if len(acting) < 2:
@@ -339,7 +340,7 @@ def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]])
 
 
 def _describe_contributions(found: Attribution) -> str:
-    """Return a Markdown table of each cause's contribution, and what it comes to in sentences."""
+    """Return a Markdown table of each cause's contribution, and a summary in sentences."""
     table = Table(
         title=_name_steps(found),
         columns=(

@@ -1,4 +1,4 @@
-"""Ghosts: what might have been, beside the run in the plane; how far apart they are, a key."""
+"""Ghosts in the plane beside a run, their distance from it, and a key."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,27 +28,28 @@ _MOST_GAPS: Final = 1000
 """Rows of the line between run and ghost: as many as a trail has segments."""
 
 _APART_M: Final = 5e-4
-"""Less is not written [m]: it would be 0 mm."""
+"""Smallest distance that is written [m]; a smaller one would be 0 mm."""
 
 _ONE_M: Final = 1.0
-"""Gaps below are plotted in mm, larger ones in m."""
+"""Gap from which the plot is in m instead of mm [m]."""
 
 _GAP_WIDTH: Final = 1.0  # [points]
 _GAP_ORDER: Final = 27.0  # above turtles
 _KEY_LETTER: Final = 0.036
-"""Of the plane's half-width: 7 pixels of 200."""
+"""Width of a letter, as a share of the plane's half-width: 7 pixels of 200."""
 
 _REACH: Final = 1.2
-"""Of the plane's half-width, from its middle to the sides of its view: beyond, words are cut."""
+"""Half-width of the view, as a multiple of the plane's; text beyond it is cut."""
 
 _ASIDE, _UP = 0.1, -0.1
-"""Of the plane's half-width: where the distance stands beside its line, far from goal's name."""
+"""Offset of the distance from its line, in half-widths of the plane, away from the goal's name."""
 
 _EDGE: Final = 0.87
-"""Of the plane's half-width: inside of the world's border."""
+"""Position of the key, as a share of the plane's half-width: inside of the world's border."""
 
 _KEY_LINE: Final = 0.19
-"""Of the plane's half-width: 18 pixels in a window of 700 x 450, less than words and frame take."""
+"""Height of a line of the key, as a share of the plane's half-width: 18 pixels in a window of 700 x
+450, less than text and frame take."""
 _KEY_SAMPLE: Final = 0.1
 _KEY_GAP: Final = 0.06
 _KEY_UP: Final = 0.055
@@ -56,15 +57,15 @@ _KEY_UP: Final = 0.055
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ghost:
-    """What might have been.
+    """A run that did not happen, for comparison.
 
     Attributes:
-        name: In words.
+        name: Name in words.
         prefix: Entity prefix.
-        run: Whose poses are the ghost's.
-        look: How it is drawn.
-        is_run: Whether it was simulated; else only its poses are its own.
-        brief: A short name.
+        run: Run with the ghost's poses.
+        look: Style of the ghost.
+        is_run: Whether it was simulated; otherwise only its poses are valid.
+        brief: Short name.
     """
 
     name: str
@@ -76,7 +77,7 @@ class Ghost:
 
 
 def build_ideal_ghost(run: Run) -> Ghost | None:
-    """Return the ideal loop beside a run, None if theory does not know where it would be."""
+    """Return the ideal loop beside a run; None if theory does not know its poses."""
     poses = find_ideal_poses(run)
     if poses is None:
         return None
@@ -86,13 +87,14 @@ def build_ideal_ghost(run: Run) -> Ghost | None:
 
 
 def find_ideal_poses(run: Run) -> PoseColumns | None:
-    """Return where the ideal loops of a run would be at its own pose times.
+    """Return the poses of a run's ideal loops at its own pose times.
 
-    Each begins where the run's loop does, as its ideal response in the plots: nothing is clipped.
-    Theory tells a pose where a loop turns the robot, and another then drives it along its track.
+    Each ideal loop begins when the run's loop does, like its ideal response in the plots; nothing
+    is clipped. Theory gives a pose if one loop turns the robot, and another then drives it along
+    its track.
 
     Returns:
-        None if theory does not know both, or where they act together.
+        None: If theory does not know both loops, or they act together.
     """
     turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
     line = run.goal_line
@@ -120,7 +122,7 @@ def draw_ghost(
     *,
     segments: int = MOST_SEGMENTS,
 ) -> RunStream:
-    """Draw its trail and its turtle."""
+    """Draw trail and turtle of a ghost."""
     run_stream = RunStream(stream, ghost.prefix, timelines)
     draw_trail(run_stream, ghost.run, ghost.look, segments=segments)
     draw_turtle(run_stream, ghost.run.poses, ghost.look, half_size_m)
@@ -128,7 +130,7 @@ def draw_ghost(
 
 
 def list_gaps(run: Run, ghosts: Sequence[Ghost]) -> tuple[Series, ...]:
-    """Return how far each ghost is from the run at the same time after its start."""
+    """Return the distance of each ghost from the run at equal times after its start."""
     gaps = [measure_gap(run, ghost) for ghost in ghosts]
     if len(run.poses) < 2 or not gaps:
         return ()
@@ -156,14 +158,14 @@ def measure_gap(run: Run, ghost: Ghost) -> Values:
 def draw_gap(
     stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds, words: str
 ) -> None:
-    """Draw a line from the run to a ghost at the cursor, and how long it is, after some words."""
+    """Draw a line from the run to a ghost at the cursor, with text and the distance."""
     half_size_m = bounds.half_size_m
     rows = np.unique(
         np.linspace(0, len(run.poses) - 1, min(len(run.poses), _MOST_GAPS)).round().astype(int)
     )
     own_m, other_m = run.poses.xy_m[rows], _follow(run, ghost)[rows]
     gap_m = measure_gap(run, ghost)[rows]
-    # On no other timeline are they this far apart.
+    # On other timelines the distance is different.
     index = build_index({TIMELINE: run.poses.time_ns[rows] - run.start_ns})
     stream.log(
         join_path(entities.GAP),
@@ -211,7 +213,7 @@ def draw_key(
         across = (xy[:, 0] > corner[0]) & (xy[:, 0] < corner[0] + width)
         return int((across & (xy[:, 1] > corner[1] - height) & (xy[:, 1] < corner[1])).sum())
 
-    # Of places that are as empty the first: the lower left.
+    # If several places are equally empty, the first is used: the lower left.
     left, top = min(((x, y) for y in tops for x in lefts), key=count_hidden)
     ys = top - _KEY_LINE * (np.arange(len(rows)) + 1.0)
     samples = [[(left, y), (left + _KEY_SAMPLE, y)] for y in ys]
@@ -235,7 +237,7 @@ def draw_key(
         rr.Points2D(
             center + half_m * np.array(words),
             radii=rr.Radius.ui_points(0.0),
-            # Where the window is small they hide the samples.
+            # In a small window samples are hidden.
             colors=[color for _, color in rows],
             labels=[name for name, _ in rows],
             show_labels=True,
@@ -245,15 +247,15 @@ def draw_key(
 
 
 def _follow(run: Run, ghost: Ghost) -> Values:
-    """Return where the ghost is at each of the run's poses, as long after its start [m]."""
+    """Return the ghost's position at each of the run's poses, equally long after its start [m]."""
     since_start_s = (run.poses.time_ns - run.start_ns) / 1e9
     return locate_run(ghost.run, ghost.run.start_ns, since_start_s)[0]
 
 
 def _find_aside(run: Run, x_m: Values, bounds: Bounds, width: float) -> Values:
-    """Return how far to the right words stand [m]: on the side where the goal has no name.
+    """Return the sideways offset of text [m], on the side without the goal's name.
 
-    `width` is that of the words, in half-widths of the plane; they end where the view does.
+    `width` is that of the text, in half-widths of the plane; text ends inside the view.
     """
     goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(run.poses.xy_m[-1, 0])
     side = 1.0 if goal_x_m <= run.poses.xy_m[0, 0] else -1.0

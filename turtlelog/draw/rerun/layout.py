@@ -1,4 +1,4 @@
-"""Layouts: which views a recording opens with, and where. A view without data is left out."""
+"""Layouts: the views of a recording and their places. A view without data is left out."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -60,7 +60,8 @@ _EXPLAINED_ROWS: Final = (1.0, 1.7)
 _EXPLAINED_COLUMNS: Final = (1.0, 1.5)
 
 _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
-"""Where the viewer keeps the range of all linked time axes: in a view that is never shown."""
+"""Entity where the viewer keeps the range of all linked time axes, in a view that is never
+shown."""
 
 _LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
 
@@ -69,12 +70,13 @@ _COLUMN_SHARES: Final = (1.0, 1.8)
 _VIOLATION_ROWS: Final = (1.0, 1.2)
 
 _VIOLATION_TOP: Final = (4.0, 1.0)
-"""Signal and legend: of 1200 pixels the legend has 240, a line of which holds 32 letters."""
+"""Widths of signal and legend: of 1200 pixels the legend has 240, with 32 letters per line."""
 
 LEGEND_TITLE: Final = "Legend"
 
 _VIOLATION_COLUMNS: Final = (1.0, 1.3, 1.6)
-"""The message has lines of 92 letters, of which a window of 1400 pixels shows most."""
+"""Widths of the columns: a line of the message has 92 letters, most of which a window of 1400
+pixels shows."""
 
 _PHASE_HEAD_SHARE: Final = 0.09
 
@@ -83,35 +85,37 @@ _PHASE_ROW_SHARE: Final = 0.055
 _LARGEST_PHASE_SHARE: Final = 0.4
 
 _ONE_PHASE_SHARE: Final = 0.18
-"""Largest share where every run has but one phase: the bars tell only when each ends."""
+"""Largest share of the phases if every run has only one phase: the bars only show its end."""
 
 _STATE_SHARE: Final = 0.22
-"""Of the height of the plots: a little less than one of three rows."""
+"""Share of the height of the plots for states: a little less than one of three rows."""
 
 _MOST_STATES_BESIDE: Final = 3
-"""More would each be narrower than the others' legends: they are tabs."""
+"""Largest number of states side by side; more would be narrower than legends, and become tabs."""
 
 _WHOLE_TIME: Final = rr.TimeRange(
     start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
 )
-"""From the first time to the last, on every timeline."""
+"""Range from the first to the last time, on every timeline."""
 
 _LEAST_WIDTH: Final = 1000
-"""Plots of a window 1000 pixels wide have 320, of which a legend takes 210."""
+"""Window width below which legends are left out [pixels]: plots have 320 of 1000, a legend takes
+210."""
 
 _LEAST_HEIGHT: Final = 700
-"""Plots of a window 700 pixels high have 110, of which a legend of three lines takes 85."""
+"""Window height below which legends are left out [pixels]: plots have 110 of 700, a legend of three
+lines takes 85."""
 
 
 class LinkedBlueprint(rrb.Blueprint):
-    """A layout whose time axes are linked and show all there is, on every timeline.
+    """A layout with linked time axes that show everything, on every timeline.
 
     If a plot had its own time range, the viewer would show only one minute of it, around the
     cursor.
     """
 
     end_s: float | None = None
-    """Where they end instead, on every timeline [s]."""
+    """End of the time axes on every timeline [s]; None: everything."""
 
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:
         super()._log_to_stream(stream)
@@ -123,26 +127,26 @@ class LinkedBlueprint(rrb.Blueprint):
 
 
 def is_small(size: tuple[int, int] | None) -> bool:
-    """Whether legends would cover the curves of plots in a window of this size [pixels]."""
+    """Return whether legends would cover the curves of plots in a window of this size [pixels]."""
     return size is not None and (size[0] < _LEAST_WIDTH or size[1] < _LEAST_HEIGHT)
 
 
 def build_run_layout(content: Content) -> rrb.Blueprint:
-    """Return the layout of a run alone: plane, heading loop, position loop, phases below."""
+    """Return the layout of a single run: plane, heading loop, position loop, phases below."""
     corners = {plot: rrb.Corner2D[corner] for plot, corner in content.corners.items()}
     return _build_blueprint(content, corners)
 
 
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
-    """Return the layout of a comparison: the same views with every run in each, one legend."""
+    """Return the layout of a comparison: the same views with all runs, and one legend."""
     return _build_blueprint(content, _choose_legend(content))
 
 
 def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprint:
-    """Return the layout of a violation: its signal over all, then plane, message and plots.
+    """Return the layout of a violation: the signal at the top, then plane, message and plots.
 
-    The legend of the signal stands beside it, where it covers nothing, and wraps where the window
-    is small. The plots are as small as a legend, and have none.
+    The signal's legend is beside it, where it covers nothing, and its lines wrap in a small window.
+    The plots are as small as a legend, and have none.
     """
     top = rrb.Horizontal(violated, view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
     titles = [title for title in content.documents if title != LEGEND_TITLE]
@@ -159,7 +163,7 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
 
 
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
-    """Return the layout of a run beside its ghosts: the planes, the attribution, a few plots."""
+    """Return the layout of a run with ghosts: the planes, the attribution, and a few plots."""
     left = _list_planes_of(content)
     tabs = [view_waterfall(content.steps_title or "")]
     tabs += [] if content.luck_title is None else [view_picture(content.luck_title, entities.LUCK)]
@@ -182,7 +186,7 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
 
 
 def _choose_legend(content: Content) -> Corners:
-    """Return the one legend's place: a run keeps its colour in every view."""
+    """Return the place of the only legend: a run keeps its colour in every view."""
     if content.legend_names:
         return {}
     for plot in ("along_track_error", "along_track"):
@@ -203,7 +207,7 @@ def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
 
 
 def link_views(root: rrb.Container, *, end_s: float | None = None) -> rrb.Blueprint:
-    """Return a layout whose views share their time, without panels but that of time."""
+    """Return a layout whose views share their time, without panels except that of time."""
     layout = LinkedBlueprint(
         root,
         rrb.BlueprintPanel(state="hidden"),
@@ -237,7 +241,7 @@ def _list_tabs(content: Content) -> list[rrb.View]:
 
 
 def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
-    """Return the plane, and the close-up of goal or path where there is one."""
+    """Return the plane, and the close-up of goal or path if there is one."""
     views: list[rrb.View | rrb.Container] = [_build_plane(content)]
     if content.goal is not None:
         views.append(view_goal(content, content.goal))
@@ -275,10 +279,10 @@ def _list_cells(
 
 
 def _choose_tab(content: Content, cell: Sequence[str]) -> int:
-    """Return the first plot that a loop controls, among those that are there; else the first.
+    """Return the index of the first plot that a loop controls, or else 0.
 
-    The error along the track is the first where every run has it: beside a way of many metres it
-    could not be seen.
+    The along-track error has priority if every run has it: it would not be visible beside a path of
+    many metres.
     """
     shown = [plot for plot in cell if content.list_curves(plot)]
     if len(content.list_curves(shown[0])) < len(content.prefixes):
@@ -287,7 +291,7 @@ def _choose_tab(content: Content, cell: Sequence[str]) -> int:
 
 
 def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
-    """Put the states of the laws into a row of their own: a cell for each group."""
+    """Add the states of the laws as a row of their own, with a cell for each group."""
     cells = [cell for group in content.states if (cell := _view_states(content, group))]
     if not cells:
         return plots
@@ -297,7 +301,7 @@ def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
 
 
 def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Container | None:
-    """Show states over each other where they share a plot, else each as a tab."""
+    """Show the states of a group in one plot if they share it, otherwise each as a tab."""
     plots = content.list_states(group)
     if group not in content.overlaid or not plots:
         has_tabs = group.command is not None and len(plots) > 1
@@ -320,7 +324,7 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
 
 
 def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:
-    """Put the phases below plots; `height` is that of both together, as a share of the window."""
+    """Add the phases below plots; `height` is that of both, as a share of the window."""
     if not content.with_phases or content.is_small:
         return plots
     rows = min(content.with_phases, len(content.phase_rows) or content.with_phases)

@@ -1,4 +1,4 @@
-"""Legends in the colours of runs: of one, of several, or of many the bar of a gain."""
+"""Legends in the colours of runs: names, or for many runs a colour bar of a gain."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,20 +19,20 @@ from turtlelog.draw.rerun.marks import Mark, name_marks
 from turtlelog.draw.rerun.plots import LevelLines, Series
 
 _SCALE_WIDTH: Final = 12.0
-"""Of the bar that tells the colours of many runs, in heights of it."""
+"""Width of the colour bar of many runs, in multiples of its height."""
 
 _SCALE_DEPTH: Final = 2.5
 
-_LEGEND_WIDTH: Final = 12.0  # in heights of a row
+_LEGEND_WIDTH: Final = 12.0  # in multiples of a row's height
 
 _LEGEND_LETTERS: Final = 48
-"""Of all columns together: with dots and gaps they take 400 of 430 pixels."""
+"""Letters of all columns together: with dots and gaps they take 400 of 430 pixels."""
 
 _MOST_COLUMNS: Final = 4
-"""Of names; more columns of short ones would be read as lines."""
+"""Largest number of columns of names; more columns of short names would look like lines of text."""
 
 _MOST_NAMES: Final = 28
-"""In four columns and seven lines, which a window of 1200 x 860 has room for."""
+"""Largest number of names, in four columns and seven lines of a window of 1200 x 860."""
 
 _LEGEND_RADIUS: Final = 5.0  # [points]
 
@@ -42,11 +42,11 @@ _SCALE_LINES: Final = 8
 """Lines side by side that fill a cell: the viewer rounds the ends of a thick one."""
 
 _SCALE_LABELS: Final = 12
-"""Values in a view 500 pixels wide: 40 each."""
+"""Largest number of values in a view 500 pixels wide: 40 pixels each."""
 
 
 def view_legend(names: Sequence[str]) -> rrb.View:
-    """Show the names of many runs in their colours."""
+    """Return a view of the names of many runs in their colours."""
     shown = [names[number] for number in choose_names(len(names))]
     last_row = float(arrange_names(shown)[-1, 1])
     return rrb.Spatial2DView(
@@ -61,7 +61,7 @@ def view_legend(names: Sequence[str]) -> rrb.View:
 
 
 def view_scale(title: str) -> rrb.View:
-    """Show the bar of the colours of many runs."""
+    """Return a view of the colour bar of many runs."""
     return rrb.Spatial2DView(
         origin="/",
         contents=[f"{join_path(entities.LEGEND)}/**"],
@@ -114,7 +114,7 @@ def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Co
 
 
 def title_scale(scale: GainScale) -> str:
-    """Return what the bar shows, for its title."""
+    """Return the title of the colour bar."""
     return f"{len(scale.values)} runs, coloured by {scale.word}: {tell_span(scale)}"
 
 
@@ -124,9 +124,9 @@ def tell_span(scale: GainScale) -> str:
 
 
 def choose_names(count: int) -> tuple[int, ...]:
-    """Return which of many runs are named: as many as there is room for, the last among them.
+    """Return the indices of the named runs among many, limited by the room, including the last.
 
-    Colours of many runs follow their order, so that those between are known from their neighbours.
+    Colours of many runs follow their order, so unnamed runs are known from their neighbours.
     """
     if count <= _MOST_NAMES:
         return tuple(range(count))
@@ -134,7 +134,7 @@ def choose_names(count: int) -> tuple[int, ...]:
 
 
 def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
-    """Return places in a grid, y downward, shape (n, 2): the longest name sets its columns."""
+    """Return places in a grid, y downward, shape (n, 2); the longest name sets the column width."""
     longest = max(len(name) for name in names)
     columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
     number = np.arange(len(names))
@@ -144,14 +144,14 @@ def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Legends:
-    """All that is drawn in plots, under the names of their legends.
+    """All curves, lines and marks of plots, with their names in legends.
 
     Attributes:
         series: Curves.
         references: Level lines.
         marks: Metrics on curves.
-        names: The name of the main curve of each plot, which upright lines share.
-        shown: Plots whose legend tells more than their title.
+        names: Name of the main curve of each plot, which vertical lines share.
+        shown: Plots whose legend contains more than their title.
     """
 
     series: tuple[Series, ...]
@@ -166,8 +166,8 @@ def name_legends(
 ) -> Legends:
     """Return curves, level lines and marks under names that make a short legend of each plot.
 
-    What has one colour shares a name. Limits and marks have that of the main curve. Zero needs no
-    line beside that of the axis.
+    Items with one colour share a name. Limits and marks have the name of the main curve. Zero needs
+    no line of its own beside the axis.
     """
     lines = {line.plot: line for line in references}
     found = [
@@ -190,9 +190,9 @@ def name_legends(
 def _name_plot(
     curves: Sequence[Series], lines: LevelLines | None, marks: Sequence[Mark]
 ) -> Legends:
-    """Return what stands in one plot under the names of its legend."""
+    """Return the items of one plot with their names in its legend."""
     main = next((one for one in curves if one.is_main), curves[0])
-    # Marks tell enough of a curve that has the name of its plot.
+    # Marks are sufficient for a curve with the name of its plot.
     is_named = not marks or main.entity != main.plot
     words: dict[Color, list[str]] = {main.colors[0]: [main.labels[0]] if is_named else []}
     for one in curves:
@@ -226,7 +226,7 @@ def _name_plot(
 def _part_levels(
     plot: str, levels: Sequence[Level], names: Mapping[Color, str], main: Series
 ) -> Iterator[LevelLines]:
-    """Yield what is aimed at in grey, and limits in the colour of the curve that they bound."""
+    """Yield references in grey, and limits in the colour of the curve that they bound."""
     grey = tuple(level for level in levels if level.kind in ("target", "tolerance"))
     limits = tuple(level for level in levels if level.kind == "limit")
     for kept, color in ((grey, palette.IDEAL), (limits, main.colors[0])):
@@ -239,7 +239,7 @@ def _join_tint(color: Color, main: Series) -> Color:
 
 
 def _describe(curves: Series, label: str) -> str:
-    """Return what a curve is called; points say how they look."""
+    """Return the name of a curve; for points it describes their look."""
     if curves.marker is None:
         return label
     return f"{'dots' if curves.marker == 'circle' else 'crosses'}: {label}"

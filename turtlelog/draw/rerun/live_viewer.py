@@ -1,4 +1,4 @@
-"""Runs in a viewer while they grow: a running loop, or a recording that another process writes."""
+"""Growing runs in a viewer: a running loop, or a recording that another process writes."""
 
 import threading
 import time
@@ -49,14 +49,14 @@ from turtlelog.simulate import RunCollector, Tick
 
 _BATCH_S: Final = 0.05
 _SHARE: Final = 5
-"""Between two batches passes at least so many times what the last one took of a processor."""
+"""Shortest time between two batches, as a multiple of the processor time of the last one."""
 
 _LAST_S: Final = 8.0
-"""So long the end of a run waits for a viewer that does not answer."""
+"""Time that the end of a run waits for a viewer that does not answer [s]."""
 
 _POLL_S: Final = 0.1
 _QUIET_S: Final = 3.0
-"""A file that nobody writes, and that has not grown for so long, will not grow any more."""
+"""Time after which a file without a writer that has not grown counts as final [s]."""
 
 _ADVICE: Final = (
     "`turtlelog view FILE --partial --snapshot X.png` makes a picture of what is there so far"
@@ -66,12 +66,12 @@ _ADVICE: Final = (
 class GrowingStream(rr.RecordingStream):
     """Stream that sends only new data of every entity.
 
-    What draws a finished run draws a growing one with this: rows that were sent are left out, and
-    so is what is static, but for the path, the places of events and the level lines, which
-    grow at their ends.
+    The functions that draw a finished run draw a growing one with this stream. Rows and static data
+    that were sent are left out. The path, the places of events and the level lines grow at their
+    ends, and are sent again.
 
     Attributes:
-        is_due: Whether these are sent in this round.
+        is_due: Whether the growing static data are sent in this round.
     """
 
     def __init__(self, application_id: str) -> None:
@@ -87,7 +87,7 @@ class GrowingStream(rr.RecordingStream):
 
         Args:
             rows: Present number of rows of the run.
-            is_last: Whether this is the final round: everything that may change is then sent.
+            is_last: Whether this is the final round, in which all changeable data are sent.
         """
         self._seen.clear()
         self._is_last = is_last
@@ -137,7 +137,7 @@ class GrowingStream(rr.RecordingStream):
 class LiveScene:
     """A run in a viewer, with the entities, rows and layout of its file.
 
-    Data known only at the end (metrics and their marks, theory, close-ups) are sent then.
+    Metrics, their marks, theory and close-ups are known only at the end, and are sent then.
     """
 
     def __init__(self, stream: GrowingStream) -> None:
@@ -170,7 +170,7 @@ class LiveScene:
 
     def _draw(self, run: Run) -> None:
         stream, timelines = self._stream, build_run_timelines(run)
-        # Theory comes at the end, when the stretch of a loop is known.
+        # Theory is drawn at the end, when the segment of each loop is known.
         listed = [one for one in list_series(run) if not one.entity.endswith("/ideal")]
         named = name_legends(listed, list_references([run]))
         series, references = named.series, named.references
@@ -209,17 +209,17 @@ class LiveScene:
 
 
 class LiveViewer:
-    """Shows the ticks of a running loop, in batches, in the viewer at an address.
+    """Sink that shows the ticks of a running loop, in batches, in the viewer at an address.
 
-    A sink of `run_live`. It only collects the ticks; a thread draws them. A viewer that is slow,
-    hangs or disappears does not delay the loop; `lost` says so afterwards.
+    For `run_live`. The sink only collects the ticks; a thread draws them. A viewer that is slow,
+    hangs or disappears does not delay the loop; `lost` gives the reason afterwards.
 
     Attributes:
-        lost: Why the viewer does not show all of the run, one clause; empty if it does.
+        lost: Reason why the viewer does not show the complete run, one clause; empty if it does.
     """
 
     def __init__(self, scenario: Scenario, url: str) -> None:
-        """Start to connect.
+        """Start to connect to a viewer.
 
         Args:
             scenario: Scenario that is run.
@@ -241,7 +241,7 @@ class LiveViewer:
             self._ticks.put(tick)
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
-        """Wait until everything is shown, except for a viewer that hangs."""
+        """Wait until everything is shown; a viewer that hangs is given up."""
         self._ticks.put(None)
         self._thread.join(_LAST_S)
         if self._thread.is_alive():
@@ -269,7 +269,7 @@ class LiveViewer:
             wait_s = max(_BATCH_S, _SHARE * (time.thread_time() - start_s))
 
     def _take(self, until_s: float) -> bool:
-        """Collect ticks until a time, and return whether they have ended."""
+        """Collect ticks until a time; return whether there are no more."""
         ticks: list[Tick] = []
         while (left_s := until_s - time.monotonic()) > 0.0:
             try:
@@ -307,7 +307,7 @@ def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
 
 
 def follow_recording(path: str | Path, url: str | None = None) -> Run:
-    """Show a recording that grows until it is finished, and return its run.
+    """Show a growing recording until it is finished, and return its run.
 
     Each chunk is read once, as soon as it is complete in the file. A file without an end, because
     its recorder was killed, is shown as far as it goes.
@@ -343,7 +343,7 @@ def follow_recording(path: str | Path, url: str | None = None) -> Run:
 
 
 def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
-    """Draw new data until there are no more."""
+    """Draw new data until the recording ends."""
     grown_s = time.monotonic()
     while not tail.is_finished:
         run = tail.read_run()
@@ -361,8 +361,8 @@ def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
 _FLUSH_S: Final = 5.0
 
 _GROWTH = 64
-"""What is sent anew as a whole waits until there are 1/64 more rows, so that all of it together
-stays a small multiple of the rows."""
+"""Growth from which data that are sent as a whole are sent again: 1/64 more rows. The total stays a
+small multiple of the rows."""
 
 _WHOLE = (
     join_path(entities.PATH),
@@ -373,7 +373,7 @@ _WHOLE = (
     join_path(entities.REFERENCE),
 )
 _UNSETTLED = frozenset({join_path(entities.PHASE)})
-"""Their last row says how the run ended."""
+"""Entities whose last row shows how the run ended."""
 
 
 @contextmanager
@@ -414,7 +414,7 @@ class _Part:
 
 
 def _open_up(content: Content, references: Sequence[LevelLines]) -> Content:
-    """Return the content of a growing run: events may come, and there is no close-up yet."""
+    """Return the content of a growing run: events may follow, and there is no close-up yet."""
     limits = {
         reference.plot: HEADROOM * max(level.value for level in reference.levels)
         for reference in references

@@ -1,4 +1,4 @@
-"""Marks in plots or next to them: metrics, vertical lines, theory, phases, events."""
+"""Marks in or beside plots: metrics, vertical lines, theory, phases, events."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from turtlelog.theory import compute_sampled_step_response
 Shape = Literal["Circle", "Square", "Cross"]
 
 _SHAPES: Final[Mapping[MarkShape, Shape]] = {"disc": "Circle", "square": "Square", "cross": "Cross"}
-"""Marks as the viewer has them."""
+"""Mark shapes of the viewer."""
 
 _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
@@ -40,7 +40,7 @@ class Mark:
     Attributes:
         plot: Plot of the curve.
         label: Legend text with the value; the name of the curve in a plot contains it.
-        sign: Its shape as a letter, because a legend shows only a dot.
+        sign: Shape as a letter, because a legend shows only a dot.
         shape: Rerun's name of a marker.
         time_ns: Time in the run's own time [ns].
         level: Value in the unit of the curve.
@@ -70,7 +70,7 @@ def list_marks(
         if found.shape is None or curve is None or found.level is None:
             continue
         if found.kind == "dead_time":
-            continue  # it has a bar of its own
+            continue  # dead times have a bar of their own
         marks.append(
             Mark(
                 plot=curve.plot,
@@ -85,7 +85,7 @@ def list_marks(
 
 
 def _locate_curve(signal: str) -> str:
-    """Return the entity of the curve on which metrics of a signal stand; empty if none does."""
+    """Return the entity of the curve for a signal's metrics; empty if there is none."""
     found = find_marked(signal)
     if found is None:
         return ""
@@ -104,7 +104,7 @@ def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
             marker_sizes=[_SIZE] * len(found),
         )
         run_stream.log(entity, style)
-        # A row for each, in which the others are nowhere.
+        # One row per mark; the others are NaN in it.
         levels = np.full((len(found), len(found)), np.nan)
         np.fill_diagonal(levels, [mark.level for mark in found])
         times_ns = [mark.time_ns for mark in found]
@@ -131,7 +131,8 @@ def draw_lines(
         aggregation_policy="Off",
     )
     run_stream.log(entity, style)
-    # The viewer cannot draw a line of many thousand plots' height: it goes by powers of ten.
+    # The viewer cannot draw a line thousands of plot heights long: the line has powers of ten as
+    # points.
     steps = largest * _DECADES
     line = [*-steps, *steps[::-1], np.nan]
     levels = np.tile(line, len(times_ns))
@@ -139,10 +140,10 @@ def draw_lines(
 
 
 def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...]:
-    """Return the response of each loop with the dead time that was found, without limits.
+    """Return the response of each loop with the measured dead time, without limits.
 
-    A loop whose reference moves, that is not theory's, or whose gain or dead time is not known has
-    none.
+    A loop has none if its reference moves, theory does not know it, or its gain or dead time is
+    unknown.
     """
     found: list[Series] = []
     for signal in dict.fromkeys(loop.signal for loop in run.declaration.loops):
@@ -155,13 +156,13 @@ def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...
 
 
 def draw_phases(run_stream: RunStream, run: Run) -> None:
-    """Draw the phases as a bar that ends in `done`, or without it if the run was cut."""
+    """Draw the phases as a bar, which ends in `done` unless the run was cut."""
     spans = run.find_phase_spans()
     if not spans:
         return
     style = rr.StateConfiguration(
         values=list(run.phase_names),
-        # The pause is too short for its name; the title of the view explains its colour.
+        # The pause is too short for its name; the view's title explains its colour.
         labels=[" " if name == PAUSE else name for name in run.phase_names],
         colors=palette.pack_colors(palette.choose_phase_colors(run.phase_names)),
     )
@@ -175,7 +176,7 @@ def draw_phases(run_stream: RunStream, run: Run) -> None:
 
 
 def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
-    """List the events as a text log, each after the speaker's name if there is one."""
+    """List the events as a text log, each after the speaker's name if one is given."""
     if not run.events:
         return
     columns = rr.TextLog.columns(
@@ -186,10 +187,10 @@ def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
 
 
 def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
-    """Return the dead time at the start of each loop, where it is known, in order of time.
+    """Return the intervals of known dead times at the start of each loop, in order of time.
 
     Each is a start and an end in the run's own time [ns], from a loop's first sample until its
-    command acts. Of loops that begin together it is the longest.
+    command acts. If loops begin together, it is the longest.
     """
     ends_ns: dict[int, int] = {}
     for loop in run.declaration.loops:
@@ -218,13 +219,13 @@ def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) 
 
 
 def list_pause_times(run: Run) -> list[int]:
-    """Return where each pause starts and ends [ns]."""
+    """Return start and end of each pause [ns]."""
     pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
     return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]
 
 
 def name_marks(marks: Sequence[Mark]) -> list[str]:
-    """Return what a legend says of marks, in the order of time."""
+    """Return the legend text of marks, in order of time."""
     placed = sorted(marks, key=lambda found: found.time_ns)
     return [f"{mark.sign} {mark.label}" for mark in placed]
 

@@ -1,4 +1,4 @@
-"""What a run puts into the plane: turtle, trace and trail, its error and command, its events."""
+"""The content of a run in the plane: turtle, trace and trail, error and command, events."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ _BELOW_TRACES: Final = 18.0  # lines have 20
 _ON_TRACES: Final = 22.0
 _EVENT_RADIUS: Final = 4.0
 _LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
-"""Kinds of events of which random effects make one every few samples; the list holds them."""
+"""Kinds of events that random effects cause every few samples; only the list of events has them."""
 _ABOVE_TRACES: Final = 28.0  # below points, which have 30
 
 
@@ -38,9 +38,9 @@ class SpeedTrace:
     """A path in colours of its speed.
 
     Attributes:
-        strips: Stretches of one colour [m], each of shape (n, 2).
-        colors: One per strip, brighter where faster.
-        highest_m_s: What the brightest means [m/s].
+        strips: Segments of one colour [m], each of shape (n, 2).
+        colors: Colour of each strip; brighter means faster.
+        highest_m_s: Speed of the brightest colour [m/s].
     """
 
     strips: list[Values]
@@ -49,9 +49,9 @@ class SpeedTrace:
 
 
 def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
-    """Draw the way of a run alone in its colour: faintly, and as a trail.
+    """Draw the path of a single run in its colour: faintly, and as a trail.
 
-    Of a run that grows all is driven: there is no more than the path, and it is bright.
+    For a growing run the whole path is driven: only a bright path is drawn.
     """
     if not is_growing:
         draw_trail(run_stream, run, Look(color=palette.MAIN, width=_TRACE_RADIUS))
@@ -62,7 +62,7 @@ def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) ->
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
-    """Return the whole path in colours of its speed, None if nothing moves."""
+    """Return the whole path in colours of its speed; None if nothing moves."""
     kept = choose_trace_rows(run)
     xy_m, speed_m_s = run.poses.xy_m[kept], read_pace(run, np.arange(len(run.poses))[kept])
     highest = float(speed_m_s.max(initial=0.0))
@@ -84,9 +84,9 @@ def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
 
 
 def draw_reference_path(run_stream: RunStream, run: Run) -> None:
-    """Draw the way of the reference pose, where the law records one: a strip where it is known.
+    """Draw the path of the reference pose if the law records one, as strips where it is known.
 
-    The path that a law tracks is drawn itself.
+    The path that a law tracks is drawn elsewhere.
     """
     xy_m = run.samples.reference_xy_m
     if xy_m is None or not has_own_way(run):
@@ -99,7 +99,7 @@ def draw_reference_path(run_stream: RunStream, run: Run) -> None:
 
 
 def draw_sensed(run_stream: RunStream, run: Run) -> None:
-    """Draw where the controller read that the turtle is, and where it is when it read nothing."""
+    """Draw the sensed poses, and the true pose if a sensed one dropped out."""
     xy_m, lost = run.poses.sensed_xy_m, np.flatnonzero(run.poses.dropped_out)
     if xy_m is None:
         return
@@ -119,7 +119,7 @@ def draw_sensed(run_stream: RunStream, run: Run) -> None:
 
 
 def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
-    """Draw the reference pose at the cursor as an arrow, where the law records one."""
+    """Draw the reference pose at the cursor as an arrow, if the law records one."""
     xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
     if xy_m is None or heading_rad is None or not np.isfinite(heading_rad).any():
         return
@@ -130,12 +130,12 @@ def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> 
 
 
 def draw_arrows(run_stream: RunStream, run: Run) -> None:
-    """Draw at the cursor the error, from turtle to goal, and the command: its second's way.
+    """Draw arrows at the cursor: the error from turtle to goal, and the command's motion in 1 s.
 
-    Of a law without a goal the error is that to the reference pose, where it records one.
+    For a law without a goal, the error is that to the reference pose, if it is recorded.
 
     The command is two arrows in the turtle's frame: the speed along the heading, and the turn rate
-    as what it moves a point 1 m ahead by, to the left of it.
+    as the sideways motion of a point 1 m ahead, to the left.
     """
     ways_m = _read_errors(run)
     if ways_m is not None:
@@ -150,7 +150,7 @@ def draw_arrows(run_stream: RunStream, run: Run) -> None:
 
 
 def name_arrows(run: Run) -> str:
-    """Return in words what the thin arrows show that `draw_arrows` draws at the turtle."""
+    """Return text on the thin arrows that `draw_arrows` draws at the turtle."""
     aim = "goal" if run.goal_xy_m is not None else "reference"
     words = [f"pink: to the {aim}"] if _read_errors(run) is not None else []
     words += ["yellow: command"] if len(run.samples) or len(run.commands) else []
@@ -158,19 +158,19 @@ def name_arrows(run: Run) -> str:
 
 
 def _read_errors(run: Run) -> Values | None:
-    """Return the way from every pose to where the robot should be [m], shape (n, 2)."""
+    """Return the vectors from each pose to the goal or reference [m], shape (n, 2)."""
     if run.goal_xy_m is not None:
         return np.asarray(np.array(run.goal_xy_m) - run.poses.xy_m)
     return read_way_to_reference(run)
 
 
 def list_placed(run: Run) -> list[Event]:
-    """Return the events that are marked: what is lost time and again would cover all else."""
+    """Return the events that are marked, without frequent losses, which would cover all others."""
     return [event for event in run.events if event.kind not in _LOST_AGAIN]
 
 
 def draw_event_places(run_stream: RunStream, run: Run) -> None:
-    """Mark where the turtle was when something happened; the viewer names it at the pointer."""
+    """Mark the turtle's places at events; the viewer names each at the pointer."""
     events = list_placed(run)
     times_ns = [event.time_ns for event in events]
     rows = np.searchsorted(run.poses.time_ns, times_ns, side="right") - 1
@@ -187,7 +187,7 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-    """Yield the first row of each stretch of equal values, and the row after its last."""
+    """Yield the first row of each segment of equal values, and the row after its last."""
     bounds = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
     for first, last in pairwise(bounds):
         if last > first:
@@ -215,7 +215,7 @@ def _log_arrow_style(
 
 
 def _build_known_arrows(values: Values) -> rr.ComponentColumnList:
-    """Build an arrow for each row; one of NaN has none, and takes that of the row before away."""
+    """Build an arrow for each row; a row of NaN has none, and removes the previous arrow."""
     known = np.isfinite(values).all(axis=1)
     columns = rr.Arrows2D.columns(origins=values[known, :2], vectors=values[known, 2:])
     return columns.partition(known.astype(np.int64))
@@ -234,19 +234,21 @@ def _build_command(values: Values) -> rr.ComponentColumnList:
 
 
 MOST_SEGMENTS: Final = 1000
-"""Of a trail: the viewer looks each one up in every frame."""
+"""Largest number of segments of a trail: the viewer looks up each in every frame."""
 
 _ALL_SEGMENTS: Final = 8000
-"""Of all trails together: with more the viewer takes longer than a frame of 1/30 s."""
+"""Largest number of segments of all trails: with more, the viewer takes longer than a frame of 1/30
+s."""
 
 _FEWEST_SEGMENTS: Final = 40
-"""Of a trail among many: on its way of a window's height it grows by steps of 20 pixels."""
+"""Smallest number of segments of a trail among many: a path as long as the window grows in steps of
+20 pixels."""
 
 _FAINT: Final = 45
-"""Alpha of the way that is not driven yet, of 255: it is seen, and not taken for the trail."""
+"""Opacity of the path that is not driven yet, of 255: visible, but different from the trail."""
 
 _SIZE: Final = 0.07
-"""Radius of the shell, as a part of the plane's half-width: 14 pixels of a view of 400."""
+"""Radius of the shell, as a share of the plane's half-width: 14 pixels of a view of 400."""
 
 _DOT_RADIUS: Final = 5.0  # [points]
 _HEADING_SHARE: Final = 0.2
@@ -263,18 +265,19 @@ _BODY: Final = (
     ([(-0.6, 0.7), (-0.95, 1.15)], 0.26),
     ([(-0.6, -0.7), (-0.95, -1.15)], 0.26),
 )
-"""Strokes with their radii, in radii of the shell, ahead along x: shell, head, tail and legs."""
+"""Strokes of a turtle with their radii, in radii of the shell, x ahead: shell, head, tail and
+legs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """How a turtle and its trail are drawn.
+    """The style of a turtle and its trail.
 
     Attributes:
-        color: Of both.
-        is_ghost: Whether it might have been: its shell is hollow, and it is behind the others.
+        color: Colour of both.
+        is_ghost: Whether it is a ghost: its shell is hollow, and it is behind the others.
         width: Radius of the trail [points].
-        size: Of the turtle; 1 is that of a run.
+        size: Size of the turtle; 1 for a run.
     """
 
     color: Color
@@ -284,14 +287,14 @@ class Look:
 
 
 def count_segments(trails: int) -> int:
-    """Return how many segments each of so many trails may have."""
+    """Return the number of segments that each of several trails may have."""
     return max(min(MOST_SEGMENTS, _ALL_SEGMENTS // max(trails, 1)), _FEWEST_SEGMENTS)
 
 
 def draw_turtle(run_stream: RunStream, poses: PoseColumns, look: Look, half_size_m: float) -> None:
-    """Draw the turtle where it is at the cursor, with an arrow along its heading.
+    """Draw the turtle at its pose at the cursor, with an arrow along its heading.
 
-    All begin with the first pose: a turtle without one would stand at the origin.
+    All turtles begin with the first pose: a turtle without a pose would be at the origin.
     """
     first_ns = poses.time_ns[:1]
     order = _BODY_ORDER - 2.0 * look.is_ghost
@@ -329,10 +332,10 @@ def draw_turtle(run_stream: RunStream, poses: PoseColumns, look: Look, half_size
 def draw_trail(
     run_stream: RunStream, run: Run, look: Look, *, segments: int = MOST_SEGMENTS
 ) -> None:
-    """Draw the whole way faintly, and the driven part of it as a trail."""
+    """Draw the whole path faintly, and the driven part of it as a trail."""
     run_stream.log(entities.PLANE, UPWARD)
     strips = _part_strip(run)
-    # What is not driven yet is faint.
+    # The part that is not driven yet is faint.
     faint = palette.pack_colors([look.color] * len(strips)) & 0xFFFFFF00 | _FAINT
     radii = rr.Radius.ui_points(look.width)
     run_stream.log(entities.PATH, rr.LineStrips2D(strips, radii=radii, colors=faint))
@@ -342,7 +345,7 @@ def draw_trail(
 def _send_trail(run_stream: RunStream, run: Run, look: Look, segments: int) -> None:
     """Send the trail in segments, each at the time of its last pose; a view shows those until now.
 
-    None leads over a break of the poses or stands still.
+    No segment spans a gap in the poses, or has no length.
     """
     kept = choose_trace_rows(run)
     if len(kept) < 2:
@@ -371,7 +374,7 @@ def _send_trail(run_stream: RunStream, run: Run, look: Look, segments: int) -> N
 
 
 def _part_strip(run: Run) -> list[Values]:
-    """Return the path in strips, parted where nobody drove from one pose to the next."""
+    """Return the path in strips, separated between poses where the robot did not drive."""
     rows = np.arange(len(run.poses))[choose_trace_rows(run)]
     strips = np.split(run.poses.xy_m[rows], np.searchsorted(rows, find_break_rows(run)))
     return [strip for strip in strips if len(strip)]

@@ -1,4 +1,4 @@
-"""The curves of a run, and the levels beside them: what stands in which plot, and drawing it."""
+"""The curves and level lines of a run, their plots, and their drawing."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -49,13 +49,13 @@ _WIDTHS: Final[Mapping[CurveKind, float]] = MappingProxyType(
         "outlier": 4.0,
     }
 )
-"""Of lines, and sizes of points [points]; what the run did has `LINE_WIDTH`."""
+"""Widths of lines and sizes of points [points]; the run's own curve has `LINE_WIDTH`."""
 
 _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"})
-"""Kinds that a view of several runs has: theory of each would cover all of them."""
+"""Kinds of curves in a view of several runs: theory of each run would cover all others."""
 
 _COMMANDED_WIDTH: Final = 3.0
-"""A command shows beneath what was applied of it."""
+"""Width of commands, so that they are visible below the applied ones [points]."""
 
 _MARKERS: Final[Mapping[CurveKind, Literal["circle", "cross"]]] = MappingProxyType(
     {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}
@@ -70,13 +70,13 @@ class Series:
         entity: Entity path below the run's prefix; its first part names the plot, of a state of a
             law its first two.
         labels: Legend, one per curve.
-        colors: One per curve.
+        colors: Colour of each curve.
         time_ns: The run's own time [ns], shape (n,), not decreasing.
-        values: One column per curve, shape (n, curves); NaN where there is nothing to draw.
-        width: Of the lines [points].
-        holds: Whether a value lasts until the next, rather than leading to it in a line.
-        is_main: Whether it is what the run did.
-        is_measured: Whether it is the run's own, so that the plot must have room for it.
+        values: One column per curve, shape (n, curves); NaN if there is nothing to draw.
+        width: Width of the lines [points].
+        holds: Whether a value is held until the next instead of interpolated.
+        is_main: Whether it is the run's own motion.
+        is_measured: Whether it is measured, so that the plot's range must include it.
         marker: Shape of points instead of lines; None: lines.
     """
 
@@ -93,7 +93,7 @@ class Series:
 
     @property
     def plot(self) -> str:
-        """The plot it stands in: each state of a law has one of its own."""
+        """The plot of the curves; each state of a law has its own plot."""
         parts = self.entity.split("/")
         return "/".join(parts[: 1 + (parts[0] == entities.STATE)])
 
@@ -103,10 +103,10 @@ class LevelLines:
     """Level lines across a plot.
 
     Attributes:
-        plot: Entity that the plot is named after.
-        levels: In the plot's unit, rising.
-        name: In a legend, for all of them; empty: each has its own.
-        color: Of the lines.
+        plot: Entity of the plot.
+        levels: Levels in the plot's unit, increasing.
+        name: Common name in a legend; empty: each level has its own.
+        color: Colour of the lines.
     """
 
     plot: str
@@ -116,7 +116,7 @@ class LevelLines:
 
 
 def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Series, ...]:
-    """Return the curves that the run has the data for, of some kinds or all; one row makes none."""
+    """Return the curves with data, of some kinds or all; a single row gives no curve."""
     groups = entities.GROUPS.items()
     found = [
         *(series for name, plots in groups for series in _list_group(run, name, plots, kinds)),
@@ -130,9 +130,9 @@ def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Se
 
 
 def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...]:
-    """Return the curves that a comparison shows, in the run's name and colour.
+    """Return the curves for a comparison, with the run's name and colour.
 
-    The position is among them only where no track is known.
+    Positions are included only if no track is known.
     """
     main = list_series(run, _COMPARED)
     has_track = any(series.entity == entities.ALONG_TRACK for series in main)
@@ -155,7 +155,7 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
 
 
 def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
-    """Return what loops aim at, goals, limits and the zeros of errors, each once per plot."""
+    """Return references of loops, goals, limits and the zeros of errors, each once per plot."""
     found = []
     for name, plots in entities.GROUPS.items():
         shown = [run for run in runs if any(has_own(run, plot) for plot in plots)]
@@ -210,7 +210,7 @@ def draw_references(
 
 
 def list_states(run: Run) -> tuple[str, ...]:
-    """Return the states of a run's law in the order in which they stand."""
+    """Return the states of a run's law in the order of display."""
     return tuple(name for group in group_states(run.declaration) for name in group.names)
 
 
@@ -220,7 +220,7 @@ def _list_group(
     plots: Sequence[TimePlot],
     kinds: frozenset[CurveKind] | None = None,
 ) -> Iterator[Series]:
-    """Yield the curves of plots that stand together: x and y share an entity of each kind."""
+    """Yield the curves of plots with a common entity, as x and y, for each kind."""
     if kinds is not None and not plots[0].is_compared:
         return
     listed = [list_plotted(run, plot, kinds) for plot in plots]
@@ -246,7 +246,7 @@ def _list_group(
 
 
 def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
-    """Return curves with numbers in the names of those that one entry has several of."""
+    """Return curves with numbers in their names if several share a legend entry."""
     seen: dict[str, int] = {}
     found = []
     for one in curves:
@@ -257,7 +257,7 @@ def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
 
 
 def _name_part(found: PlottedCurve) -> str:
-    """Return the last part of the entity of a curve: what the run did beside commands lies below.
+    """Return the last part of a curve's entity; the run's own curve is below commands.
 
     The viewer draws later names on top.
     """
@@ -281,12 +281,12 @@ def _list_state(run: Run, name: str) -> Iterator[Series]:
 
 
 def _color_states(group: StateGroup) -> Iterable[tuple[str, Color]]:
-    """Return the states of a group with colours that tell them apart."""
+    """Return the states of a group with distinct colours."""
     return zip(group.names, palette.choose_run_colors(len(group.names)), strict=True)
 
 
 def _take_logarithm(series: Series, name: str) -> Series:
-    """Return the decimal logarithm of magnitudes; what is exponential is straight."""
+    """Return the decimal logarithm of magnitudes, in which exponential curves are straight."""
     sizes = np.abs(series.values)
     values = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
     entity = entities.name_logarithm(name) + series.entity.removeprefix(name)

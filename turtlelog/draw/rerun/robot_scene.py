@@ -1,4 +1,4 @@
-"""How a robot follows its commands as a Rerun recording, alone or beside a simulated one."""
+"""Rerun recording of a robot's response to its commands, alone or beside a simulated robot."""
 
 from pathlib import Path
 from typing import Final
@@ -29,7 +29,8 @@ _CURVES: Final[tuple[tuple[str, Color, float], ...]] = (
     ("modelled", palette.MODEL, 2.5),
     (_RESIDUAL, palette.ERROR, 1.0),
 )
-"""Of each axis, in the order of drawing, with widths [points]: noise must not hide the model."""
+"""Curves of each axis in the order of drawing, with widths [points]: noise must not hide the
+model."""
 
 
 def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
@@ -56,7 +57,7 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
 
 
 def _list_views(found: AxisTraces) -> list[rrb.View]:
-    """Return a view of the rates of an axis, and one of what its model leaves."""
+    """Return a view of the rates of an axis, and one of the model's residuals."""
     title = _TITLES[found.axis]
     rates = [f"/{found.axis}/{name}" for name, _, _ in _CURVES if name != _RESIDUAL]
     link = rrb.TimeAxis(link="LinkToGlobal")
@@ -80,7 +81,7 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
 
 
 def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
-    """Log the rates of an axis, and what its model leaves."""
+    """Log the rates of an axis, and the residuals of its model."""
     time_ns = np.rint(found.time_s * 1e9).astype("timedelta64[ns]")
     index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
     for name, color, width in _CURVES:
@@ -142,9 +143,9 @@ def _title_errors(band: ErrorBand) -> str:
 
 
 def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
-    # A 2D view looks down, so its y points down.
+    # A 2D view has y downward.
     pieces = [_flip(piece) for piece in found.predict_pieces()]
-    # The recorded path lies below, and shows on both sides.
+    # The recorded path is below, and visible on both sides.
     for name, strips, color, pixels in (
         ("recorded", [_flip(found.recorded.xy_m)], palette.MEASURED, 2.0 * _PATH_PIXELS),
         ("simulated", pieces, palette.MODEL, _PATH_PIXELS),

@@ -1,4 +1,4 @@
-"""One recording in one .rrd file: strict, without wall-clock time, complete or not there at all."""
+"""Writing of a recording to an .rrd file that is complete or absent, without wall-clock time."""
 
 import os
 import threading
@@ -19,7 +19,7 @@ from turtlelog.measure import Metric
 from turtlelog.run import Run
 
 _PATIENCE_S: Final = 5.0
-"""A file that has not grown for so long, though there is more to write, will not grow any more."""
+"""Time after which a file that should still grow counts as stuck [s]."""
 
 _DISCONNECT_S: Final = 1.0
 _END: Final = b"RRF2FOOT"
@@ -28,7 +28,7 @@ _PROBE: Final = bytes(2**20)
 
 _STRICT_LOCK: Final = threading.Lock()
 _BEFORE_STRICT: Final[list[bool]] = []
-"""What the setting was, once for each block that is in strict mode."""
+"""Earlier settings, one for each block in strict mode."""
 
 RUN: Final = "run"
 RUNS: Final = "runs"
@@ -40,14 +40,14 @@ METRICS: Final = "metrics"
 def open_recording(
     path: str | Path, *, name: str, layout: rrb.Blueprint
 ) -> Iterator[rr.RecordingStream]:
-    """Yield a stream into a file that takes its name when it is complete.
+    """Yield a stream to a file that gets its final name when it is complete.
 
     Raises:
         ShowError: If the file cannot be written.
     """
     path = make_path(path)
     with replace_file(path) as part_path, strict_mode():
-        # The properties that Rerun would send hold the wall-clock time.
+        # The properties that Rerun would send contain the wall-clock time.
         stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
         require_enabled(stream, str(path))
         stream.set_log_time_enabled(False)
@@ -64,16 +64,16 @@ def open_recording(
 
 
 def require_enabled(stream: rr.RecordingStream, name: str) -> None:
-    """Raise ShowError where the environment switches Rerun off."""
+    """Raise ShowError if the environment disables Rerun."""
     if not rr.is_enabled(stream):
         found = f"found RERUN={os.environ.get('RERUN', '')!r} in the environment"
         raise ShowError(f"{name}: expected Rerun to be switched on, {found}")
 
 
 def abandon_stream(stream: rr.RecordingStream) -> None:
-    """End a stream, but wait for nobody who hangs: Rerun would, and let nobody interrupt.
+    """End a stream without waiting for a viewer that hangs, as Rerun would, uninterruptibly.
 
-    The thread that waits in our place keeps the stream, which would wait where it is dropped.
+    A waiting thread keeps the stream, because dropping the stream would wait, too.
     """
     thread = threading.Thread(target=stream.disconnect, name="disconnect", daemon=True)
     thread.start()
@@ -84,9 +84,9 @@ def abandon_stream(stream: rr.RecordingStream) -> None:
 
 @contextmanager
 def strict_mode() -> Iterator[None]:
-    """Make errors raise for a while: without it Rerun warns and drops the data.
+    """Make Rerun raise errors within the block; by default it warns and drops the data.
 
-    The setting is one for all threads: the last to leave puts it back.
+    All threads share the setting: the last block to end restores it.
     """
     with _STRICT_LOCK:
         _BEFORE_STRICT.append(_BEFORE_STRICT[0] if _BEFORE_STRICT else rr.strict_mode())
@@ -103,7 +103,7 @@ def strict_mode() -> Iterator[None]:
 def send_run_properties(
     stream: rr.RecordingStream, run: Run, metrics: Mapping[str, Metric]
 ) -> None:
-    """Store what a run is, its scenario, and its metrics, each under a name of its own."""
+    """Store properties of a run, its scenario, and its metrics, each with a name."""
     _send_properties(stream, RUN, _describe_runs([run]), [run], [metrics])
 
 
@@ -114,23 +114,23 @@ def send_comparison_properties(
     prefixes: Sequence[str],
     metrics: Sequence[Mapping[str, Metric]],
 ) -> None:
-    """Store the same of several runs, as lists in the order given.
+    """Store the properties of several runs as lists, in the given order.
 
-    A number that is not known, or that a run's law does not have, is NaN, a text empty.
+    Unknown numbers, and those that a run's law does not have, are NaN; unknown texts are empty.
     """
     of_runs = _describe_runs(runs) | {"name": list(names), "entity": list(prefixes)}
     _send_properties(stream, RUNS, of_runs, runs, metrics)
 
 
 def draw_documents(stream: rr.RecordingStream, documents: Mapping[str, str]) -> None:
-    """Store Markdown documents under their titles."""
+    """Store Markdown documents by title."""
     for title, text in documents.items():
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         stream.log(name_document(title), document, static=True)
 
 
 class _Properties(rr.AsComponents):
-    """Values by name. Rerun's own `AnyValues` would hold a name to one type in all of a process."""
+    """Values by name. Rerun's own `AnyValues` would fix a name's type for the whole process."""
 
     def __init__(self, values: Mapping[str, list[Any]]) -> None:
         self._values = values
@@ -143,7 +143,7 @@ class _Properties(rr.AsComponents):
 
 
 class _Values:
-    """An Arrow array as Rerun wants to be given it."""
+    """An Arrow array in the form that Rerun requires."""
 
     def __init__(self, array: pa.Array) -> None:
         self._array = array
@@ -153,7 +153,7 @@ class _Values:
 
 
 def _await(call: Callable[[], None], part_path: Path, path: Path) -> None:
-    """Call Rerun and wait, as long as its file grows: once the disk is full it may never return."""
+    """Call Rerun and wait as long as its file grows: on a full disk the call may never return."""
     failures: list[Exception] = []
     thread = threading.Thread(target=_try, args=(call, failures), name="rerun", daemon=True)
     thread.start()
@@ -176,7 +176,7 @@ def _try(call: Callable[[], None], failures: list[Exception]) -> None:
 
 
 def _require_end(part_path: Path, path: Path) -> None:
-    """Refuse a file that was cut: where the disk is full at the very end, Rerun does not fail."""
+    """Refuse a truncated file: Rerun does not fail if the disk is full at the very end."""
     with part_path.open("rb") as stream:
         stream.seek(max(part_path.stat().st_size - _END_BYTES, 0))
         end = stream.read()
@@ -185,7 +185,7 @@ def _require_end(part_path: Path, path: Path) -> None:
 
 
 def _find_error(part_path: Path, path: Path, found: str) -> ShowError | OSError:
-    """Return the error that Rerun has met: where the disk is full, writing on meets it again."""
+    """Return the error that Rerun had: on a full disk, writing again causes it again."""
     try:
         with part_path.open("ab") as stream:
             stream.write(_PROBE)
@@ -222,7 +222,7 @@ def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
 
 
 def _flatten(run: Run) -> dict[str, float | str]:
-    """Return the scenario's numbers as floats, truths as 0 and 1, the rest as text."""
+    """Return the scenario's numbers as floats, booleans as 0 and 1, the rest as text."""
     return {
         key: float(value) if isinstance(value, bool | int | float) else str(value)
         for key, value in run.parameters.items()
@@ -230,7 +230,7 @@ def _flatten(run: Run) -> dict[str, float | str]:
 
 
 def _fill(values: list[float | str | None]) -> list[float] | list[str]:
-    """Return one value per run in one type: text where one of them is text."""
+    """Return one value per run with one type: text if any of them is text."""
     if any(isinstance(value, str) for value in values):
         return ["" if value is None else str(value) for value in values]
     return [float("nan") if value is None else float(value) for value in values]

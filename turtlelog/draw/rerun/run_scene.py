@@ -63,7 +63,7 @@ from turtlelog.run import Run
 
 _RUN: Final = "the run"
 _EVENT_LINES: Final = f"{entities.LINES}/event"
-"""Below the entity of a plot."""
+"""Entity of event lines, below that of a plot."""
 
 
 def write_run_rrd(
@@ -111,7 +111,7 @@ def build_run_scene(
     size: tuple[int, int] | None = None,
     surroundings: Surroundings | None = None,
 ) -> RunScene:
-    """Return what is drawn of a run; all but the run are those of `write_run_rrd`."""
+    """Return the drawn content of a run; the other arguments are those of `write_run_rrd`."""
     single = replace(build_single(run), surroundings=surroundings)
     if documents is None:
         documents = document_run(run, metrics=single.metrics)
@@ -125,13 +125,13 @@ def build_run_scene(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Single:
-    """A measured run and everything that is drawn of it.
+    """A measured run with everything that is drawn.
 
     Attributes:
-        run: The run; far coordinates are counted from its start.
-        origin: That offset in words.
-        metrics: Its metrics by id.
-        series: Its curves, and those of theory.
+        run: The run; far coordinates are relative to its start.
+        origin: Text on that offset.
+        metrics: Metrics of the run by id.
+        series: Curves of the run and of theory.
         references: Level lines.
         marks: Metrics that can be marked on a curve.
         names: Names of the main curve of each plot.
@@ -156,7 +156,7 @@ class Single:
     surroundings: Surroundings | None = None
 
     def list_lined(self) -> list[str]:
-        """Return the plots that events are drawn across, where there are any."""
+        """Return the plots with event lines, if there are events."""
         return [*self.names] if plane.list_placed(self.run) else []
 
     def describe(self, documents: Mapping[str, str]) -> Content:
@@ -179,7 +179,7 @@ class Single:
 
 
 def build_single(run: Run) -> Single:
-    """Return a run, measured, with its curves and marks under the names of short legends."""
+    """Return a measured run with its curves and marks, named for short legends."""
     metrics, first_m = measure_run(run), run.poses.xy_m[0]
     (run,), origin = move_near([run])
     measured = list_series(run)
@@ -204,7 +204,7 @@ def build_single(run: Run) -> Single:
 
 
 def draw_single(stream: rr.RecordingStream, single: Single, content: Content) -> None:
-    """Draw the run with all that surrounds it, but for its documents."""
+    """Draw the run with everything except its documents."""
     run, timelines = single.run, build_run_timelines(single.run)
     send_run_properties(stream, run, single.metrics)
     draw_world(stream, [run])
@@ -237,7 +237,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
 
 
 def _draw_events(run_stream: RunStream, single: Single, content: Content) -> None:
-    """Draw the events where the turtle was, across the plots, and as a log."""
+    """Draw the events at the turtle's places, across the plots, and as a log."""
     run, largest = single.run, find_largest_shown(content)
     plane.draw_event_places(run_stream, run)
     times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
@@ -250,8 +250,8 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
 def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
     """Return a notebook widget of this width and height [pixels] with the recording of a run.
 
-    The page gets the recording in one message. Rerun's own way is a message for each part: of
-    hundreds at once a browser without a graphics card often shows nothing.
+    The page gets the recording in one message. Rerun itself would send one message per part; a
+    browser without a graphics card often shows nothing after hundreds of messages.
 
     Raises:
         ShowError: If the environment disables Rerun.

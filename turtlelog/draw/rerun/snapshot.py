@@ -1,4 +1,4 @@
-"""A picture of a recording, and what the viewer says about it, without a display."""
+"""Headless pictures of a recording, and the viewer's report on it."""
 
 import time
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ _ZOOM_STEP: Final = 0.1
 _ROUNDING_S: Final = 1e-3
 """Times are printed in milliseconds."""
 _OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
-"""Those that do not count in seconds from a moment of the run."""
+"""Timelines that do not count seconds from an event of the run."""
 
 _PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
 
@@ -40,10 +40,10 @@ class ShownView:
     """One view of the layout.
 
     Attributes:
-        name: Its title.
+        name: Title of the view.
         kind: Rerun's class of view, such as `TimeSeries`.
         is_visible: Whether the layout shows it.
-        problems: Warnings and errors that it reported.
+        problems: Warnings and errors of the view.
     """
 
     name: str
@@ -58,7 +58,7 @@ class ViewReport:
 
     Attributes:
         views: Views of the layout.
-        entities: Entity paths that were loaded, properties among them.
+        entities: Loaded entity paths, including properties.
         messages: Warnings and errors that the viewer logged.
     """
 
@@ -68,7 +68,7 @@ class ViewReport:
 
 
 class Camera:
-    """A headless viewer that takes one picture after the other; made by `open_camera`."""
+    """A headless viewer that takes pictures one after another; `open_camera` makes it."""
 
     def __init__(self, viewer: ViewerProcess, client: ViewerClient, size: tuple[int, int]) -> None:
         self._viewer, self._client, self._size = viewer, client, size
@@ -106,7 +106,7 @@ class Camera:
         return report
 
     def _get_ready(self) -> None:
-        """Outlast what greets; later, leave the layout of the recording before; hide the menus."""
+        """Wait for the welcome messages; later, leave the previous layout; hide the menus."""
         if self._is_ready:
             self._client.run_command("recording.reset_blueprint_to_default")
             self._client.take_screenshot(max_size=16)
@@ -118,7 +118,7 @@ class Camera:
 
 @contextmanager
 def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
-    """Start a headless viewer for any number of pictures, and end it on the way out.
+    """Start a headless viewer for any number of pictures, and end it after the block.
 
     Args:
         size: Width and height of the window [pixels].
@@ -152,8 +152,8 @@ def write_snapshot(
         rrd_path: The recording.
         png_path: The picture; replaced when the new one is complete.
         at_s: Position of the time cursor [s]; None: the end.
-        timeline: Timeline of the cursor: `sim_time`, or of several runs also that of a phase, as
-            `translate_time`.
+        timeline: Timeline of the cursor: `sim_time`, or for several runs also that of a phase, such
+            as `translate_time`.
         size: Width and height of the window [pixels].
         zoom: Scale of letters and lines, in steps of 0.1; at least 1.
 
@@ -173,7 +173,7 @@ def _connect(viewer: ViewerProcess, port: int) -> ViewerClient:
 
 
 def _has_ended(viewer: ViewerProcess) -> bool:
-    """Whether it is gone, or goes: without graphics it answers for a moment."""
+    """Return whether the viewer has ended, or is ending; without graphics it answers briefly."""
     deadline = time.monotonic() + _LAST_BREATH_S
     while not viewer.has_ended and time.monotonic() < deadline:
         time.sleep(_PAUSE_S)
@@ -201,7 +201,7 @@ def _open(client: ViewerClient, path: Path, last_log: int) -> None:
 
 
 def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
-    """Put the cursor at a time, or at the end; a recording without times has no cursor."""
+    """Set the cursor to a time, or to the end; a recording without times has no cursor."""
     starts_ns: dict[str, int] = {}
     ends_ns: dict[str, int] = {}
     for recording in client.get_state().recordings:
@@ -211,7 +211,7 @@ def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
                 starts_ns[timeline.name] = min(start_ns, starts_ns.get(timeline.name, start_ns))
                 ends_ns[timeline.name] = max(timeline.end, ends_ns.get(timeline.name, 0))
     if name == TIMELINE and name not in ends_ns and len(ends_ns) == 1:
-        (name,) = ends_ns  # of an identified robot its own
+        (name,) = ends_ns  # the own timeline of an identified robot
     if name in ends_ns:
         cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
         _require_inside(cursor_s, name, starts_ns[name] / 1e9, ends_ns[name] / 1e9)
@@ -222,7 +222,7 @@ def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
 
 
 def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) -> None:
-    """Raise where a view has nothing at a time: the picture would be empty."""
+    """Raise an error if the recording has no data at a time: the picture would be empty."""
     if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:
         raise ShowError(
             f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
@@ -231,7 +231,7 @@ def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) ->
 
 
 def _take_picture(client: ViewerClient) -> bytes:
-    """Return the first picture that equals the one before it: views settle over some frames."""
+    """Return the first picture that equals the previous one: views settle over some frames."""
     before = _shoot(client)
     for _ in range(_PICTURES):
         time.sleep(_PAUSE_S)
@@ -243,7 +243,7 @@ def _take_picture(client: ViewerClient) -> bytes:
 
 
 def _shoot(client: ViewerClient) -> bytes:
-    """Return a picture; Rerun gives up after 15 s, which many runs on a busy machine take."""
+    """Return a picture; retry after Rerun's timeout of 15 s, too short for many runs."""
     deadline = time.monotonic() + _LOAD_S
     while True:
         try:
@@ -254,7 +254,7 @@ def _shoot(client: ViewerClient) -> bytes:
 
 
 def _outlast_notices(client: ViewerClient) -> None:
-    """Let the viewer paint until the notices that it greets with are gone from the picture."""
+    """Let the viewer draw until its welcome messages have disappeared from the picture."""
     deadline = time.monotonic() + _NOTICE_S
     while time.monotonic() < deadline:
         client.take_screenshot(max_size=16)

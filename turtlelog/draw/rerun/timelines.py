@@ -1,4 +1,4 @@
-"""The timelines of a recording, and the rows of a run that are sent on them."""
+"""The timelines of a recording, and the rows of a run on them."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,31 +21,35 @@ _SHARE_BEYOND: Final = 16
 Values = NDArray[np.float64]
 
 CHUNK_ROWS: Final = 65_536
-"""Rows sent at once; Rerun takes longer for each row of larger chunks."""
+"""Rows sent at once; Rerun takes more time per row for larger chunks."""
 
 MOST_ROWS: Final = 2**18
-"""Rows of a table up to which every one is drawn, and about how many of longer tables at most: a
-hundred for each pixel of a wide screen. A million samples in full took four times as many bytes."""
+"""Largest number of rows of a table that are all drawn, and approximate number for longer tables.
+
+The number is a hundred for each pixel of a wide screen. A million samples in full took four times
+as many bytes."""
 
 TRACE_ROWS: Final = 2**16
-"""About how many poses a trace in the plane is drawn through."""
+"""Approximate number of poses of a trace in the plane."""
 
 MOST_BORDERS: Final = 2**14
-"""Up to so many borders of phases and events are kept exactly: the rows beside them are an eighth
-of the rows of a curve at most. More than these lie closer together than pixels."""
+"""Largest number of borders of phases and events that are kept exactly.
+
+The rows beside them are at most an eighth of the rows of a curve. More borders would be closer
+together than pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Timelines:
-    """What a run's times are called on each timeline; all timelines but the first are optional.
+    """The times of a run on each timeline; all timelines except the first are optional.
 
     Attributes:
         zero_ns: Zero of `sim_time`, in the run's own time [ns].
-        tick_ns: Times of the run's poses [ns], shape (n,), whose numbers are the ticks.
+        tick_ns: Times of the run's poses [ns], shape (n,), whose indices are the ticks.
         starts_ns: Zeros of the timelines of phases, by their names, in the run's own time [ns].
         epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
-        borders_ns: Where phases begin and end and events are, in the run's own time [ns], rising;
-            long curves keep the rows beside them.
+        borders_ns: Times of phase starts, phase ends and events in the run's own time [ns],
+            increasing; long curves keep the rows beside them.
     """
 
     zero_ns: int
@@ -55,7 +59,7 @@ class Timelines:
     borders_ns: Times = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def read(self, time_ns: Times) -> dict[str, Times]:
-        """Return the run's own times [ns], shape (n,), as each timeline tells them."""
+        """Return the run's own times [ns], shape (n,), converted to each timeline."""
         read = {TIMELINE: time_ns - self.zero_ns}
         if self.tick_ns is not None:
             read[TICKS] = _count_ticks(self.tick_ns, time_ns)
@@ -67,7 +71,7 @@ class Timelines:
 
 
 def build_run_timelines(run: Run) -> Timelines:
-    """Return the timelines of a run alone: its ticks too, and wall time where it was imported."""
+    """Return the timelines of a single run, including ticks, and wall time if it was imported."""
     stamp = run.notes.get("original_timestamp")
     epoch_ns = None if stamp is None else parse_utc(stamp)
     return Timelines(
@@ -96,26 +100,26 @@ def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, 
 
 
 def build_index(times: Mapping[str, Times]) -> list[rr.TimeColumn]:
-    """Return index columns; whole nanoseconds, since seconds would be cut off."""
+    """Return index columns in whole nanoseconds, because seconds would be truncated."""
     return [_build_column(name, values) for name, values in times.items()]
 
 
 class RunStream:
-    """Sends what is drawn of one run.
+    """Stream of the drawn data of one run.
 
     Attributes:
         stream: The recording.
-        prefix: Entity prefix of the run, empty if it stands alone.
-        timelines: What its times are called.
+        prefix: Entity prefix of the run; empty for a single run.
+        timelines: Timelines of the run.
     """
 
     def __init__(self, stream: rr.RecordingStream, prefix: str, timelines: Timelines) -> None:
         self.stream, self.prefix, self.timelines = stream, prefix, timelines
-        # Many curves share their times: their index columns are built once.
+        # Many curves share their times, so their index columns are built once.
         self._indexes: dict[int, tuple[Times, list[list[rr.TimeColumn]]]] = {}
 
     def log(self, entity: str, archetype: rr.AsComponents) -> None:
-        """Store what holds at all times."""
+        """Store static data, valid at all times."""
         self.stream.log(join_path(self.prefix, entity), archetype, static=True)
 
     def send(
@@ -125,14 +129,14 @@ class RunStream:
         values: Values,
         build: Callable[[Values], rr.ComponentColumnList],
     ) -> None:
-        """Send a row per time of the run [ns], `build` making columns of values, shape (n, ...)."""
+        """Send a row per time of the run [ns]; `build` makes columns of values, shape (n, ...)."""
         time_ns, values = self.thin(time_ns, values)
         path = join_path(self.prefix, entity)
         for part, index in zip(_split(len(values)), self._find_indexes(time_ns), strict=True):
             self.stream.send_columns(path, index, build(values[part]))
 
     def thin(self, time_ns: Times, values: Values) -> tuple[Times, Values]:
-        """Return the rows that `send` sends, where there are many."""
+        """Return the rows that `send` sends, thinned if there are many."""
         if len(values) <= MOST_ROWS:
             return time_ns, values
         beside = _find_beside(time_ns, self.timelines.borders_ns)
@@ -140,7 +144,7 @@ class RunStream:
         return time_ns[rows], values[rows]
 
     def send_few(self, entity: str, time_ns: ArrayLike, columns: rr.ComponentColumnList) -> None:
-        """Send columns of a few rows as they are."""
+        """Send columns of a few rows unchanged."""
         times = self.timelines.read(np.asarray(time_ns, dtype=np.int64))
         self.stream.send_columns(join_path(self.prefix, entity), build_index(times), columns)
 
@@ -158,7 +162,7 @@ class RunStream:
 
 
 def choose_trace_rows(run: Run) -> NDArray[np.int64]:
-    """Return the poses that a trace in the plane is drawn through."""
+    """Return the indices of the poses in a trace in the plane."""
     poses = run.poses
     beside = _find_beside(poses.time_ns, _find_borders(run)) if len(poses) > TRACE_ROWS else None
     rows = choose_rows(poses.xy_m, TRACE_ROWS, always=beside)
@@ -166,7 +170,7 @@ def choose_trace_rows(run: Run) -> NDArray[np.int64]:
 
 
 def add_thinning(documents: Mapping[str, str], runs: Sequence[Run]) -> Mapping[str, str]:
-    """Return documents with one more that says what the pictures leave out, if anything."""
+    """Return documents with one more on the data that pictures leave out, if any."""
     text = _describe_thinning(runs)
     return {**documents, "Drawn": text} if text else documents
 
@@ -177,9 +181,9 @@ def _find_first_ns(run: Run) -> int:
 
 
 def _find_borders(run: Run) -> Times:
-    """Return where phases begin and end and events are [ns]; nothing of a run that is drawn whole.
+    """Return times of phase starts, phase ends and events [ns]; empty for runs drawn completely.
 
-    Nothing, too, of more than `MOST_BORDERS`.
+    Also empty if there are more than `MOST_BORDERS`.
     """
     borders_ns = None if _is_whole(run) else _list_borders(run)
     return np.zeros(0, dtype=np.int64) if borders_ns is None else borders_ns
@@ -191,7 +195,7 @@ def _is_whole(run: Run) -> bool:
 
 
 def _list_borders(run: Run) -> Times | None:
-    """Return where phases begin and end and events are [ns]; None of more than `MOST_BORDERS`."""
+    """Return times of phase starts, phase ends and events [ns]; None if there are too many."""
     if np.count_nonzero(np.diff(run.samples.phase)) > MOST_BORDERS:
         return None
     spans = [end_ns for span in run.find_phase_spans() for end_ns in (span.start_ns, span.end_ns)]
@@ -206,7 +210,7 @@ def _find_beside(time_ns: Times, borders_ns: Times) -> NDArray[np.int64]:
 
 
 def _widen(values: Times) -> Times:
-    """Return the least and a little more than the greatest: there the last phase shows."""
+    """Return the least time, and slightly more than the greatest, to show the last phase."""
     first, last = int(values.min()), int(values.max())
     return np.array([first, last + (last - first) // _SHARE_BEYOND])
 
@@ -220,7 +224,7 @@ def _build_column(name: str, values: Times) -> rr.TimeColumn:
 
 
 def _count_ticks(tick_ns: Times, time_ns: Times) -> Times:
-    """Return the number of the last pose at or before each time."""
+    """Return the index of the last pose at or before each time."""
     if time_ns is tick_ns:
         return np.arange(len(tick_ns), dtype=np.int64)
     return np.searchsorted(tick_ns, time_ns, side="right") - 1
@@ -244,7 +248,7 @@ def _describe_thinning(runs: Sequence[Run]) -> str:
 
 
 def _describe_borders(runs: Sequence[Run]) -> str:
-    """Say of which runs the rows beside borders are kept."""
+    """Return text on the runs whose rows beside borders are kept."""
     named = zip(name_runs(runs), runs, strict=True)
     borders = [(name, _list_borders(run)) for name, run in named if not _is_whole(run)]
     crowded = [name for name, found in borders if found is None]

@@ -1,4 +1,4 @@
-"""Rerun's viewers: the native one as a child process, and the one of a browser on this machine."""
+"""Rerun's viewers: the native one as a child process, and the web viewer on this machine."""
 
 import os
 import re
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _PATIENCE_S: Final = 5.0
 
 _LOCAL: Final = "127.0.0.1"
-"""The address of this machine that no other one can reach."""
+"""Loopback address, which other machines cannot reach."""
 
 _START_S: Final = 30.0
 _ANSWER_S: Final = 5.0
@@ -39,34 +39,35 @@ _SCHEMES: Final = frozenset({"rerun", "rerun+http", "rerun+https"})
 _RETRY_S: Final = 0.1
 
 _NO_TELEMETRY: Final = {"CI": "1"}
-"""Rerun sends no telemetry where this is set; it has no option for a single viewer."""
+"""Environment that disables Rerun's telemetry, which has no option for a single viewer."""
 
 _PROOF_PIXELS: Final = 16
-"""Longest side of the picture that shows that a viewer draws: the smallest costs the least."""
+"""Longest side of the picture that proves that a viewer draws [pixels]: the smallest costs
+least."""
 
 
 class ViewerProcess:
-    """A viewer that was started, and what it has said on stderr."""
+    """A started viewer, with its messages on stderr."""
 
     def __init__(self, process: "subprocess.Popen[bytes]", messages: IO[bytes]) -> None:
         self._process, self._messages = process, messages
 
     @property
     def process_id(self) -> int:
-        """The number by which the system knows it."""
+        """The process id."""
         return self._process.pid
 
     @property
     def has_ended(self) -> bool:
-        """Whether the process is gone."""
+        """Whether the process has ended."""
         return self._process.poll() is not None
 
     def wait(self) -> int:
-        """Wait for its end and return its exit code."""
+        """Wait for the end of the process and return its exit code."""
         return self._process.wait()
 
     def read_error(self) -> str:
-        """Return what it said about a failure, in one line without places in its source."""
+        """Return the viewer's error message in one line, without places in its source."""
         self._messages.seek(0)
         lines = self._messages.read().decode(errors="replace").splitlines()
         errors = [line for line in lines if re.search(r"^Error:|panicked at", line)]
@@ -89,10 +90,10 @@ class ViewerProcess:
 
 
 def find_viewer() -> Path:
-    """Return the viewer's binary; the `rerun` script would put a process of its own in between.
+    """Return the viewer's binary; the `rerun` script would add a process of its own.
 
     Raises:
-        ShowError: If there is none.
+        ShowError: If there is no binary.
     """
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     package = find_spec("rerun_cli")
@@ -120,8 +121,8 @@ def open_viewer(paths: Sequence[str | Path]) -> None:
 
 @contextmanager
 def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
-    """Start a viewer that listens on this machine only, and end it on the way out."""
-    # The viewer leaves a folder behind in the temporary one: give it its own.
+    """Start a viewer that listens on this machine only, and end it after the block."""
+    # The viewer leaves a folder in the temporary folder, so it gets a folder of its own.
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
             [*_find_guard(), find_viewer(), "--bind", _LOCAL, *options],
@@ -138,7 +139,7 @@ def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
 
 
 def require_recordings(paths: Sequence[str | Path]) -> None:
-    """Raise ShowError where there is no path, or no file at one."""
+    """Raise ShowError if there is no path, or no file at a path."""
     if not paths:
         raise ShowError("viewer: no recording to open")
     for path in paths:
@@ -154,15 +155,15 @@ def find_free_port() -> int:
 
 
 def build_url(port: int) -> str:
-    """Return where a viewer takes data."""
+    """Return the address at which a viewer receives data."""
     return f"rerun+http://{_LOCAL}:{port}/proxy"
 
 
 def require_viewer(url: str) -> None:
-    """Refuse an address where nothing takes data.
+    """Refuse an address without a viewer.
 
     Raises:
-        ShowError: If it is no address of a viewer, or nothing answers there.
+        ShowError: If the text is not an address of a viewer, or nothing answers there.
     """
     try:
         parts = urlsplit(url)
@@ -182,11 +183,11 @@ def require_viewer(url: str) -> None:
 def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
     """Return a client as soon as the viewer has drawn something.
 
-    An answer alone proves nothing: without a graphics driver the viewer listens first, and dies
+    An answer alone is not sufficient: without a graphics driver the viewer first listens, and ends
     when it begins to draw.
 
     Raises:
-        ConnectionError: If it ended, or never drew anything.
+        ConnectionError: If the viewer ended, or never drew anything.
     """
     from rerun.experimental import ViewerClient
 
@@ -205,7 +206,7 @@ def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
 
 
 def _find_guard() -> list[str]:
-    """Return what ends a viewer whose parent was killed; only Linux knows how to."""
+    """Return a command prefix that ends a viewer whose parent was killed; only Linux has one."""
     guard = shutil.which("setpriv") if sys.platform == "linux" else None
     return [] if guard is None else [guard, "--pdeathsig", "TERM"]
 
@@ -216,7 +217,7 @@ _KINDS: Final[Mapping[str, str]] = {
     "re_viewer_bg.wasm": "application/wasm",
     "favicon.ico": "image/x-icon",
 }
-"""What the page consists of, by name, with the types that a browser expects."""
+"""Files of the page by name, with the content types that a browser expects."""
 
 _RECORDING: Final = "application/octet-stream"
 _PAUSE_S: Final = 0.02
@@ -226,14 +227,15 @@ _PAUSE_S: Final = 0.02
 def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     """Serve .rrd files with the web viewer on 127.0.0.1 while the block runs; yield the address.
 
-    The viewer's own web server keeps a core busy even where nobody looks. So the page is taken from
-    it once, kept in memory, and served from a thread of this process: nothing outlives it, and it
-    needs no display. Only the page and the files named are served, and only to pages of its own.
-    A Content-Security-Policy allows the page to ask this server alone. Rerun's viewer would ask its
-    telemetry, a page of releases and a server of fonts, and has no option against the first two.
+    The viewer's own web server keeps a core busy even without a visitor. The page is therefore
+    fetched from it once, kept in memory, and served from a thread of this process, without a
+    display; it ends with the process. Only the page and the given files are served, and only to
+    this page. A Content-Security-Policy restricts the page's requests to this server. Rerun's
+    viewer would contact its telemetry, a page of releases and a font server, and has no option
+    against the first two.
 
     Raises:
-        ShowError: If a file is missing, or the page cannot be had.
+        ShowError: If a file is missing, or the page cannot be fetched.
     """
     require_recordings(paths)
     files = {f"{number}/{Path(path).name}": Path(path) for number, path in enumerate(paths)}
@@ -255,7 +257,7 @@ def _build_address(root: str, names: Sequence[str]) -> str:
 
 
 def _fetch_page() -> dict[str, bytes]:
-    """Return what the page consists of, from a server of the viewer's that ends at once."""
+    """Return the files of the page, from a server of the viewer that ends at once."""
     ports = {"--port": find_free_port(), "--web-viewer-port": find_free_port()}
     options = [word for name, port in ports.items() for word in (name, str(port))]
     with start_viewer(["--serve-web", *options]) as viewer:
@@ -265,11 +267,11 @@ def _fetch_page() -> dict[str, bytes]:
 
 
 _REMOTE_LINK: Final = re.compile(rb"<link[^>]*https?://[^>]*>")
-"""Fonts, and connections ahead of time, which no policy covers."""
+"""Links to fonts and early connections, which no policy covers."""
 
 
 def _write_head_fields(page: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the policy of the page and its viewer, which is WebAssembly."""
+    """Return the headers with the policy for the page and its viewer, which is WebAssembly."""
     scripts = re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL)
     policy = write_policy(
         scripts,
@@ -314,7 +316,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer with a part of the page or a file."""
         name = urlsplit(self.path).path.removeprefix("/")
-        # A page elsewhere may give its own name the address of this machine: it gets nothing.
+        # Another page may give its own name this machine's address; it gets nothing.
         if self.headers.get("Host", "").rsplit(":", 1)[0] not in {_LOCAL, "localhost"}:
             self.send_error(HTTPStatus.FORBIDDEN)
         elif name in self._page:
@@ -326,14 +328,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
 
     def handle(self) -> None:
-        """Answer until the browser goes, which may be in the middle."""
+        """Answer until the browser disconnects, possibly in the middle."""
         try:
             super().handle()
         except ConnectionError:
             self.close_connection = True
 
     def log_message(self, format: str, *values: object) -> None:  # noqa: A002
-        """Say nothing: the terminal is the user's."""
+        """Print nothing: the terminal belongs to the user."""
 
     def _send_file(self, path: Path) -> None:
         try:

@@ -1,4 +1,4 @@
-"""Views: what each one shows of a recording, and how it is named."""
+"""Views: the content and the title of each."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -19,11 +19,11 @@ from turtlelog.draw.rerun.entities import join_path, locate_dead_times, locate_p
 from turtlelog.draw.rerun.world import Bounds
 
 _MOST_PHASE_ROWS: Final = 4
-"""Of more than seven runs: plots above them keep the larger part."""
+"""Largest number of phase rows for more than seven runs: plots keep the larger part."""
 
 
 def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
-    """Show where the turtles drive, with arrows where the title has room for their names."""
+    """Return the view of the plane, with arrows if the title has room for their names."""
     told = content.equal or content.origin or content.arrows
     if content.is_small:  # a title has room for 20 letters
         told = "equal runs" if content.equal else content.scale_span
@@ -41,7 +41,7 @@ def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
 
 
 def view_speed(content: Content, highest_m_s: float) -> rrb.View:
-    """Show where they drive fast."""
+    """Return the view of the plane with paths coloured by speed."""
     hidden = _hide([entities.PATH, entities.TRAIL, entities.ERROR, entities.NAMES], content)
     return rrb.Spatial2DView(
         origin="/",
@@ -53,7 +53,7 @@ def view_speed(content: Content, highest_m_s: float) -> rrb.View:
 
 
 def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
-    """Show how close they end; arrows and names would cover it."""
+    """Return the close-up of the goal, without arrows and names, which would cover it."""
     bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
     outlines = ", outlines: 90 % of ends" if len(content.prefixes) > MANY_PATHS else ""
     name = f"At the goal, {close_up.describe()}{content.starts}{outlines}"
@@ -61,7 +61,7 @@ def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
 
 
 def view_worst(content: Content, worst: WorstPlace) -> rrb.View:
-    """Show where they are furthest from the path that they track."""
+    """Return the view of the largest deviation from the tracked path."""
     bounds = Bounds(center_xy_m=worst.center_xy_m, half_size_m=worst.half_m)
     return _view_close_up(content, f"Furthest off the path, ±{format_length(worst.half_m)}", bounds)
 
@@ -88,7 +88,7 @@ def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
 
 
 def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: str = "") -> rrb.View:
-    """Show curves over time, with a legend where there is a corner and anything to tell apart."""
+    """Return the view of curves over time, with a legend if a corner is free and it is needed."""
     contents = content.list_curves(plot)
     has_names = len(contents) > 1 if content.legends is None else plot in content.legends
     if plot in content.references:
@@ -110,7 +110,7 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: st
 
 
 def view_phases(content: Content) -> rrb.View:
-    """Show the phases, a row per run; a pause is too short for its name."""
+    """Return the view of the phases, one row per run; a pause is too short for its name."""
     shown = content.phase_rows or content.prefixes
     contents = [locate_phases(prefix) for prefix in shown]
     of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
@@ -127,7 +127,7 @@ def view_phases(content: Content) -> rrb.View:
 
 
 def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
-    """Return the runs whose phases are shown: of many a few, the first and the last among them."""
+    """Return the runs whose phases are shown: of many runs a few, including the first and last."""
     if len(prefixes) <= MANY:
         return ()
     rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)
@@ -135,12 +135,12 @@ def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
 
 
 def view_document(title: str) -> rrb.View:
-    """Show a Markdown text."""
+    """Return the view of a Markdown text."""
     return rrb.TextDocumentView(origin=name_document(title), name=title)
 
 
 def view_events(content: Content) -> rrb.View:
-    """List the events."""
+    """Return the view that lists the events."""
     columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["Body"])
     return rrb.TextLogView(
         origin="/",
@@ -151,7 +151,7 @@ def view_events(content: Content) -> rrb.View:
 
 
 def _show_trails(content: Content) -> dict[Any, VisibleTimeRanges]:
-    """Return what makes a view show the trails from their beginning to the cursor."""
+    """Return the overrides that make a view show trails from their start to the cursor."""
     until_now = VisibleTimeRanges(
         ranges=[
             rrb.VisibleTimeRange(
@@ -172,13 +172,13 @@ def _list_planes(content: Content) -> list[str]:
 
 
 def _hide(paths: Sequence[str], content: Content) -> list[str]:
-    """Leave out what a view of the whole plane does not show: some paths, and the close-up."""
+    """Return the exclusions of a view of the whole plane: some paths, and the close-up."""
     ends = [join_path(prefix, entities.END) for prefix in content.prefixes]
     return [f"- {join_path(path)}/**" for path in (*paths, entities.CLOSE_UP, *ends)]
 
 
 def _turn_bounds(bounds: Bounds) -> rrb.VisualBounds2D:
-    """Return the bounds in the view's own coordinates, y downward."""
+    """Return bounds in the view's own coordinates, with y downward."""
     (x_m, y_m), half_m = bounds.center_xy_m, bounds.half_size_m
     return rrb.VisualBounds2D(
         x_range=(x_m - half_m, x_m + half_m), y_range=(-y_m - half_m, -y_m + half_m)

@@ -46,34 +46,37 @@ _MARKERS: Final[Mapping[str, Marker]] = {
     "low": "down",
 }
 _SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
-"""How marks of limits look, for the legend: a plot has no words at its lines."""
+"""Symbols of limits in the legend, because a plot has no text at its lines."""
 
 _NAMES_OUTSIDE: Final[Mapping[str, str]] = {"worst": "outside", "nearest": "not within"}
 
 _MARK_AT: Final = 0.03
-"""Where along a limit its mark stands: at its very beginning the plot's edge cuts it."""
+"""Position of a limit's mark along it, as a share; the plot's edge would cut a mark at the
+start."""
 
 _STRETCH_RADIUS: Final = 2.5
 _ABOVE_TRACES: Final = 26.0  # lines have 20
 
 _STROKES: Final = 700
-"""Upright strokes that fill the band: one for every other pixel of a window of 1400."""
+"""Number of vertical strokes that fill the band: every other pixel of a window of 1400."""
 _STROKE_WIDTH: Final = 3.0
 _FILL_ALPHA: Final = 64
-"""Of 255: strokes overlap once or twice, and curves stay brighter than the band."""
+"""Opacity of strokes, of 255: they overlap once or twice, and curves stay brighter than the
+band."""
 
 _ROOM: Final = 0.12
-"""Above and below what the plot shows, as a share of its height: room for marks."""
+"""Margin above and below the content for marks, as a share of its height."""
 
 _CLOSE_UP: Final = 4.0
-"""The plot shows the violation alone where the whole curve is so many times as high: the band
-would take less than a quarter of it."""
+"""Ratio of the curve's height to the violation's from which only the violation is shown: otherwise
+the band would take less than a quarter of the plot."""
 
 _LONGEST_TITLE: Final = 110
-"""Letters of 6.5 pixels: the plot of a window 1200 pixels wide has 850 of them for its title."""
+"""Longest title [letters of 6.5 pixels]: the plot of a window 1200 pixels wide has 850 pixels for
+it."""
 
 _LONGEST_NAME: Final = 28
-"""In the plane: about half of its width."""
+"""Longest name in the plane [letters]: about half of its width."""
 
 
 def write_violation_rrd(
@@ -85,11 +88,11 @@ def write_violation_rrd(
     message: str,
     violated: ViolatedSignal | None = None,
 ) -> None:
-    """Write a recording of one run that opens at a time and marks it.
+    """Write a recording of one run that opens at a time and marks this time.
 
-    The violated signal is at the top with its band, in red where it is outside; its first and its
-    worst violation have labels with value and time. The cursor is at the first in every plot; the
-    plane has a mark at the turtle's position, and the list of events a line.
+    The violated signal is at the top with its band, and red outside the band. Its first and worst
+    violations have labels with value and time. The cursor is at the first in every plot; the plane
+    has a mark at the turtle's position, and the list of events a line.
 
     Args:
         run: Run to show.
@@ -97,7 +100,7 @@ def write_violation_rrd(
         at_s: Time of the violation, from the first sample [s].
         title: A few words, shown beside the mark if there is no signal.
         message: Full message, as it would be printed.
-        violated: The violated signal; None if the violation belongs to none.
+        violated: Violated signal; None if the violation belongs to no signal.
 
     Raises:
         ShowError: If the file cannot be written.
@@ -128,7 +131,7 @@ def write_violation_rrd(
 
 
 def _view_signal(violated: ViolatedSignal) -> rrb.View:
-    """Show the signal, its band, and what is outside."""
+    """Return the view of the signal, its band, and the part outside."""
     low, high = _find_range(violated)
     curve, shown = violated.curve, violated.describe_moment(violated.worst, violated.worst_word)
     outside = violated.describe_outside(violated.worst)
@@ -148,7 +151,7 @@ def _view_signal(violated: ViolatedSignal) -> rrb.View:
 
 
 def _write_legend(violated: ViolatedSignal) -> str:
-    """Return what is seen in the plot as Markdown, a line for each mark and each curve."""
+    """Return the legend as Markdown, with a line for each mark and each curve."""
     outside, word = violated.describe_outside(violated.worst), violated.worst_word
     worst = violated.describe_moment(violated.worst, word)
     limits = violated.describe_limits()
@@ -164,11 +167,11 @@ def _write_legend(violated: ViolatedSignal) -> str:
 
 
 def _find_range(violated: ViolatedSignal) -> tuple[float, float]:
-    """Return the range of the plot: of curve and band, or of the violation where that is small."""
+    """Return the range of the plot: of curve and band, or of a much smaller violation."""
     curve, outside = violated.curve.values, violated.outside
     ends = [end for end in (violated.low, violated.high) if end is not None]
     moments = np.array([violated.first.value, violated.worst.value])
-    # What was waited for in vain is outside from the beginning: what counts is how near it came.
+    # A value that was never reached is outside from the start: only its nearest approach matters.
     shown = curve[:0] if violated.worst_word == "nearest" else curve[outside]
     near = _span(*ends, shown, moments)
     whole = _span(*ends, curve, moments)
@@ -183,7 +186,7 @@ def _span(*columns: Values) -> tuple[float, float]:
 
 
 def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
-    """Draw band, limits, curve, what is outside, and the moments, from below to above."""
+    """Draw band, limits, curve, the part outside, and the moments, from bottom to top."""
     curve, limits = violated.curve, violated.describe_limits()
     _fill_band(run_stream, violated)
     _draw_line(run_stream, curve, "curve", violated.name, (palette.MAIN, _CURVE_WIDTH))
@@ -250,7 +253,7 @@ def _draw_line(
 
 
 def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
-    """Fill the band with upright strokes, up to the plot's edge where it has no end."""
+    """Fill the band with vertical strokes, up to the plot's edge if it is unbounded."""
     times_ns, rows = _choose_strokes(violated.curve.time_ns)
     edges = _find_range(violated)
     low, high = (
@@ -270,14 +273,14 @@ def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
 
 
 def _choose_strokes(time_ns: Times) -> tuple[Times, NDArray[np.int64]]:
-    """Return evenly spaced times, and the rows that hold there."""
+    """Return evenly spaced times, and the rows that are valid at them."""
     times_ns = np.linspace(time_ns[0], time_ns[-1], _STROKES).round().astype(np.int64)
     rows = np.searchsorted(time_ns, times_ns, side="right") - 1
     return times_ns, np.clip(rows, 0, len(time_ns) - 1)
 
 
 def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal) -> None:
-    """Draw in red where the robot was while the signal was outside, where it was to be inside."""
+    """Draw the robot's path in red while the signal was outside its band."""
     if violated.worst_word != "worst":
         return
     rows = np.searchsorted(violated.curve.time_ns, run.poses.time_ns, side="right") - 1
@@ -296,9 +299,9 @@ def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal
 
 
 def _stop_at(at_ns: int) -> rrb.TimePanel:
-    """Return a panel whose cursor stands at a time: it loops over a segment of no length.
+    """Return a panel whose cursor is at a given time, by a loop of length zero.
 
-    A layout cannot name the cursor's place, and a paused one stands at the beginning.
+    A layout cannot set the cursor's place, and a paused cursor is at the start.
     """
     return rrb.TimePanel(
         state="collapsed",
@@ -310,7 +313,7 @@ def _stop_at(at_ns: int) -> rrb.TimePanel:
 
 
 def _name_place(title: str, violated: ViolatedSignal | None) -> str:
-    """Return the words beside the mark: the check stands in the title of its signal, if any."""
+    """Return the text beside the mark; if there is a signal, its title names the check."""
     if violated is not None:
         return "first violated"
     return title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 3]}..."

@@ -1,4 +1,4 @@
-"""What runs share in the plane: border, walls that a robot saw, starts, goals, how each ends."""
+"""Common content of runs in the plane: border, walls, starts, goals, and ends."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,20 +41,22 @@ _WORLD_MARGIN = 0.03
 _MARGIN = 0.12
 _GOAL_ASIDE = 0.22
 _START_ASIDE = 0.32  # beside the turtle's arrow
-_NAME_UP = 0.11  # The viewer writes a name below its point.
+_NAME_UP = 0.11  # the viewer writes a name below its point
 _MARKER_RADIUS = 3.5  # [points]
 
 UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
-"""Turns y upward for all that lies below: Rerun's 2D views have it downward."""
+"""Transform that turns y upward for everything below it: Rerun's 2D views have y downward."""
 
 LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
-"""As measured in a window of 1200 x 860 pixels, where 125 pixels are half of the close-up."""
+"""Size of text, measured in a window of 1200 x 860 pixels, where half of the close-up is 125
+pixels."""
 
 SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55, most_told=6)
-"""Likewise in one of 700 x 450, where 73 pixels are, of which a line of words takes 18."""
+"""Size of text in a window of 700 x 450, where half of the close-up is 73 pixels and a line of text
+18."""
 
 _ABOVE: Final = 0.6
-"""The viewer writes words below their point: so far, in lines."""
+"""Offset of text in lines, because the viewer writes it below its point."""
 
 _END_RADIUS: Final = 4.0  # [points]
 _ENDS_RADIUS: Final = 2.0
@@ -77,7 +79,7 @@ class Bounds:
 
 
 def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
-    """Return the world's bounds, or those of paths and goals where they leave it."""
+    """Return the world's bounds, or those of paths and goals if they leave the world."""
     if is_in_world(runs):
         return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
     return find_way_bounds(runs)
@@ -92,9 +94,9 @@ def find_way_bounds(runs: Sequence[Run]) -> Bounds:
 def draw_world(
     stream: rr.RecordingStream, runs: Sequence[Run], *, half_size_m: float | None = None
 ) -> None:
-    """Draw the border, and each path that is tracked, each start and each goal once.
+    """Draw the border, and each tracked path, start and goal once.
 
-    `half_size_m` is that of the plane's bounds, where they are not those of the world.
+    `half_size_m` is half the size of the plane, if it differs from the world's.
     """
     stream.log(join_path(entities.PLANE), UPWARD, static=True)
     if is_in_world(runs):
@@ -126,15 +128,15 @@ def draw_close_up(
     *,
     lettering: Lettering = LETTERING,
 ) -> None:
-    """Draw where each run ends, in its colour, and how far from the goal that is.
+    """Draw the end of each run in its colour, with its distance from the goal.
 
     Args:
         stream: The recording.
-        close_up: What is shown; its ends have the names that stand beside their distances.
-        run: One of them; from where it starts, they come.
+        close_up: Close-up with its ends and their names.
+        run: One of the runs, whose start gives the direction of arrival.
         prefixes: Entity prefix of each run.
         colors: Colour of each run.
-        lettering: Room that words take in the view.
+        lettering: Size of text in the view.
     """
     for end in close_up.ends:
         dot = rr.Points2D(
@@ -161,7 +163,7 @@ def draw_close_up(
 
 
 def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[Color]) -> None:
-    """Draw where many runs end, and of each gain the median and what holds nine tenths of them."""
+    """Draw the ends of many runs, and for each gain the median and an outline of 90 % of them."""
     dots = rr.Points2D(
         [run.poses.xy_m[-1] for run in runs], radii=rr.Radius.ui_points(_ENDS_RADIUS), colors=colors
     )
@@ -192,7 +194,7 @@ def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[
 
 
 def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
-    """Draw how far from the path the run is that is furthest off, in its colour."""
+    """Draw the largest deviation from the path of all runs, in the colour of its run."""
     way = rr.LineStrips2D(
         [[worst.path_xy_m, worst.xy_m]], radii=rr.Radius.ui_points(_WORST_RADIUS), colors=[color]
     )
@@ -203,7 +205,7 @@ def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color
 
 
 def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
-    """Draw the paths that laws track as broad lines below all that is driven."""
+    """Draw the paths that laws track as broad lines below the driven paths."""
     paths = list_paths(runs)
     if paths:
         strips = rr.LineStrips2D(
@@ -231,7 +233,7 @@ def _draw_names(
     goal: NDArray[np.float64],
     half_size_m: float,
 ) -> None:
-    """Name start and goal beside them, each on the side where the path is not."""
+    """Name start and goal, each on the side away from the path."""
     (start_x_m, start_y_m), (goal_x_m, goal_y_m) = start, goal
     aside_m = half_size_m if goal_x_m <= start_x_m else -half_size_m
     up_m = _NAME_UP * half_size_m
@@ -249,7 +251,7 @@ def _draw_names(
 
 
 def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
-    """Draw a square around each goal: the law checks the error's coordinates one by one."""
+    """Draw a square around each goal, because the law checks the error's coordinates separately."""
     squares = sorted(
         {
             (run.goal_xy_m, tolerance_m)
@@ -274,7 +276,7 @@ def _square(low: NDArray[np.float64], high: NDArray[np.float64], margin: float) 
 
 
 def _part_lines(label: Label, lettering: Lettering, half_m: float) -> list[Label]:
-    """Return a label for each line, from top to bottom, each with the run that it tells of."""
+    """Return a label for each line from top to bottom, each with its run."""
     lines = label.text.split("\n")
     if len(lines) == 1:
         return [label]
@@ -287,7 +289,7 @@ def _part_lines(label: Label, lettering: Lettering, half_m: float) -> list[Label
 
 
 def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
-    """Return the colour of the run that the words are of, grey where there are several."""
+    """Return the colour of the text's run; grey if there are several runs."""
     return colors[label.runs[0]] if len(label.runs) == 1 else palette.START
 
 
@@ -308,17 +310,17 @@ def _write_words(
     stream.log(join_path(entity), words, static=True)
 
 
-_MAP_ORDER: Final = 5.0  # paths that are tracked have 15, traces 20
+_MAP_ORDER: Final = 5.0  # tracked paths have 15, traces 20
 _COSTMAP_ORDER: Final = 5.5
 _WALL_ORDER: Final = 6.0
 _SCAN_ORDER: Final = 16.0
 _SCAN_RADIUS: Final = 1.75  # [points]
 
 _WIDEST: Final = 3.0
-"""The plane grows at most so many times for what is around the path, which stays readable."""
+"""Largest growth of the plane for the surroundings of the path, which stays readable."""
 
 _SHARE: Final = 0.95
-"""Of the walls that the plane shows: rays through a door lead far away."""
+"""Share of the walls that the plane shows: rays through a door lead far away."""
 
 
 def draw_surroundings(
@@ -327,7 +329,7 @@ def draw_surroundings(
     timelines: Timelines,
     shift_m: Values,
 ) -> None:
-    """Draw what is around the robot; `shift_m` is added to all of it, as to the run's poses."""
+    """Draw the surroundings of the robot; `shift_m` is added to them, as to the run's poses."""
     for place in seen.maps:
         _draw_map(stream, place, shift_m)
     if len(seen.walls_xy_m):
@@ -369,7 +371,7 @@ def _draw_map(stream: rr.RecordingStream, place: OccupancyMap, shift_m: Values) 
 
 
 def widen_plane(bounds: Bounds, seen: Surroundings, shift_m: Values) -> Bounds:
-    """Return the bounds of the plane with most of the walls within, as far as paths stay large."""
+    """Return bounds of the plane with most of the walls, limited so that paths stay large."""
     walls = np.concatenate([seen.walls_xy_m, seen.map_xy_m]) + shift_m
     if not len(walls):
         return bounds

@@ -16,24 +16,24 @@ from turtlelog.explain.one_run.attribution import (
 )
 
 _NAMED: Final = 0.1
-"""Of the sum of the contributions' magnitudes: a cause with a larger one is named, and so is what
-arises only together. A design parameter is named beyond this part of the value."""
+"""Share of the contributions' total magnitude above which a cause, or a joint part, is named. A
+design parameter is named above this share of the value."""
 
 _MOST_TOGETHER: Final = 3
-"""Sets that arise only together, in one sentence; of four causes there are eleven."""
+"""Largest number of joint parts in one sentence; four causes have eleven."""
 
 _SAME: Final = 1e-6
-"""Of a value: a smaller difference between log and re-simulation goes without a word."""
+"""Share of a value below which a difference between log and re-simulation is not mentioned."""
 
 _ALIKE: Final = 1.25
-"""Contributions are about equal if the largest is at most this many times the smallest."""
+"""Largest ratio of contributions that count as about equal."""
 
 _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
-"""Effects in words; more than six take no part unless they are chosen."""
+"""Numbers of effects in words; more than six take part only if they are chosen."""
 
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
-    """Return sentences: the value, its causes, what they depend on, and what else changes it."""
+    """Return sentences: the value, its causes, their dependences, and other causes of change."""
     parts = [write_part(found, one) for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
     return (write_value(found), *causes, *write_reasons(found))
@@ -176,12 +176,12 @@ def _write_rest(found: Attribution) -> str:
     if not found.causes:
         return "No effect of the implementation is in this run."
     if not found.acting and found.seeds is not None and [*found.causes] == _list_idle(found):
-        return ""  # the sentence on seeds says so
+        return ""  # the sentence on seeds contains it
     if not found.acting:
         return f"Without {join_words(found.causes, 'or')} it is the same."
     added = _sum_effects(found)
     if _is_negligible(found):
-        idle = _list_idle(found) if found.seeds is not None else []  # a sentence says so of these
+        idle = _list_idle(found) if found.seeds is not None else []  # named in another sentence
         names = [name for name in found.causes if name not in idle]
         together = " together change" if len(names) > 1 else " changes"
         return (
@@ -266,7 +266,7 @@ def _write_seeds(found: Attribution) -> str:
         of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
     mean = format_value(found, seeds.mean, seeds.standard_error)
     low, high = format_value(found, seeds.low), format_value(found, seeds.high)
-    # Values that round alike have no range that these digits show.
+    # Values that round to equal digits have no range that these digits show.
     within = f"are between {low} and {high}"
     if low == high:
         within = f"span {format_value(found, seeds.high - seeds.low)}"
@@ -356,7 +356,7 @@ def _format_span(found: Attribution, low: float, high: float) -> str:
 
 
 def _write_others(found: Attribution) -> list[str]:
-    """Return what alone changes the value; what lowers it does not explain a large value."""
+    """Return the causes that alone change the value, without those that lower a large value."""
     told = [one for one in found.others if _is_told(found, one)]
     lowering = [one for one in told if _lowers(found, one)]
     others = [_write_alone(found, one) for one in told if one not in lowering]
@@ -372,7 +372,7 @@ def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
 
 
 def _is_told(found: Attribution, one: Contribution) -> bool:
-    """Return whether something alone changes the value by more than the resolution and chance."""
+    """Return whether a cause alone changes the value by more than the resolution and chance."""
     if one.alone is None:
         return True
     change = abs(one.alone - found.divided)

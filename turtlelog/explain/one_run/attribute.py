@@ -54,15 +54,15 @@ from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 
 _MOST: Final = 6
-"""Causes that take part: 64 simulations, a second or two of the paper's runs, and with random
-effects 32 times as many; each more doubles them."""
+"""Largest number of causes that take part: 64 simulations, a second or two for the paper's runs.
+With random effects there are 32 times as many; each further cause doubles the number."""
 
 _AGREEMENT: Final = 0.1
-"""Of what the effects add together: a re-simulation further away from the log does not show what
-is in the log."""
+"""Largest difference between re-simulation and log, as a share of the effects' total; beyond it,
+the re-simulation does not represent the log."""
 
 _SAME: Final = 1e-6
-"""Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
+"""Share of a value below which a difference is 0: two platforms differ by less."""
 
 _OUTSIDE: Final = (
     "the log's value lies outside of the central 95 % over seeds, its own is not known"
@@ -80,10 +80,10 @@ def attribute_run(
 ) -> Attribution:
     """Attribute a value of a run to causes in the scenario that reproduces it.
 
-    This is the identified scenario; for a law that cannot be identified, the recorded one, if its
-    re-simulation reproduces the run. Contributions are withheld if the values of log and
-    re-simulation differ by more than a tenth of the total of the effects; for random effects with
-    an unknown seed, if the log's value is outside the central 95 % over seeds.
+    The scenario is the identified one; for a law that cannot be identified, it is the recorded one
+    if its re-simulation reproduces the run. Contributions are withheld if the values of log and
+    re-simulation differ by more than a tenth of the effects' total. For random effects with an
+    unknown seed, they are withheld if the log's value is outside the central 95 % over seeds.
 
     Args:
         run: Run whose value is explained.
@@ -187,7 +187,7 @@ def divide_game(found: Attribution, game: Game) -> Attribution:
     """Return an attribution with the contributions of its causes, or why they are missing."""
     if game.is_random and found.resimulated is not None:
         return divide_over_seeds(found, game)
-    # A run without a value has its reason in its own seed.
+    # If a run has no value, the reason comes from its own seed.
     outcomes = {
         inside: game.play_as_recorded({*found.causes} - inside)
         for inside in list_coalitions(found.causes)
@@ -200,7 +200,7 @@ def divide_game(found: Attribution, game: Game) -> Attribution:
 
 
 def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
-    """Require a metric of the run and different causes that it may have. Loads no code.
+    """Require a metric of the run and different causes that it may have; no code is loaded.
 
     Causes of a law that is not built in are known only when it runs.
 
@@ -296,7 +296,7 @@ def _tell_what_has_no_value(
 
 
 def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
-    """Return why the re-simulation does not represent the log; empty if it does."""
+    """Return the reason why the re-simulation does not represent the log; empty if it does."""
     logged, built, without = found.as_logged, found.resimulated, found.without_all
     if logged is None:
         return "the log has no value"

@@ -1,4 +1,4 @@
-"""The content of an attribution: values, contributions, and what they depend on."""
+"""The data of an attribution: values, contributions, and their conditions."""
 
 import math
 from dataclasses import dataclass, field
@@ -13,14 +13,14 @@ from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 _SHARE: Final = 0.01
-"""Of a value that no tolerance and no clock bounds. A phase of the paper's runs has a hundred
-samples and more: about what one of them makes of an integral over it."""
+"""Negligible share of a value that neither a tolerance nor a clock bounds. A phase of the paper's
+runs has at least a hundred samples, so it is about one sample's effect on an integral."""
 
 _ROUNDING: Final = 1e-12
-"""Of a value: sums of doubles in another order differ by less."""
+"""Share of a value below which sums in another order differ."""
 
 _HALF_A_COUNT: Final = 0.5
-"""Counts change by one at least."""
+"""Negligible change of a count, because counts change by at least one."""
 
 _COUNTS: Final = (
     "crossings",
@@ -99,11 +99,11 @@ def _find_steps(scenario: Scenario) -> tuple[float, float]:
 
 
 _CLEAR: Final = 3.0
-"""Standard errors: of six contributions that are 0, one seems to be more in 3 % of runs (with
-Student's t of 31 degrees of freedom, each in 1 of 190)."""
+"""Standard errors from which a mean differs from 0. For six contributions that are 0, one seems to
+differ in 3 % of runs (each in 1 of 190, by Student's t with 31 degrees of freedom)."""
 
 THIS_SEED: Final = "this seed"
-"""The line of what the contributions do not hold."""
+"""Name of the line with the effect of the run's own seed, which contributions do not contain."""
 
 THIS_SEED_MEANS: Final = "the value of its own seed, less the mean over seeds"
 
@@ -125,7 +125,7 @@ class Contribution:
         alone: The metric without this cause alone; None if it has no value. With random effects,
             the mean over seeds.
         ending: Difference in kind without the cause, in one clause: a phase that no longer ends, or
-            why there is no value. None if the run has the same phases.
+            the reason why there is no value. None if the run has the same phases.
         meaning: Meaning of the run without the cause, in one clause.
         standard_error: Standard error of the contribution with random effects; of the change
             without the cause if it takes no part. None otherwise.
@@ -166,7 +166,7 @@ class ValueSet:
 
     Attributes:
         causes: Causes that act; all others that take part are removed.
-        reason: Why there is no value; None if there is.
+        reason: Reason why there is no value; None if there is.
     """
 
     causes: tuple[str, ...]
@@ -259,15 +259,15 @@ class Attribution:
             effects they are means over seeds, and `this_seed` is the difference.
         others: Other causes in the scenario, each removed alone.
         resolution: The largest change that is negligible.
-        withheld: Why there are no contributions, in one clause; None if there are some.
+        withheld: Reason why there are no contributions, in one clause; None if there are some.
         together: Parts that several causes add only together.
         without_value: The smallest sets of causes that leave the metric without a value.
         with_value: The smallest sets of causes that give it a value, if it has none without all.
         starts: Range of the value over starts within the turn of one sample; None if the robot does
             not turn, or with random effects.
         seeds: Range of the value over seeds; None without random effects.
-        reason: Why there is no value in the log, or else in the re-simulation; None if there is
-            one.
+        reason: Reason why there is no value in the log, or else in the re-simulation; None if there
+            is one.
         doubts: Assumptions of the contributions that the log does not prove, in sentences.
         left: Effects beyond the six that take part, which stay as recorded.
         effects: Every effect that loop and law can have, whether in the scenario or not.

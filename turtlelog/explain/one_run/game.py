@@ -1,4 +1,4 @@
-"""A value as a cooperative game: simulated with any set of causes removed, over seeds.
+"""A value as a cooperative game: simulations without any set of causes, over seeds.
 
 If an acting cause is random, one run shows little: such a scenario is simulated with all of
 `SEEDS`, and the same seeds are used with and without a cause.
@@ -33,26 +33,27 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_many
 
 SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
-"""Of the means: the same for all runs, so that two which differ in their seed alone have the same
-contributions; and far from those that people number their runs with."""
+"""Seeds of means: the same for all runs, so that runs with different seeds have equal
+contributions, and far from usual seeds."""
 
 _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
-"""Dead times are looked for up to 40 poses, which a finer clock passes in a few ticks."""
+"""Metrics that depend on the dead time, which is searched up to 40 poses; a finer clock passes
+these in a few ticks."""
 
 _FEW: Final = 4
-"""Simulations that are never worth another process: some 40 ms of work."""
+"""Number of simulations, about 40 ms of work, below which another process is never useful."""
 
 _BLOCK: Final = 8
-"""Simulations that a process does at once: few enough that all processes end together."""
+"""Simulations in one task: few enough that all processes finish together."""
 
 _LONG_S: Final = 6.0
-"""Work for more than one process [s]: to start one takes one or two."""
+"""Work from which several processes are used [s]: starting one takes one or two seconds."""
 
 Coalition = frozenset[str]
-"""The causes that are in."""
+"""The acting causes."""
 
 _Play = tuple[frozenset[str], int | None]
-"""The causes that are out, and the seed; None: the scenario's own."""
+"""The removed causes, and the seed; None: the scenario's own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,9 +61,10 @@ class Work:
     """Settings of the simulation.
 
     Attributes:
-        jobs: Number of processes, at least 1; None: one per core if that is faster. Each imports
-            the main module: a script that asks for more than one keeps its own work under `if
-            __name__ == "__main__":`. A law that is not built in is simulated in one process.
+        jobs: Number of processes, at least 1; None: one per core if that is faster. Each process
+            imports the main module, so a script with several processes needs `if __name__ ==
+            "__main__":` around its own work. A law that is not built in is simulated in one
+            process.
         report: Function called with the numbers of simulations done and known to be needed.
     """
 
@@ -80,7 +82,7 @@ class Outcome:
 
     Attributes:
         value: Value of the metric; None if it has none; over several seeds their mean.
-        reason: Why there is no value, otherwise empty.
+        reason: Reason why there is no value; otherwise empty.
         ended: Names of the phases that ended, in order.
         end_xy_m: Position of the last pose [m]; None for several seeds, or if the law failed.
     """
@@ -92,7 +94,7 @@ class Outcome:
 
 
 class Game(ABC):
-    """Simulates with any set of causes removed, and stores the outcomes.
+    """Base of games: simulates without any set of causes, and stores the outcomes.
 
     Attributes:
         causes: All removable causes by name.
@@ -108,14 +110,14 @@ class Game(ABC):
         *,
         is_random: bool,
     ) -> None:
-        """Take the causes; nothing is simulated yet."""
+        """Store the causes; nothing is simulated yet."""
         self._work = work or Work()
         self.causes, self.present, self.is_random = causes, tuple(present), is_random
         self._outcomes: dict[_Play, Outcome] = {}
 
     @abstractmethod
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds to simulate with; None alone if what remains is not random."""
+        """Return the seeds for a simulation; None alone if the remaining scenario is not random."""
 
     @abstractmethod
     def describe_ending(self, name: str) -> str:
@@ -166,7 +168,7 @@ class Game(ABC):
 
 
 class ScenarioGame(Game):
-    """Simulates a scenario with some of its causes removed."""
+    """Simulations of a scenario with some of its causes removed."""
 
     def __init__(
         self,
@@ -176,7 +178,7 @@ class ScenarioGame(Game):
         *,
         causes: Mapping[str, Cause] | None = None,
     ) -> None:
-        """Take the scenario with all causes; they are found by `find_causes` unless given."""
+        """Store the scenario with all causes; `find_causes` finds them unless they are given."""
         self._scenario, self._metric = scenario, metric
         causes = find_causes(scenario) if causes is None else causes
         super().__init__(causes, self._list_present(causes), work, is_random=draws_random(scenario))
@@ -209,7 +211,7 @@ class ScenarioGame(Game):
         return take_out(self._scenario, causes)
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds to simulate with; None alone if what remains is not random."""
+        """Return the seeds for a simulation; None alone if the remaining scenario is not random."""
         return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
 
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
@@ -245,7 +247,7 @@ def iterate_outcomes(metric: str, plays: Sequence[Play], jobs: int | None) -> It
     if any(play.scenario.law.kind not in LAWS for play in plays):
         jobs = 1
     if jobs is None:
-        # With the first a compiled loop may be loaded; the second tells what one takes.
+        # The first simulation may load a compiled loop; the second measures the time.
         yield from islice(outcomes, 1)
         began_s = time.perf_counter()
         yield from islice(outcomes, 1)

@@ -1,6 +1,6 @@
 """Effect of chance on a value: with and without each effect, from every start, or with every seed.
 
-A controller that samples meets its tolerance at a random point within the turn of one sample. The
+A sampling controller reaches its tolerance at a random point within the turn of one sample. The
 starts are those of `starts` for the range of an attribution, four times as dense. For a run with
 random effects, the seeds of its contributions are varied instead.
 """
@@ -42,7 +42,7 @@ from turtlelog.simulate import simulate_run
 Values = NDArray[np.float64]
 
 _COUNT: Final = 65
-"""Starts: every fourth is one of the range of an attribution."""
+"""Number of starts: every fourth is one of the range of an attribution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,7 +52,7 @@ class LuckCurve:
     Attributes:
         without: Causes that are removed; empty with all effects.
         values: Values of the metric, in its unit, shape (n,); NaN if it has none.
-        reasons: Why there is no value, shape (n,); empty if there is one.
+        reasons: Reason why there is no value, shape (n,); empty if there is one.
         ends_xy_m: The last pose in the world frame [m], shape (n, 2); NaN if the law failed.
     """
 
@@ -174,7 +174,7 @@ def _find_reason(identified: Identification) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Table:
-    """Simulates a game from every start, or with every seed."""
+    """Simulations of a game from every start, or with every seed."""
 
     game: ScenarioGame
     metric: str
@@ -193,7 +193,7 @@ class _Table:
         count = len(self.offsets_rad) or len(SEEDS)
         ends = np.cumsum([len(row) for row in plays]).tolist()
         rows = [outcomes[end - len(row) : end] for row, end in zip(plays, ends, strict=True)]
-        # What draws no random numbers is simulated once for all seeds.
+        # A case without random numbers is simulated once for all seeds.
         rows = [row * (count // len(row)) for row in rows]
         return [_build_curve(case, row) for case, row in zip(cases, rows, strict=True)]
 
@@ -247,7 +247,8 @@ def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "
 
 
 _MOST_NAMED: Final = 3
-"""Causes that a name holds; more are counted: a legend has no room for them."""
+"""Largest number of causes in a name; for more, it gives their number, because a legend has no
+room."""
 
 
 def simulate_what_ifs(

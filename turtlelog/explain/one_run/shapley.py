@@ -18,7 +18,7 @@ from turtlelog.explain.one_run.attribution import Attribution, Contribution
 from turtlelog.explain.one_run.game import SEEDS, Coalition, Game, list_coalitions
 
 Worth = Mapping[Coalition, float]
-"""The value of every coalition."""
+"""Value of every coalition."""
 
 
 def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, float]:
@@ -84,10 +84,11 @@ def _absorb(contributions: list[float], row: int, total: float) -> list[float]:
 
 
 _PAIRS: Final = 4 * len(SEEDS)
-"""Orders, each with its reverse: some 6 s of the paper's runs with fourteen groups."""
+"""Number of orders, each sampled with its reverse: about 6 s for the paper's runs with fourteen
+groups."""
 
 ORDERS: Final = 2 * _PAIRS
-"""How many orders are sampled."""
+"""Number of sampled orders."""
 
 
 def sample_game(found: Attribution, game: Game) -> Attribution:
@@ -137,6 +138,6 @@ def _list_orders(names: Sequence[str]) -> list[tuple[str, ...]]:
 
 def _find_error(sizes: Sequence[float], seeds: int) -> float:
     parts = [fmean(pair) for pair in zip(sizes[::2], sizes[1::2], strict=True)]
-    if seeds > 1:  # what one seed makes is in all of its pairs
+    if seeds > 1:  # all pairs of a seed contain its effect
         parts = [fmean(parts[seed::seeds]) for seed in range(seeds)]
     return stdev(parts) / math.sqrt(len(parts))

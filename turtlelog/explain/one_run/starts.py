@@ -1,4 +1,4 @@
-"""Range of a value over starts that one sample spans, and over seeds of random effects."""
+"""Range of a value over starts within the turn of one sample, and over seeds."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,21 +25,23 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
 
 _COUNT: Final = 17
-"""Starts: a sixteenth of one sample's turn apart, so that each of them meets the tolerance at
-another point of a sample's way."""
+"""Number of starts, a sixteenth of one sample's turn apart: each reaches the tolerance at another
+point of a sample's motion."""
 
 _WIDE: Final = 0.5
-"""Of what the effects add: over a wider range their parts change places from start to start. Of a
-start to which they add little, by luck, it is taken of the greatest value."""
+"""Largest range as a share of the effects' total: over a wider one, their contributions change
+order between starts. If the total is small by chance, the largest value counts instead."""
 
 _MOST_TICKS: Final = 200_000
-"""Simulated to divide the value again at every start: two to three seconds."""
+"""Largest number of ticks simulated to divide the value again at every start: two to three
+seconds."""
 
 
 def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArray[np.float64]:
     """Return the angles of equally spaced starts from the scenario's own [rad], shape (n,).
 
-    They span the largest turn from one sample to the next, with the scenario's own in the middle.
+    The angles span the largest turn from one sample to the next, with the scenario's own in the
+    middle.
 
     Args:
         scenario: Scenario with all causes.
@@ -152,10 +154,10 @@ def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple
 
 
 _FEWEST: Final = 0.5
-"""Of the seeds: fewer are a minority of runs, whatever the others do."""
+"""Smallest share of seeds with a value: with fewer, the others would be the majority."""
 
 _CENTRAL: Final = (0.025, 0.975)
-"""Between these quantiles lie the central 95 %."""
+"""Quantiles that bound the central 95 %."""
 
 
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:

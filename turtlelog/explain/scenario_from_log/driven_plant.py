@@ -25,31 +25,32 @@ from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start,
 from turtlelog.simulate import iterate_ticks
 
 _UNKNOWN_TICKS: Final = 20
-"""Ticks after missing rows in which commands that nobody logged may still be acting."""
+"""Ticks after missing rows in which unknown commands may still act."""
 
 WHITE: Final = 0.5
-"""How far from 1 the whiteness of noise may be: a wrong setting leaves a curve, below 0.1."""
+"""Largest distance of noise's whiteness from 1: a wrong setting leaves a curve, below 0.1."""
 
 FLOOR: Final = 1e-7
-"""Below the rounding of a 32-bit pose of a few metres nothing is told [m, rad]."""
+"""Residual below which no setting is judged [m, rad]: the rounding of a 32-bit pose of a few
+metres."""
 
 _MOST_STEPS: Final = 4.0
-"""How far from the least squares a start is looked for, in steps of rounding."""
+"""Search range of a start around the least-squares start, in steps of rounding."""
 
 _SOLVED: Final = 1e-9
 """Tolerance of the solver, in steps of rounding."""
 
 _REFITS: Final = 3
-"""Rounds in which the weights of position and heading settle."""
+"""Rounds until the weights of position and heading converge."""
 
 
 _PHASE: Final = "control"
-"""The phase of a law that declares none."""
+"""Name of the phase of a law without declared phases."""
 
 _SMALLER: Final = 16.0
-"""After a jump the driven plant is not where the robot is, and must not meet a wall that the robot
-did not meet. Its way is driven this much smaller around the middle of the world, then enlarged:
-room for 88 m to every side. A power of two, so that no command is rounded otherwise."""
+"""Factor by which the motion is reduced. After a jump, the driven plant is not at the robot's
+place, and must not meet a wall. The reduced motion around the middle of the world has room for 88 m
+to every side. The factor is a power of two, so that commands are rounded equally."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +59,7 @@ class PlaybackParameters:
 
     Attributes:
         commands: Speed [m/s] and turn rate [rad/s] of each sample, shape (n, 2).
-        pauses_at: Number of the sample after which the controller is blocked; -1 for none.
+        pauses_at: Index of the sample after which the controller is blocked; -1 for none.
         pause_ticks: Duration of the block [ticks].
     """
 
@@ -73,17 +74,17 @@ class Playback:
     Parameters: ClassVar[type[Any]] = PlaybackParameters
 
     def __init__(self, parameters: PlaybackParameters) -> None:
-        """Take the commands."""
+        """Store the commands."""
         self._parameters = parameters
         self._next = 0
 
     def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
-        """Begin with the first command."""
+        """Restart with the first command."""
         del start, goal, path
         self._next = 0
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
-        """Answer with the next command."""
+        """Return the next command."""
         del time_ns, pose
         parameters, number = self._parameters, self._next
         self._next += 1
@@ -227,7 +228,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
     logged = np.column_stack([trace.xy_m[:count], trace.heading_rad[:count]])
     noise = np.ones(3)
     for stretch in stretches:
-        # After a jump the way is the same, turned by as much as the jump turned.
+        # After a jump the path is the same, rotated by the turn of the jump.
         turned = float(np.median(left[stretch, 2])) if stretch.start else 0.0
         away = read[stretch, :2] - read[stretch][0, :2]
         way = away @ np.array([[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]])
@@ -248,7 +249,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
     is_noise = np.abs(whiteness - 1.0) < WHITE
     is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
-    # Coarse steps make the error of a wrong setting smaller than a step, but not its range.
+    # Coarse steps reduce the error of a wrong setting below a step, but not its range.
     steps = np.array(trace.coarse_steps)
     is_rounding &= (steps == 0.0) | (np.ptp(after[kept], axis=0) <= COARSE * steps)
     return Drive(
@@ -339,7 +340,7 @@ def bound_start(drive: Drive, trace: Trace) -> StartBounds | None:
     half_steps = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
     grains = 0.5 * np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     coarse = grains > 2.0 * half_steps.max(axis=0)
-    # A coarse pose was rounded to 32 bits before, and is so again in the log.
+    # Coarse poses were rounded to 32 bits before, and again in the log.
     half_steps = np.where(coarse, grains * (1.0 + OFF_GRID) + 2.0 * half_steps, half_steps)
     if coarse.any() and _hides_step(trace):
         return None
@@ -365,7 +366,7 @@ def _solve_bounds(drive: Drive, half_steps: Values) -> StartBounds | None:
     rows = drive.left.reshape(-1)
     slopes = drive.slopes.reshape(-1, 3)
     half = half_steps.reshape(-1)
-    # In units of the steps themselves, in which the solver's tolerance counts.
+    # In units of the largest step, to which the solver's tolerance refers.
     unit = float(half.max())
     within = np.block([[slopes, half[:, None] / unit], [-slopes, half[:, None] / unit]])
     sides = np.concatenate([half + rows, half - rows]) / unit

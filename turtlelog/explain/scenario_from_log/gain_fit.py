@@ -1,4 +1,4 @@
-"""One command of the law: its gain from unclipped commands, its limit from clipped ones."""
+"""The fit of one command: its gain from unclipped commands, its limit from clipped ones."""
 
 import math
 from collections.abc import Callable
@@ -20,18 +20,19 @@ from turtlelog.explain.scenario_from_log.trace import estimate_trace_noise, find
 Values = NDArray[np.float64]
 
 _DIGITS: Final = 17
-"""This many significant digits tell every double."""
+"""Significant digits that distinguish all doubles."""
 
 _ROUNDING: Final = 1e-13
-"""What another platform's cosine may make of a command, as a share of the largest: its last bits,
+"""Difference of commands between platforms, as a share of the largest: the last bits of a cosine,
 2e-16 each, times the few operations that follow."""
 
 _TYPED_DIGITS: Final = 8
-"""Two commands any gain could fit; one that somebody typed has no more digits than this."""
+"""Largest number of digits of a typed gain: two commands fit many gains, so one with few digits is
+required."""
 
 _NEIGHBOURS: Final = 16
-"""Doubles on either side of a ratio that rounding may have come from: the ratio of two products
-of three roundings each is off by a few."""
+"""Doubles on either side of a ratio that rounding may reach: a ratio of two products with three
+roundings each is wrong by a few."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,8 +43,8 @@ class GainFit:
         value: The shortest decimal that reproduces every command, otherwise the least-squares
             value.
         is_exact: Whether only this value reproduces every command, bit for bit.
-        is_close: Whether several doubles do, or the value does within the rounding of other
-            platforms.
+        is_close: Whether several doubles reproduce every command, or the value does within the
+            rounding of other platforms.
         interval: Interval of the gain: all values that reproduce the commands, otherwise the 95 %
             interval of least squares.
         noise: Standard deviation of the residual error, in the error's unit; 0 if there is no
@@ -121,7 +122,7 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
         value=1.0 / slope if slope else 0.0,
         is_exact=False,
         is_close=False,
-        # Both ends, turned over, are those of the gain.
+        # The interval of the gain is that of the slope, inverted.
         interval=(1.0 / (slope + reach), 1.0 / (slope - reach))
         if slope > reach
         else (0.0, math.inf),
@@ -145,41 +146,44 @@ def widen_for_runs(whiteness: Values) -> Values:
 
 
 Reproduce = Callable[[float], Values]
-"""The commands that the law wants, by its gain."""
+"""A function from a gain to the commands that the law wants."""
 
 _FEWEST: Final = 8
-"""Commands from which on noise can be told from a curve: with fewer, the whiteness of noise may be
-as small as a curve's."""
+"""Number of commands from which noise differs from a curve: with fewer, the whiteness of noise may
+be as small as a curve's."""
 
 _WHITE: Final = 0.4
-"""How far from 1 the whiteness of noise may be: what an integral, a derivative or a bend leaves is
-smooth, below 0.1, and what a switch leaves alternates, up to 2."""
+"""Largest distance of noise's whiteness from 1. Residuals of an integral, a derivative or a bend
+are smooth, below 0.1; those of a switch alternate, up to 2."""
 
 _WHITE_SURE: Final = 4.0
-"""The same in standard deviations, which are 1 over the root of the rows: one log in 16,000."""
+"""The same in standard deviations, which are 1 / sqrt(rows): it is exceeded in one of 16,000
+logs."""
 
 _LARGER: Final = 2.0
-"""How much more than the noise of the poses may be left: with 8 rows 2 is four standard deviations
-of an estimate, with more it is further."""
+"""Largest residual as a multiple of the poses' noise: with 8 rows, 2 is four standard deviations of
+an estimate, with more rows it is more."""
 
 _BEYOND: Final = 5.0
-"""Standard deviations by which the error must have changed along equal commands to show that they
-are clipped. In noise alone this happens once in a million logs."""
+"""Change of the error during equal commands that shows clipping, in standard deviations. Noise
+alone reaches it in one of a million logs."""
 
 _TINY: Final = 1e-9
 
 _CLEAN: Final = 10.0
-"""How much more than the logged poses have of noise the controller must have read."""
+"""Noise of the poses read by the controller, as a multiple of that of the logged poses, from which
+they differ."""
 
 _ALTERNATES: Final = 0.25
-"""How far beyond 1 the whiteness of noise that was read may be: a derivative's is 1.5. Of 34 rows,
-which a gain of 10 leaves unclipped, noise is further off once in fourteen logs."""
+"""Largest whiteness of the noise read, beyond 1; a derivative's whiteness is 1.5. With 34 rows,
+which a gain of 10 leaves unclipped, noise exceeds it in one of fourteen logs."""
 
 _CLEAR: Final = 4.0
-"""Standard deviations of noise from the limit at which next to no command is clipped."""
+"""Distance from the limit at which hardly any command is clipped, in standard deviations of
+noise."""
 
 _REFITS: Final = 3
-"""Rounds in which gain and rows settle."""
+"""Rounds until gain and rows converge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,7 +241,7 @@ class CommandFit:
 
     @property
     def obstacle(self) -> str | None:
-        """Why the commands are not proportional to the error; None if they may be."""
+        """Reason why the commands are not proportional to the error; None if they may be."""
         found = self.gain
         if found is None:
             return None

@@ -1,4 +1,4 @@
-"""The recorded scenario as a hypothesis, and what the samples of any law show of its loop.
+"""The recorded scenario as a hypothesis, and facts on the loop from the samples of any law.
 
 This module is independent of the law. A re-simulation of the recorded scenario either reproduces
 every sample or is rejected; dead times, limits and queues come from poses, commands and the clock.
@@ -64,10 +64,10 @@ from turtlelog.scenario import (
 from turtlelog.simulate import simulate_run
 
 LONGEST_S: Final = 3600.0
-"""Longer runs are not simulated again: 225,000 ticks take some five seconds each time."""
+"""Longest run that is simulated again [s]: 225,000 ticks take about five seconds each time."""
 
 _COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
-"""What may act in a phase without loops, with a signal and a reference that it goes with."""
+"""Possible commands in a phase without loops, each with a signal and a reference."""
 
 
 _NOT_DETERMINISTIC: Final = (
@@ -76,7 +76,7 @@ _NOT_DETERMINISTIC: Final = (
 )
 
 _TIME_IS_UP: Final = "max_duration"
-"""Stop reason of a run that no rule of its law ended; the recording alone tells it."""
+"""Stop reason of a run that no rule of its law ended; only the recording shows it."""
 
 AROUND: Final = "a loop is identified from commands only around turtlesim"
 
@@ -91,7 +91,7 @@ class RecordedScenario:
         scenario: Scenario that ends with the log; None if it does not reproduce every sample.
         run: Re-simulated run; None if the scenario was not simulated.
         resimulation: Comparison of this run with the log; None if the scenario was not simulated.
-        reach: How far it reproduces the log, or why it was not simulated, in one clause.
+        reach: Agreement with the log, or the reason why it was not simulated, in one clause.
     """
 
     scenario: Scenario | None = None
@@ -101,11 +101,10 @@ class RecordedScenario:
 
 
 def require_trust(run: Run, *, trust_law: bool) -> None:
-    """Raise an error if a run with a whole scenario has a law neither built in nor trusted.
+    """Refuse a run with a complete scenario whose law is neither built in nor trusted.
 
     Raises:
-        ScenarioError: If it does, with its name and how to trust it; or if a trusted law cannot
-            run.
+        ScenarioError: With the law's name and how to trust it; also if a trusted law cannot run.
     """
     if run.scenario_is_complete and run.parameters.get("law.kind", DEFAULT_LAW) not in LAWS:
         resolve_scenario(restore_scenario(run), trust_law=trust_law)
@@ -152,11 +151,11 @@ def _describe_reach(trace: Trace, equal: int) -> str:
 
 
 def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
-    """Return what a log shows of the loop around a law whose parameters cannot be identified.
+    """Return the facts on the loop around a law whose parameters cannot be identified.
 
     Args:
         run: Run with samples.
-        reason: Why they cannot be identified, in one clause.
+        reason: Reason why they cannot be identified, in one clause.
         trust_law: Whether the recorded law may run.
     """
     kind = str(run.parameters.get("law.kind", ""))
@@ -166,7 +165,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     recorded = _check_if_allowed(run, trace, kind, trust_law=trust_law)
     fits, plant = None, find_plant(run).name
     around = reason if plant == TURTLESIM.name else f"its plant is {plant}: {AROUND}"
-    if plant == TURTLESIM.name:  # only its motion tells of the loop around it
+    if plant == TURTLESIM.name:  # only its motion shows the loop around it
         fits = reject_lag(_fit_loop(trace, recorded, [*dead_times.values()]), dead_times)
         if recorded.scenario is not None and fits.is_driven:
             recorded = RecordedScenario(reach=_NOT_DETERMINISTIC)
@@ -221,7 +220,7 @@ def _fit_loop(
     scenario = recorded.scenario
     if scenario is not None:
         known = flatten_scenario(scenario)
-        # Only what explains every step rules other settings out.
+        # Only a fit that explains every step rules out other settings.
         sure = [
             one if isinstance(one, DeadTime) and one.is_exact else _UNSURE for one in dead_times
         ]

@@ -1,8 +1,8 @@
 """The scenario of a run as identified from its log.
 
 Sensing, disturbances, shaping, chances and rates are not identified: in poses and commands they
-look like one another, or like identified settings. They are taken from the recorded scenario if its
-re-simulation reproduces the run.
+look like one another, or like identified settings. If the re-simulation of the recorded scenario
+reproduces the run, its values are used.
 """
 
 import enum
@@ -26,13 +26,14 @@ class Certainty(enum.StrEnum):
     """Confidence in a finding."""
 
     EXACT = "exact"
-    """It alone reproduces every row that it concerns, bit for bit or to the poses' rounding."""
+    """Only this value reproduces all rows that depend on it, bit for bit or to the poses'
+    rounding."""
     FITTED = "fitted"
-    """Least squares, with its standard error."""
+    """Estimated by least squares, with its standard error."""
     BOUNDED = "bounded"
-    """Anything in an interval fits; the value is the roundest in it."""
+    """Every value in an interval fits; the value is the roundest in it."""
     AMBIGUOUS = "ambiguous"
-    """Several values fit alike; they are the candidates, and the value is the likeliest."""
+    """Several values fit equally; they are the candidates, and the value is the likeliest."""
     RECORDED = "as recorded"
     """Value of the recorded scenario, whose re-simulation reproduces every sample; the samples
     alone do not show it."""
@@ -47,7 +48,7 @@ class Finding:
     Attributes:
         value: Value in the unit of its key; None exactly if `certainty` is UNKNOWN.
         certainty: Confidence in the value.
-        evidence: Evidence for the value, or why it is unknown, in one clause.
+        evidence: Evidence for the value, or the reason why it is unknown, in one clause.
         interval: Bounds [low, high) of a bounded value.
         candidates: All values that fit, if there are several.
         assumed: Value that a re-simulation uses if the value is unknown and has no visible effect.
@@ -99,7 +100,7 @@ def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Find
 def miss(
     evidence: str, assumed: Any = None, interval: tuple[float, float] | None = None
 ) -> Finding:
-    """Return a finding without a value: why, what a re-simulation assumes, and bounds if known."""
+    """Return a finding without a value: the reason, the assumed value, and bounds if known."""
     return Finding(
         certainty=Certainty.UNKNOWN, evidence=evidence, assumed=assumed, interval=interval
     )
@@ -115,13 +116,13 @@ LAW_KEYS: Final = (
     "law.projection",
     "law.wrap_error",
 )
-"""What the commands of sequential-p tell. Its other parameters are `law.pause_ticks`, which a
-simulation tells, `RULE_KEYS` of the rules that end a run, and `ABSENT_KEYS`."""
+"""Parameters that the commands of sequential-p show. Its others are `law.pause_ticks`, which a
+simulation shows, `RULE_KEYS` for the end of a run, and `ABSENT_KEYS`."""
 
 ABSENT_KEYS: Final = ("law.reorient", "law.schedule")
-"""Parameters of sequential-p that an identified run is without: where its declaration shows one,
-nothing is identified of the law. A log that declares nothing shows them by a third phase, or by
-commands that no constant gain explains."""
+"""Parameters of sequential-p that an identified run must not have. If its declaration shows one,
+the law is not identified; without a declaration, a third phase or commands without a constant gain
+show them."""
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",
@@ -132,10 +133,10 @@ LOOP_KEYS: Final = (
     "loop.transport_delay_ticks",
     "loop.period_ticks",
 )
-"""What lies between controller and plant, decided by simulating again."""
+"""Settings between controller and plant, found by simulation."""
 
 DEAD_TIME: Final = "dead_time."
-"""Begins the keys of dead times; the name of a loop follows, of a phase where there are none."""
+"""Prefix of the keys of dead times, followed by the name of a loop, or of a phase without loops."""
 
 _NO_SAMPLES: Final = "the recording holds no samples: which pose a command answers is not known"
 
@@ -206,9 +207,9 @@ class Identification:
 
 
 def identify_plant(run: Run) -> Identification:
-    """Return what poses and commands show if no sample says which pose a command answers.
+    """Return the facts from poses and commands if no sample links commands to poses.
 
-    This is the largest commands and the number of lost commands.
+    The facts are the largest commands and the number of lost commands.
     """
     loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
     findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
@@ -242,7 +243,7 @@ def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Find
 def give_up(
     name: str, findings: Mapping[str, Finding], reason: str, breaks: Sequence[str] = ()
 ) -> Identification:
-    """Return what is known of a run that cannot be simulated again, and why it cannot.
+    """Return the findings on a run that cannot be simulated again, with the reason.
 
     Findings of law and loop that `findings` lacks are unknown for the same reason. `breaks` are
     sentences on the log's jumps and missing rows, which may be the cause.
@@ -261,7 +262,7 @@ def give_up(
 _TABLES: Final = ("limits.", "loop.", "plant.", "sensing.", "shaping.", "disturbance.")
 
 _USUAL: Final = frozenset(flatten_scenario(Scenario()))
-"""Keys that every scenario has."""
+"""Keys of every scenario."""
 
 _NAMES: Final = {
     **{
@@ -272,7 +273,7 @@ _NAMES: Final = {
     "loop.trigger": "a timer",
     "plant.kind": "another plant",
 }
-"""What a key belongs to; those that only say more of another have none."""
+"""Names of the causes that keys belong to; keys that only extend another key have none."""
 
 _LOOKED_FOR: Final = (Certainty.EXACT, Certainty.FITTED, Certainty.BOUNDED)
 

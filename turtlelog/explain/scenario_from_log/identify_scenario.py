@@ -74,19 +74,20 @@ from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
 
 _MOST_PHASES: Final = 6
-"""Phases that are listed: three runs in one file."""
+"""Largest number of phases that are listed: three runs in one file."""
 
 _BEGINNING_S: Final = 600.0
-"""As much of a run that is too long to be simulated is looked at: forty times one of the paper's,
-and some ten seconds of work."""
+"""Length of the used beginning of a run that is too long to simulate [s]: forty times one of the
+paper's, and some ten seconds of work."""
 
 _SLOWEST_S: Final = 4.0
-"""Between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any loop that was seen. The
-fewer samples there are, the longer each of some hundred settings is simulated to tell it from the
+"""Longest time between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any known
+loop. With fewer samples, each of some hundred settings needs a longer simulation to differ from the
 others."""
 
 _MOST_ALIKE: Final = 8
-"""Settings that fit alike and are simulated again for their dead times: a second's work."""
+"""Largest number of equally good settings that are simulated again for their dead times: a second
+of work."""
 
 _UNEXPLAINED: Final = (
     "an effect that does not show in a log, such as loss, jitter or a disturbance, or commands"
@@ -99,15 +100,16 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
 
     From the run's parameters only the law's name and the plant are read. No parameter is identified
     for a law other than sequential-p or a plant other than turtlesim. Gains, limits and tolerances
-    come from the commands; queues and pause from the dead times and time stamps, and from
-    simulating every setting that agrees with them and keeping those that reproduce all samples. If
-    none does, the plant is driven with the log's commands, and settings that fit within the noise
-    are marked as such. A run without samples gives almost no findings, and the findings say why. If
-    a run is too long to simulate again, only its beginning is used, and no scenario reproduces it.
+    come from the commands. Queues and pause come from dead times and time stamps: every setting
+    that agrees with these is simulated, and those that reproduce all samples are kept. If none
+    does, the plant is driven with the log's commands, and settings that fit within the noise are
+    marked as such. A run without samples gives almost no findings; the findings contain the reason.
+    If a run is too long to simulate again, only its beginning is used, and no scenario reproduces
+    it.
 
-    A recorded scenario is a hypothesis that its re-simulation tests: for another law it is accepted
-    if it reproduces every sample; for sequential-p, if the identified scenario does not reproduce
-    it, or if it contains effects that cannot be identified.
+    A recorded scenario is a hypothesis that its re-simulation tests. For another law it is accepted
+    if it reproduces every sample. For sequential-p it is accepted if the identified scenario does
+    not reproduce the run, or if it contains effects that cannot be identified.
 
     Args:
         run: Any run.
@@ -122,7 +124,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:
         return _identify_beginning(run, length_s, trust_law=trust_law)
-    # Commands of any size are read; those whose squares overflow fit nothing.
+    # Commands may have any size; those whose squares overflow fit no law.
     with np.errstate(over="ignore", invalid="ignore"):
         reason = _find_other_law(run)
         if reason:
@@ -134,7 +136,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
 
 
 def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identification:
-    """Return what the first minutes of a long run show, and nothing of its end."""
+    """Return the findings of a long run's first minutes, without its end."""
     end_ns = int(run.poses.time_ns[0]) + round(_BEGINNING_S * 1e9)
     found = identify_run(slice_run(run, end_ns=end_ns), trust_law=trust_law)
     reason = (
@@ -153,7 +155,7 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
 
 
 def _identify_recorded(run: Run) -> Identification | None:
-    """Return what is known of a run whose scenario contains effects that cannot be identified.
+    """Return the findings on a run whose scenario contains effects that cannot be identified.
 
     An effect may be invisible in this run, or look like another setting: if the recorded scenario
     reproduces every sample, its settings are used. None if it does not, or contains no such effect.
@@ -222,7 +224,7 @@ def _identify_samples(run: Run) -> Identification:
         return give_up(run.name, findings, obstacle, breaks)
     obstacle = _find_obstacle(trace)
     if obstacle:
-        # Commands that follow their errors bit for bit tell their gain by themselves.
+        # Commands that follow their errors bit for bit determine their gain alone.
         pairs = ((rotation, turning), (translation, driving))
         sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
         return give_up(run.name, {**findings, **dict(ChainMap(*sure))}, obstacle, breaks)

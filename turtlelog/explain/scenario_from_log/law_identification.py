@@ -32,13 +32,13 @@ from turtlelog.scenario import DEFAULT_LAW
 ROTATE: Final = "rotate"
 TRANSLATE: Final = "translate"
 PHASES: Final = (ROTATE, TRANSLATE)
-"""The phases of sequential-p, which are its loops, in order."""
+"""Phases of sequential-p in order, which are its loops."""
 
 _NOUNS: Final = {ROTATE: "rotation", TRANSLATE: "translation"}
 _ADVERBS: Final = {ROTATE: "rotating", TRANSLATE: "translating"}
 
 _HALF_TURN_SURE: Final = 6.0
-"""Standard deviations beyond half a turn from which on a noisy error has wrapped."""
+"""Excess over half a turn from which a noisy error has wrapped, in standard deviations."""
 
 
 def describe_phase(kind: str, phase: str) -> str:
@@ -50,7 +50,7 @@ def describe_phase(kind: str, phase: str) -> str:
 
 
 def describe_loop_name(kind: str, loop: str) -> str:
-    """Return what a loop of a law does, or its name: `rotating`, `of align`."""
+    """Return the action of a law's loop, or its name: `rotating`, `of align`."""
     adverb = _ADVERBS.get(loop) if kind == DEFAULT_LAW else None
     return adverb or f"of {loop}"
 
@@ -116,7 +116,7 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
 
 
 def _project(errors: Values, headings: Values) -> Reproduce:
-    """Return the projection in the law's order of operations; numpy's cosine differs by a bit."""
+    """Return the projection in the law's order of operations; numpy's cosine differs in one bit."""
     cosine = np.array([math.cos(heading) for heading in headings.tolist()])
     sine = np.array([math.sin(heading) for heading in headings.tolist()])
     x, y = errors.T.copy()
@@ -161,24 +161,24 @@ def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
 
 
 DEFAULT_TOLERANCE: Final = 0.001
-"""Of heading [rad] and position [m], where the log does not show."""
+"""Default tolerance of heading [rad] and position [m], if the log does not show it."""
 
 _LAST_TWO: Final = "the errors at the end and before it"
 _NOISY: Final = "noise; from the last errors and commands"
 
 _SURE: Final = 4.0
-"""Standard deviations that a bound read off one noisy error is moved outwards by: a bound that
-holds always, and no interval of 95 %."""
+"""Standard deviations by which a bound from one noisy error is widened: the bound then holds
+always, not only in 95 %."""
 
 
 def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
-    """Bound the tolerance: the error that ended the rotation, the least that still turned."""
+    """Bound the tolerance by the error that ended the rotation, and the smallest that turned."""
     moving = slice(1, trace.rotating - trace.ended_rotation)
     ended = float(abs(error[trace.rotating - 1])) if trace.ended_rotation else 0.0
     if fit is not None and fit.gain is not None and not fit.is_certain:
         if fit.obstacle:
             return miss(fit.obstacle, DEFAULT_TOLERANCE)
-        # A command tells its error better than the noisy pose.
+        # The command shows its error more precisely than the noisy pose.
         commands = np.abs(trace.turn_rate_rad_s[moving])
         least = float(commands[commands > 0.0].min()) / fit.gain.interval[0]
         return _bound_by_noise(ended, least, fit.gain.noise, "rad", high_noise=0.0)
@@ -191,7 +191,7 @@ def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None)
 
 
 def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
-    """Bound the tolerance: the error that ended the run, the least that still drove."""
+    """Bound the tolerance by the error that ended the run, and the smallest that still drove."""
     larger = np.abs(errors).max(axis=1)
     is_within = command[-1] == 0.0
     if fit.gain is not None and not fit.is_certain:
@@ -238,10 +238,10 @@ def _name_bounds(low: float, high: float, unit: str) -> str:
 
 
 _DIGITS: Final = 17
-"""This many significant digits tell every double."""
+"""Significant digits that distinguish all doubles."""
 
 _LEADING: Final = "1528346790"
-"""First digits, the more usual first."""
+"""First digits, the more common first."""
 
 
 def find_round_number(low: float, high: float) -> float:

@@ -28,18 +28,18 @@ from turtlelog.run.angles import subtract_headings
 _HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
 
 _QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
-"""Settings whose one value was not read off the clock, but is the usual one."""
+"""Settings whose single value is the default, because the clock does not show it."""
 
 _LIKE_A_LAG: Final = MappingProxyType(
     {"loop.start_backlog": 1, "loop.transport_delay_ticks": 0, "law.pause_ticks": 0}
 )
-"""Settings that a lag of the robot can be taken for, with the least value of each."""
+"""Settings that a time constant of the robot may imitate, with their smallest values."""
 
 _PERIOD: Final = "the usual distance of the poses answered"
 
 
 def describe_loop(trace: Trace, fits: Fits, lag_slack: int = 0) -> dict[str, Finding]:
-    """Return findings on what is between controller and plant, and on the lost commands.
+    """Return findings on the settings between controller and plant, and on lost commands.
 
     If no setting is exact and the residual is not noise, the best fit is not a finding.
 
@@ -139,7 +139,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
 
 
 def _find_obstacle(fits: Fits, key: str, chosen: Any) -> str:
-    """Return why a setting has no value; empty if it has one."""
+    """Return the reason why a setting has no value; empty if it has one."""
     is_reproduced = fits.is_exact or fits.is_close
     if not (is_reproduced or fits.is_fitted):
         return _write_none(fits, chosen)
@@ -167,7 +167,7 @@ def _allow_lag(findings: Mapping[str, Finding], ticks: int) -> dict[str, Finding
 
 
 def _name_alike(key: str, chosen: Any) -> str:
-    """Return which other settings make the same run; empty if there are none."""
+    """Return the other settings that give the same run; empty if there are none."""
     if key == "loop.transport_delay_ticks" and chosen:
         low_s, high_s = chosen * TICK_S, (chosen + 1) * TICK_S
         return f"; so does any delay from {low_s:.3g} s to below {high_s:.3g} s"

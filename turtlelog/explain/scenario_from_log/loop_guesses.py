@@ -1,4 +1,4 @@
-"""Between controller and plant: the settings that could have produced a log."""
+"""Settings between controller and plant that could have produced a log."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,19 +20,19 @@ PAUSE_KEY: Final = "law.pause_ticks"
 DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
 
 _LARGEST_BACKLOG: Final = 12
-"""Start backlogs that are tried where the clock does not tell: beyond the queue's usual depth of 10
-they look alike."""
+"""Largest initial queue that is tried if the clock does not show it: beyond the usual queue depth
+of 10 the runs are equal."""
 
 _LARGEST_DELAY: Final = 8
-"""Transport delays that are tried where no dead time is known [ticks]."""
+"""Largest transport delay that is tried if no dead time is known [ticks]."""
 _PAUSE_SLACK_TICKS: Final = 2.5
-"""How far a pause that is tried may be from the clock's: both of its ends may be a tick late."""
+"""Largest difference of a tried pause from the clock's: both of its ends may be a tick late."""
 
 _JITTER_TICKS: Final = 0.75
-"""How far a pause may be from the clock's without contradicting it: a callback waits for less than
-a tick, and the paper's clocks are off by a tenth of one."""
+"""Largest difference of a pause from the clock's without contradiction: a callback waits for less
+than a tick, and the paper's clocks are wrong by a tenth of a tick."""
 _QUICK: Final = 0.5
-"""Answers closer than this share of their usual distance belong to a burst."""
+"""Share of the usual time between answers below which answers belong to a burst."""
 
 _DEFAULTS: Final = LoopSettings()
 
@@ -76,11 +76,11 @@ def _list_backlogs(trace: Trace, answered: int) -> tuple[int, ...]:
     if trace.has_ticks and trace.has_exact_clock:
         waited_ns = trace.time_ns[0] - trace.run.poses.time_ns[0]
         latest = int(waited_ns) // (TICK_NS * trace.period_ticks) + 1
-        # Where the first samples are lost, the controller began at any earlier pose.
+        # If the first samples are lost, the controller began at any earlier pose.
         return tuple(range(1 if trace.number[0] else latest, latest + 1))
     if answered >= _DEFAULTS.pose_queue:
         return tuple(range(answered - 1, answered + 3))
-    # The pose after the burst may have been there just in time.
+    # The pose after the burst may have arrived just in time.
     return tuple(backlog for backlog in (answered, answered - 1) if backlog >= 1)
 
 
@@ -94,7 +94,7 @@ def _list_pauses(trace: Trace, pause_s: float | None) -> tuple[int, ...]:
         if trace.has_ticks or held_ns:
             return (int(held_ns) // TICK_NS,)
     silence = pause_s * 1e9 / TICK_NS
-    # A pause shorter than the usual distance of answers does not show.
+    # A pause shorter than the usual time between answers is invisible.
     apart = {
         pause: abs(max(pause, trace.period_ticks) - silence) for pause in range(round(silence) + 4)
     }
@@ -114,13 +114,13 @@ def _find_pose_queue(trace: Trace, burst: int) -> int | None:
     if not (trace.has_ticks and trace.has_exact_clock):
         return None
     read = trace.run.samples.pose_sequence
-    # The first pose answered is the oldest that the queue kept of those that waited.
+    # The first pose answered is the oldest one that the queue kept.
     lost = int(read[0]) // trace.period_ticks
     if lost and int(trace.number[0]) == 0:
         return _list_backlogs(trace, 1)[-1] - lost
     if trace.shows_pause:
         first = trace.rotating
-        # A burst that the log's end cuts off does not show how many poses waited.
+        # A burst at the end of the log does not show how many poses waited.
         is_whole = first + burst < len(trace)
         if is_whole and read[first] - read[first - 1] > trace.period_ticks:
             return burst
@@ -132,8 +132,8 @@ def list_queues(
 ) -> list[list[Guess]]:
     """Return the settings of initial queue and queues that agree with the dead times, in tiers.
 
-    The first tier has the usual queue depths, the second those that a dead time or a burst may come
-    from, the third all other depths of the command queue. In each tier, settings without a
+    The first tier has the usual queue depths. The second has depths that could cause a dead time or
+    a burst, the third all other depths of the command queue. In each tier, settings without a
     transport delay come first.
     """
     before = rotate.ticks if isinstance(rotate, DeadTime) else None
@@ -147,7 +147,7 @@ def list_queues(
     tiers = [
         _list_guesses(trace, hints, (before, after), pairs) for pairs in ([usual], rarer, [*others])
     ]
-    # Where noise or a change hides what the dead time really is, everything is tried.
+    # If noise or a change hides the true dead time, all settings are tried.
     return tiers if any(tiers) else [_list_guesses(trace, hints, (None, None), [usual])]
 
 
@@ -160,7 +160,7 @@ def _list_guesses(
     before, after = dead_times
     backlogs = _list_unique(*hints.backlogs, *((before + 1,) if before is not None else ()))
     if not (trace.has_ticks and trace.has_exact_clock):
-        # A backlog past the depth of the queue gives the dead time of one that just fills it.
+        # An initial queue longer than the queue's depth gives the dead time of a full queue.
         depth = min((depth for depth, _ in depths), default=1)
         least = 1 if before is None else min(before + 1, depth)
         is_open = before is None or least == depth
@@ -168,7 +168,7 @@ def _list_guesses(
     policies = ("newest", "one-per-tick") if not before else ("one-per-tick", "newest")
     guesses: list[Guess] = []
     for (depth, pose_queue), policy, backlog in product(depths, policies, backlogs):
-        # With answers further apart than a tick the backlog drains.
+        # If answers are more than a tick apart, the queue drains.
         drains = policy == "newest" or trace.period_ticks > 1
         waiting = 0 if drains else min(backlog, pose_queue, depth) - 1
         if before is not None and policy == "one-per-tick" and drains:

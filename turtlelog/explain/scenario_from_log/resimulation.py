@@ -39,7 +39,7 @@ CLOSE_COMMAND: Final = 1e-9
 """Commands of one scenario differ by less between platforms [m/s, rad/s]."""
 
 Row = tuple[Any, ...]
-"""What is compared of a sample."""
+"""The compared values of a sample."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,10 +72,10 @@ class Depths:
 
 
 class QueueGauge:
-    """Queue depths needed to lose nothing; deeper queues make the same run.
+    """Gauge of the queue depths that lose nothing; deeper queues give the same run.
 
-    They follow from the times when poses are answered and commands published; a constant delay
-    changes nothing.
+    The depths follow from the times when poses are answered and commands published; a constant
+    delay changes nothing.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -148,9 +148,9 @@ def count_equal(
 ) -> tuple[int, Depths]:
     """Return how many samples, from the first, a simulation reproduces bit for bit.
 
-    One more than all if all are reproduced and the simulation goes on. `to_rounding` allows
-    differences of 1e-6 for poses and 1e-9 for commands, as between platforms. The second value is
-    the smallest queue depths with the same result.
+    The number is one more than all if all are reproduced and the simulation continues.
+    `to_rounding` allows differences of 1e-6 for poses and 1e-9 for commands, as between platforms.
+    The second value is the smallest queue depths with the same result.
     """
     width = len(rows[-1] or ())
     equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)
@@ -359,7 +359,7 @@ def find_departure(first: Run, second: Run) -> Departure | None:
 
 def _pair(first: Run, second: Run) -> Iterator[Pairing]:
     """Yield the signals row by row; at equal times, causes before their consequences."""
-    if count_missing_samples(second.samples):  # rows are matched by the number of their sample
+    if count_missing_samples(second.samples):  # rows are matched by sample number
         return
     by_tick = has_ticks(first) and has_ticks(second)
     pairings = (pair_by_tick if by_tick else pair_by_sample)(first, second)

@@ -1,4 +1,4 @@
-"""Find the loop settings that reproduce a log: simulate those that its hints allow, and compare."""
+"""Search for the loop settings that reproduce a log, by simulation of the possible ones."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -44,19 +44,20 @@ from turtlelog.measure.motion import CERTAIN, COARSE, LIKE_THE_BEST
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 
 _MOST_TICKS: Final = 150_000
-"""Ticks that are simulated where none is exact, some four seconds' worth."""
+"""Largest number of simulated ticks if no setting is exact: about four seconds."""
 
 _MOST_BOUNDED: Final = 8
-"""Settings that fit alike and whose starts are bounded together: half a second's work."""
+"""Largest number of equally good settings whose starts are bounded together: half a second of
+work."""
 
 _FEWEST_ROWS: Final = 150
-"""Rows over which settings are compared at least: a turn by half a circle at 1 rad/s has 200."""
+"""Smallest number of rows over which settings are compared: half a turn at 1 rad/s has 200."""
 
 _MOST_SAMPLES: Final = 100_000
-"""Samples simulated from which on rarer queues are no longer tried, some three seconds' worth."""
+"""Number of simulated samples from which rare queues are no longer tried: about three seconds."""
 
 _SPARE_S: Final = 3.0
-"""How much longer than the log a simulation may take before it counts as another [s]."""
+"""Time by which a simulation may be longer than the log before it counts as different [s]."""
 
 _USUAL_S: Final = Scenario().max_duration_s
 
@@ -65,7 +66,7 @@ START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 Settings = Mapping[str, Any]
 
 _Exact = tuple[Guess, int]
-"""Settings that reproduce every sample, and how many samples were simulated."""
+"""Settings that reproduce every sample, and the number of simulated samples."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +127,7 @@ def search_loop(
 ) -> Fits:
     """Return the loop settings that reproduce a log; `known` has all other settings.
 
-    The usual queue depths are tried first, others only if those do not fit, or fit only with a
+    The usual queue depths are tried first. Others are tried if these do not fit, or fit only with a
     pause or an initial queue that the clock contradicts. If no setting is exact, the plant is
     driven with the log's own commands, and the settings that explain the motion best are returned.
 
@@ -152,24 +153,24 @@ def search_loop(
 
 
 def drive_loop(trace: Trace, hints: Hints, dead_times: Sequence[DeadTime | Missing]) -> Fits:
-    """Return the settings with which the log's commands move the plant best. Uses no law."""
+    """Return the settings with which the log's commands move the plant best; no law is used."""
     search = _Search(trace, {}, hints)
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
     return search.drive_only([guess for tier in tiers for guess in tier])
 
 
 class _Search:
-    """Builds, simulates and counts scenarios.
+    """Simulation and counting of scenarios.
 
     Attributes:
         to_rounding: Whether samples need to be reproduced only to rounding.
-        is_driven: Whether no law is used: the poses that were answered then count as well.
+        is_driven: Whether no law is used; the numbers of the answered poses then count as well.
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
         self._trace, self._known, self._hints = trace, dict(known), hints
         self._rows = list_rows(trace)
-        # A law without a known pause has none to search for.
+        # A law without a known pause has none to search.
         self._pauses = pauses = hints.pauses or (None,)
         near = [pause for pause in hints.pauses if agrees_with_clock(pause, hints, trace)]
         self._near: Sequence[int | None] = near or pauses
@@ -197,7 +198,7 @@ class _Search:
 
     def _build_base(self, values: Settings) -> Scenario:
         values = {"name": self._trace.run.name, "max_duration_s": self._most_s, **values}
-        # Whoever searches with a law may run it.
+        # A search with a law implies that the law may run.
         tables = nest_parameters(values)
         return build_scenario(tables, source=self._trace.run.name, trust_law=True)
 
@@ -205,7 +206,7 @@ class _Search:
         """Return the settings that reproduce every sample; None if there are none."""
         exact: list[_Exact] = []
         for tier in tiers:
-            # Once the clock agrees with one, only others that it agrees with as well count.
+            # Once one setting agrees with the clock, only others that agree count.
             is_settled = any(self.contradict_clock(guess) == (False, False) for guess, _ in exact)
             exact += self.find_exact(self._keep_agreeing(tier) if is_settled else tier)
             if self._simulated > _MOST_SAMPLES:
@@ -278,7 +279,7 @@ class _Search:
         if not driven:
             guesses = guesses[:1]
             return self._build_nearest(guesses, [])
-        # Of settings that fit alike, those that the clock does not contradict.
+        # Among equally good settings, those that the clock does not contradict.
         least = min(self.contradict_clock(guess) for guess, _ in driven)
         agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
         found = self._build_nearest(
@@ -347,7 +348,7 @@ class _Search:
             for pause, guess in product(pauses, [drop_pause(g) for g in guesses])
         ]
         if rows is not None:
-            # All are tried over the first rows rather than some of them over all.
+            # All settings are tried over the first rows, instead of some over all rows.
             enough = max(_MOST_TICKS // (len(every) * self._trace.period_ticks), _FEWEST_ROWS)
             rows = min(rows, enough)
         ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks
@@ -363,7 +364,7 @@ class _Search:
         driven = [(guess, drive) for guess, drive in found if drive is not None]
         if not driven:
             return []
-        # What the best leaves says how independent the rows are.
+        # The residual of the best setting shows how independent the rows are.
         first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
         misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
         order = np.argsort(misfits, kind="stable").tolist()

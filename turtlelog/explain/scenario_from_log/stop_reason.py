@@ -25,15 +25,15 @@ RULE_KEYS: Final = (
     *("law.timeout_s", "law.settled_within_m", "law.settled_for_s"),
     *("law.standstill_samples", "law.standstill_below"),
 )
-"""Parameters of the rules that end a run: taken as usual, as far as the log does not contradict."""
+"""Parameters of the rules that end a run, which have their defaults unless the log contradicts."""
 
 _SLACK_NS: Final = 1.5 * TICK_NS
-"""How far the clock of a log may be from the law's own: a callback comes up to a tick late."""
+"""Largest difference between a log's clock and the law's own: a callback may be a tick late."""
 
 _ENDLESS_SAMPLES: Final = 1_000_000
 
 _ROUND_DIGITS: Final = 2
-"""A time or number that somebody typed has no more digits than this."""
+"""Largest number of digits of a typed time or number."""
 
 _PAUSE_KEYS: Final = (
     *("pause.seconds", "pause.held_turn_rate_rad_s", "pause.turned_rad", "pause.burst"),
@@ -61,9 +61,9 @@ class _Rule:
         name: Name of the rule in the law.
         key: Key of the parameter that sets its duration.
         usual: Default value of the parameter.
-        now: How long the condition has been true at the last sample.
-        before: How long it had been true at the sample before.
-        longest: The longest time for which it was true earlier without ending the run.
+        now: Time for which the condition has been true at the last sample.
+        before: Time for which it had been true at the sample before.
+        longest: Longest earlier time for which it was true without ending the run.
         slack: Uncertainty of these durations.
         evidence: Evidence in words.
     """
@@ -142,7 +142,7 @@ def _say(reason: str, evidence: str, *, is_certain: bool) -> Finding:
 def _judge_standstill(trace: Trace) -> _Rule:
     still = np.abs(trace.speed_m_s[trace.rotating :]) < _USUAL.standstill_below
     counts = _count_held(still)
-    # Missing rows count as well, if those around them stand still.
+    # Missing rows count as well if the robot is at rest in the rows around them.
     number = trace.number[trace.rotating :]
     first = np.arange(len(counts)) - np.maximum(counts - 1, 0)
     counts = np.where(counts > 0, number - number[first] + 1, 0)
@@ -216,7 +216,7 @@ def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
     """Return the rules that may have ended a run with other values than the defaults."""
     likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
     findings = dict(contradicted)
-    # The rounder its value, the likelier that somebody typed it.
+    # A rounder value was more likely typed.
     likely.sort(key=lambda rule: len(f"{_round_value(rule):.12g}".strip("0.")))
     for rule in likely[:1]:
         value = _round_value(rule)

@@ -1,4 +1,4 @@
-"""A log sample by sample: pose read, command published, time; and its breaks."""
+"""Samples of a log one by one: pose read, command published, time; and breaks."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,10 +17,11 @@ from turtlelog.run.loops import PLANT_KEYS, read_number
 Values = NDArray[np.float64]
 
 _FIRST_DIGITS: Final = 9
-"""A goal that is only logged as position plus error is rounded to this many decimals."""
+"""Decimals to which a goal is rounded that is logged only as position plus error."""
 
 _FEWEST_ANSWERS: Final = 10
-"""Answers of fewer single poses say nothing of the usual delay: a run may end in its start."""
+"""Smallest number of answers to single poses that shows the usual delay: a run may end in its
+initial queue."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,13 +130,13 @@ class Trace:
 
     @property
     def missing(self) -> list[tuple[int, int]]:
-        """Rows before which other rows are missing, and how many."""
+        """Rows before which other rows are missing, with their numbers."""
         steps = np.diff(self.number)
         return [(row + 1, int(steps[row]) - 1) for row in np.flatnonzero(steps > 1).tolist()]
 
 
 def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
-    """Return the samples of a run, one after the other.
+    """Return the samples of a run, one after another.
 
     Args:
         run: Run with samples.
@@ -220,7 +221,7 @@ def _has_ticks(run: Run) -> bool:
     """Return whether a log has a pose per tick, as a recording, or only a pose per sample."""
     if not np.array_equal(run.samples.pose_sequence, np.arange(len(run.poses))):
         return True
-    # What the plant itself publishes holds the applied velocity; a controller does not see it.
+    # The plant publishes the applied velocity; a controller does not know it.
     is_plants = run.poses.speed_m_s is not None
     return is_plants and bool((np.diff(run.poses.time_ns) == find_plant(run).period_ns).all())
 
@@ -235,22 +236,23 @@ def _find_period(run: Run) -> int:
 
 
 _NOISE_STEPS: Final = 8.0
-"""Standard deviations of noise beyond which a step is a jump: once in 1e15 steps without one."""
+"""Standard deviations of noise beyond which a step is a jump: noise alone exceeds it once in 1e15
+steps."""
 
 _ROUNDING: Final = 1e-5
-"""What the 32-bit rounding of two poses cannot explain [m, rad]."""
+"""Largest difference that the 32-bit rounding of two poses explains [m, rad]."""
 
 _NEAR_ROWS: Final = 3
-"""Steps on either side that say how far the robot moves in one."""
+"""Steps on either side that give the robot's usual motion."""
 
 _MOVES: Final = 4.0
-"""Standard deviations from which on a motion says how many steps it took."""
+"""Standard deviations from which a motion shows its number of steps."""
 
 _CAUGHT_UP: Final = 0.5
-"""A step shorter than this share of the usual one follows a callback that was only late."""
+"""Share of the usual step below which a step follows a late callback."""
 
 _FAR_TICKS: Final = 1000
-"""Ticks put where nobody knows how many passed: further than any dead time reaches."""
+"""Ticks inserted for a gap of unknown length: longer than any dead time."""
 
 
 def mark_breaks(trace: Trace) -> Trace:
@@ -266,7 +268,7 @@ def list_trace_breaks(trace: Trace) -> list[int]:
 
 
 def describe_trace_breaks(trace: Trace) -> list[str]:
-    """Return sentences on jumps, missing rows and misread poses; of many, on the first."""
+    """Return sentences on jumps, missing rows and misread poses; if many, on the first ones."""
     found = []
     if trace.jumps:
         row = trace.jumps[0]
@@ -378,7 +380,7 @@ def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
             for done, least in ((moved, least_m), (turned, least_rad))
             if near and np.median(done[near]) > least
         ]
-        # One step's way in a long time: the callback was late, and no row is missing.
+        # The motion of one step in a long time: the callback was late, and no row is missing.
         if not shares or max(shares) > 1.5:
             number[row + 1] = steps[row]
     return np.cumsum(number)

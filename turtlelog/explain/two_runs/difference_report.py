@@ -1,4 +1,4 @@
-"""Sentences on why a metric differs between two runs, each of them true of these runs."""
+"""Sentences on the difference of a metric between two runs, each true for these runs."""
 
 import math
 from collections.abc import Sequence
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 
 
 _NAMED: Final = 0.1
-"""Of the sum of the contributions' magnitudes: of many changes those with more are named."""
+"""Share of the contributions' total magnitude above which one of many changes is named."""
 
 _FEW: Final = 3
-"""Changes that are all named: their contributions add up to the eye."""
+"""Largest number of changes that are all named, so that their contributions visibly add up."""
 
 _TINY: Final = 1e-3
-"""Of the same sum: what adds less is shown below, and in no sentence. It changes none of the digits
-that are printed."""
+"""Share of that total below which a change is only in the list, because it changes no printed
+digit."""
 
 _DIGITS: Final = 4
-"""Of the largest value; all others have as many decimals."""
+"""Digits of the largest value; all others have as many decimals."""
 
 _FEWEST: Final = 2
-"""Digits of the largest contribution, however small it is beside the values."""
+"""Fewest digits of the largest contribution, however small it is beside the values."""
 
 _MOST_DECIMALS: Final = 9
 
 _SAME: Final = 1e-6
-"""Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
+"""Share of a value below which a difference is 0: two platforms differ by less."""
 
 _PLURALS: Final = ("gains", "limits", "limits driving", "limits turning", COMMANDS)
 _SPANS: Final = ("pause", "delay", "time span", "sampling period")
@@ -50,7 +50,7 @@ _CHANCE: Final = {
     NOISE: "different noise levels",
     TIMES: "the times at which poses are recorded",
 }
-"""What is no cause: how a run came about."""
+"""Parts of a difference that are chance instead of causes."""
 
 _WORDS: Final = {"law": "the law itself"}
 
@@ -64,7 +64,7 @@ _PARTS: Final = {
     "timing": "Until then all values are equal, so the cause lies in the timing",
     "end": "All that both contain is equal",
 }
-"""What the first difference tells of the cause, by the part that differs."""
+"""Meaning of the first difference between two runs, by the part that differs."""
 
 
 _CODE: Final = (
@@ -425,10 +425,10 @@ def _write_identified(side: "Side") -> str:
 
 
 _MS: Final = ("dead_time_s", "lag_s")
-"""Values that are shown in milliseconds."""
+"""Fields of values that are printed in milliseconds."""
 
 _AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"})
-"""What is written after a value, in place of the unit of the axis or behind it."""
+"""Text after a value, instead of the axis's unit or after it."""
 
 
 def _is_robot_part(one: "Change") -> bool:

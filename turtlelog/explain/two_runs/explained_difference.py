@@ -1,4 +1,4 @@
-"""The answer to why two runs differ, as data."""
+"""The data of an explained difference between two runs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,10 +10,10 @@ from turtlelog.explain.one_run.attribution import Resolution, Together, ValueSet
 from turtlelog.explain.scenario_from_log.resimulation import Departure
 
 SEED: Final = "seed"
-"""The line of what the seeds of the two runs make, compared with the means over seeds."""
+"""Name of the line with the effect of the two seeds, relative to the means over seeds."""
 
 ROBOT: Final = "robot"
-"""What stands for a robot's log: its model, which recorded commands drive."""
+"""Basis of a robot's log: its model, driven by the recorded commands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,11 +24,12 @@ class Side:
         name: Name of the run.
         as_logged: The metric of the log; None if it has no value.
         resimulated: The metric re-simulated with the run's own seed; None if it has no value.
-        reason: Why the metric has no value; empty if it has one.
+        reason: Reason why the metric has no value; empty if it has one.
         basis: Scenario that reproduces the run. `recorded`: the run's own, which reproduces every
             sample. `identified`: a scenario identified from its samples. `robot`: the robot model,
             driven by the recorded commands. None if no scenario does.
-        note: Accuracy with which the recorded scenario reproduces the run, or why no scenario does.
+        note: Accuracy with which the recorded scenario reproduces the run, or the reason why no
+            scenario does.
         is_exact: Whether that scenario reproduces every sample.
         unknown: Keys that are not identified: the other run's values are used.
         simulated_by: Versions, platform and digest of the law that simulated the run; see `Run`.
@@ -47,7 +48,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A group of settings that differ, and what it contributes to the difference of the metric.
+    """A group of settings that differ, and its contribution to the difference of the metric.
 
     Attributes:
         name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.
@@ -135,7 +136,7 @@ class ExplainedDifference:
         idle: Keys that differ and change the metric in no combination.
         unexplained: Part of the difference that neither the models of two robots nor the
             contributions explain; None if no robots are identified.
-        withheld: Why there are no contributions, in one clause; None if there are some.
+        withheld: Reason why there are no contributions, in one clause; None if there are some.
         together: Parts that several groups add only if all of them are changed.
         without_value: The smallest sets of changes that leave the metric without a value.
         with_value: The smallest sets that give it a value, if the first run has none.

@@ -1,4 +1,4 @@
-"""Why two logs of robots differ: the contribution of each part of the identified robots."""
+"""Explanation of the difference between two robots' logs: contributions of the robots' parts."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -43,21 +43,23 @@ from turtlelog.run.columns import take_rows
 from turtlelog.run.loops import Cause, Declaration
 
 _MOST_EXACT: Final = 5
-"""Parts whose combinations are all driven, with every draw: some thousand times."""
+"""Largest number of parts whose combinations are all driven, with every draw: some thousand
+drives."""
 
 _MOST_UNEXPLAINED: Final = 1.0 / 3.0
-"""Of the difference: where the models leave more, they do not say what makes it."""
+"""Largest share of the difference that the models may leave unexplained."""
 
 _ACTS: Final = 1e-3
-"""Of the difference: a part that changes the metric by less, from either side, does not act."""
+"""Share of the difference below which a part does not act, if it is changed in either log."""
 
 _SAME: Final = 1e-6
-"""Of a value: a smaller difference is none."""
+"""Share of a value below which a difference is 0."""
 
 _LAW_ACTS: Final = "its controller is known, the other one's is not, so its law counts as commands"
 
 _BY_CHANCE: Final = 2.0
-"""Standard deviations of what two logs of the same two robots differ by: less is no difference."""
+"""Difference of two logs of equal robots in standard deviations, below which there is no
+difference."""
 
 
 def is_robot_log(run: Run) -> bool:
@@ -138,7 +140,7 @@ def _list_idle(logs: Sequence[RobotLog], axes: Sequence[Axis], row: int) -> tupl
 
 
 def _find_obstacle(log: RobotLog, axis: Axis) -> str:
-    """Return why an axis is unknown though it is commanded; empty if it is known or idle."""
+    """Return the reason why a commanded axis is unknown; empty if it is known or idle."""
     model = get_axis(log.model, axis)
     if model.is_known or model.is_idle:
         return ""
@@ -255,11 +257,11 @@ Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _MIRRORED: Final = len(SEEDS) // 2
-"""Draws that have a mirrored one each: their mean is that of the identified values."""
+"""Number of draws with a mirrored draw each, so that their mean is the identified values."""
 
 
 class RobotGame(Game):
-    """Drives one robot's model with recorded commands, with some parts taken from another log.
+    """Simulations of one robot's model with recorded commands and some parts from another log.
 
     Each seed is a random sample of both robots' parameters within their intervals, and of the
     noise. The measured run is the recording whose commands are used, with the model's poses at its
@@ -274,7 +276,7 @@ class RobotGame(Game):
         parts: Mapping[str, Cause],
         work: Work | None = None,
     ) -> None:
-        """Take the logs; a removed part gives the second robot the first one's values."""
+        """Store the logs; a removed part gives the second robot the first one's values."""
         super().__init__(parts, tuple(parts), work, is_random=True)
         self._logs, self._metric = (first, second), metric
         self._models: dict[int | None, list[dict[Axis, AxisModel]]] = {}
@@ -404,7 +406,7 @@ def _integrate(ways_m: Values, turns_rad: Values, places: Run) -> Values:
     poses[0, :2], poses[0, 2] = places.poses.xy_m[0], places.poses.heading_rad[0]
     poses[1:, 2] = poses[0, 2] + np.cumsum(turns_rad)
     middle_rad = poses[:-1, 2] + 0.5 * turns_rad
-    # The chord of an arc is shorter than the way along it.
+    # The chord of an arc is shorter than the arc.
     chords_m = ways_m * np.sinc(turns_rad / (2.0 * np.pi))
     poses[1:, 0] = poses[0, 0] + np.cumsum(chords_m * np.cos(middle_rad))
     poses[1:, 1] = poses[0, 1] + np.cumsum(chords_m * np.sin(middle_rad))

@@ -25,13 +25,13 @@ COMMANDS: Final = "commands"
 NOISE: Final = "noise"
 PATH: Final = "path"
 TIMES: Final = "pose times"
-"""Parts that no axis has."""
+"""Parts that belong to no axis."""
 
 CHANCE: Final = (NOISE, TIMES)
-"""Parts that are no causes: how a log came about, not what the robot does."""
+"""Parts that are chance instead of causes, because they do not belong to the robot."""
 
 MOTIONS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "driving", "turn_rate": "turning"})
-"""What the axes do, as names of parts say it."""
+"""Motions of the axes, for names of parts."""
 
 FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -42,20 +42,21 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "friction": ("friction", "deadband"),
     }
 )
-"""The fields of an axis that are exchanged together."""
+"""Fields of an axis that are exchanged together."""
 
 _MIXED: Final = ("gain", "dead time", "time constant and limits", "friction")
-"""The parts of robots of which no model has the time constant of one and the limits of the other.
-"""
+"""Names of parts if no model has the time constant of one robot and the limits of the other."""
 
 _MOSTLY: Final = 0.98
-"""Share of the steps from pose to pose; the fastest ones are those whose noise is largest."""
+"""Share of the steps from pose to pose that are used; the fastest are those with the largest
+noise."""
 
 _BEYOND: Final = 1.05
-"""Of a bound: noise of poses makes a robot look faster by less."""
+"""Factor of a bound that noise of poses does not exceed."""
 
 _LEAST: Final = 1e-3
-"""Of a value: the least that is drawn, however wide its interval is. None of them is below 0."""
+"""Smallest random value as a share of the value, however wide its interval is: no parameter is
+negative."""
 
 _TURNS: Final = ("turn_rate", "total_turning", "heading_error")
 _DRIVES: Final = ("run.speed_", "run.measured_speed_")

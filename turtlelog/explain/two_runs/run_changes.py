@@ -1,7 +1,7 @@
-"""Differences between two scenarios, in groups that a person would change together.
+"""Differences between two scenarios, in groups of settings that belong together.
 
 A group is a cause of the second run's scenario whose neutral values are those of the first: the
-game of `explain` is then played between two runs.
+game of `explain` then runs between two runs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -24,13 +24,13 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 
 LAW: Final = "law"
-"""The group of everything that belongs to a law, where the runs have different ones."""
+"""Group of all settings of a law, if the runs have different laws."""
 
 GAINS: Final = "gains"
-"""The group of the gains of all loops, where each run has one value for them."""
+"""Group of the gains of all loops, if each run has one value for them."""
 
 _NOT_SETTINGS: Final = ("name", "seed")
-"""A name changes nothing. Seeds are not divided: what one makes is a line of its own."""
+"""Keys that are not settings: a name changes nothing, and the seeds have a line of their own."""
 
 _WHOLE: Final = ("goal", "start", "path")
 """Tables that are changed as a whole."""
@@ -41,15 +41,16 @@ _NAMES: Final[Mapping[str, str]] = {
     "float32": "pose precision",
     "max_duration_s": "time span",
 }
-"""Groups whose settings have a name that is not that of the cause."""
+"""Names of groups that differ from those of their causes."""
 
 
 def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
     """Return the groups of settings in which two scenarios differ, by name, in the file's order.
 
-    Both gains form one group if each scenario has one value for both; so do the keys of an effect,
-    and each of goal, start and path. The law with all of its keys is one group if its kind differs,
-    and so is the plant; a path that only one of the laws has belongs to the law.
+    Both gains form one group if each scenario has one value for both. The keys of an effect form
+    one group, as do goal, start and path each. The law with all of its keys is one group if its
+    kind differs; the same is true for the plant. A path that only one of the laws has belongs to
+    the law.
 
     Args:
         first: Scenario with the neutral values; None for a key that it does not have.
@@ -68,7 +69,7 @@ def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
         # A table within a law is changed as a whole.
         name = names.get(table) or names.get(key) or ".".join(key.split(".")[:2])
         groups.setdefault(_NAMES.get(name, name), {})[key] = before.get(key)
-    if LAW in groups:  # the same value may mean another thing to another law
+    if LAW in groups:  # equal values may mean different things to different laws
         own = [key for key in {**before, **after} if key.startswith("law.")]
         groups[LAW] |= {key: before.get(key) for key in own}
     return {
@@ -115,7 +116,7 @@ def _has_one_value(scenario: Scenario, keys: Iterable[str]) -> bool:
 
 
 class ChangeGame(ScenarioGame):
-    """Simulates the second of two scenarios with some changes undone, as in the first."""
+    """Simulations of the second of two scenarios with some changes undone, as in the first."""
 
     def __init__(
         self,
@@ -125,13 +126,13 @@ class ChangeGame(ScenarioGame):
         first: Scenario,
         work: Work | None = None,
     ) -> None:
-        """Take the scenario with all changes in."""
+        """Store the scenario with all changes."""
         super().__init__(second, metric, work, causes=changes)
         self.is_random = draws_random(second) or draws_random(first)
         self._impossible: dict[Coalition, str] = {}
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds to simulate with; None alone if there is nothing to simulate."""
+        """Return the seeds for a simulation; None alone if there is nothing to simulate."""
         return (None,) if self._find_obstacle(out) else super().list_seeds(out)
 
     def _simulate(self, wanted: Any) -> None:
@@ -145,7 +146,7 @@ class ChangeGame(ScenarioGame):
         return replace(super().build_play(out, seed), may_fail=True)
 
     def _find_obstacle(self, out: Coalition) -> str:
-        """Return why these settings are no valid scenario; empty if they are."""
+        """Return the reason why these settings are not a valid scenario; empty if they are."""
         if out not in self._impossible:
             try:
                 self._take_out(out)
@@ -179,5 +180,5 @@ def set_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     """
     found = {**flatten_scenario(scenario), **values}
     tables = nest_parameters({key: value for key, value in found.items() if value is not None})
-    # Both laws run already: whoever compares the runs has named them.
+    # Both laws run already: the user of the comparison has named them.
     return resolve_scenario(build_scenario(tables, source="both runs", trust_law=True))

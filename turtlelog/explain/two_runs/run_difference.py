@@ -1,4 +1,4 @@
-"""Explain why a metric differs between two runs: Shapley values of the settings that differ."""
+"""Explanation of a difference of a metric between two runs: Shapley values of changed settings."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -51,20 +51,20 @@ from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 
 MOST_EXACT: Final = 10
-"""Groups of settings whose 1024 combinations are all simulated: some 20 s of the paper's runs."""
+"""Most groups of settings whose 1024 combinations are all simulated: 20 s for the paper's runs."""
 
 _AGREEMENT: Final = 0.1
-"""Of the difference: a re-simulation further away from a log does not show what is in the log."""
+"""Largest difference of re-simulation and log, as a share of the difference between runs."""
 
 _SAME: Final = 1e-6
-"""Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
+"""Share of a value below which a difference is 0: two platforms differ by less."""
 
 _ROUNDING: Final = 1e-12
-"""Of a value: what means over equal values leave."""
+"""Share of a value that means over equal values may leave."""
 
 
 _NAMES: Final = ("the first run", "the second run")
-"""Names of runs that have one name."""
+"""Names of runs with equal names."""
 
 
 _NO_SAMPLES: Final = (
@@ -104,7 +104,7 @@ def explain_difference(
 
     The settings in which the scenarios differ are grouped, and the second run is simulated with
     each set of groups as in the first. A contribution is a Shapley value; the contributions add up
-    to the difference. If both runs have the same settings, the answer is where they depart.
+    to the difference. If both runs have the same settings, the answer is their first difference.
 
     Args:
         first: The run from which the difference is taken.
@@ -159,7 +159,7 @@ def explain_difference(
 def _answer_without_scenario(
     found: ExplainedDifference, first: Run, second: Run, work: Work | None
 ) -> ExplainedDifference:
-    """Return what the robots' models show of two runs, or where these depart."""
+    """Return the explanation by the robots' models, or the first difference of two runs."""
     is_same = _hold_same_settings(first, second)
     if not (is_same or first.declaration.loops or second.declaration.loops):
         robots = explain_robots(first, second, found.metric, found.unit, work)
@@ -274,7 +274,7 @@ def require_common_metric(first: Run, second: Run, metric: str) -> None:
 
 
 def _hold_same_settings(first: Run, second: Run) -> bool:
-    """Return whether the scenarios that two runs hold are the same but for their names."""
+    """Return whether the scenarios of two runs are equal except for their names."""
     settings = [
         {key: value for key, value in run.parameters.items() if key != "name"}
         for run in (first, second)
@@ -285,7 +285,7 @@ def _hold_same_settings(first: Run, second: Run) -> bool:
 def _stand_for(
     run: Run, metric: str, *, trust_law: bool, depth: Depth
 ) -> tuple[Side, Scenario | None]:
-    """Return what is known of a run, and the scenario that represents it."""
+    """Return the facts about a run, and the scenario that represents it."""
     logged = measure_run(run, only=[metric])[metric]
     side = _begin_side(run, logged)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
@@ -424,7 +424,7 @@ def _complete(change: Change, share: Contribution) -> Change:
 
 
 def _compare_with_logs(found: ExplainedDifference) -> str:
-    """Return why the re-simulations do not represent the logs; empty if they do."""
+    """Return the reason why the re-simulations do not represent the logs; empty if they do."""
     for side in (found.first, found.second):
         if side.as_logged is None:
             return f"{side.name} has no value: {side.reason}"

@@ -47,10 +47,10 @@ T = TypeVar("T")
 Offsets = NDArray[np.int64]
 
 _NOTES: Final = frozenset({Opcode.METADATA, Opcode.ATTACHMENT})
-_SLOT: Final = 4  # bits; no two messages start within 16 bytes
+_SLOT: Final = 4  # bits of an offset: no two messages start within 16 bytes
 _WITHIN: Final = 15
 _UNMARKED: Final = 255
-_INDEX: Final = struct.Struct("<HI")  # channel, bytes of the pairs of log time and offset
+_INDEX: Final = struct.Struct("<HI")  # channel, size of the pairs of log time and offset [bytes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,7 +244,7 @@ def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
         if channel in offsets:
             raise DamageError(f"byte {byte}: expected one index of channel {channel}, found two")
         if len(found_offsets) > 1 and (found_offsets[1:] <= found_offsets[:-1]).any():
-            # In the order of time, as some writers sort them.
+            # Sorted, because some writers order the index by time.
             found_offsets = np.sort(found_offsets)
         offsets[channel] = found_offsets
     return offsets
@@ -259,7 +259,7 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> lis
     starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
     counts = [len(found) for found in offsets.values()]
     ends = _check_messages(data, starts, np.repeat(np.array([*offsets], np.uint16), counts), byte)
-    # A mark says where in its 16 bytes a message starts: a sixteenth of the chunk in memory.
+    # A mark gives the start of a message within 16 bytes; all marks take a sixteenth of the chunk.
     marks = np.full((len(data) >> _SLOT) + 1, _UNMARKED, np.uint8)
     marks[starts >> _SLOT] = starts & _WITHIN
     marks[-1] = len(data) & _WITHIN

@@ -25,26 +25,26 @@ from turtlelog.log.error_boundary import DamageError, LimitError
 
 _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
-        # Without an encoding there is no text: the type's name must do.
+        # A message type without a schema encoding has no text; its name must suffice.
         MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
         MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
         MessageEncoding.ROS1: (SchemaEncoding.ROS1,),
         MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
     }
 )
-"""Encodings of schemas, by that of the messages that they define."""
+"""Encodings of schemas by the encoding of their messages."""
 
 _ADVICE: Final = "record the topic in one of these"
-"""What to do about messages in an encoding that is not read."""
+"""Advice about messages in an encoding that turtlelog cannot read."""
 
 
-_HEAD: Final = 20  # bytes of two times and a number
-_NUMBER, _TEXT, _SEQUENCE = 8, 72, 200  # bytes; texts and sequences are objects
+_HEAD: Final = 20  # bytes of two times and a sequence number
+_NUMBER, _TEXT, _SEQUENCE = 8, 72, 200  # bytes of a value; texts and sequences are objects
 _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
 
 
 Decode = Callable[[int, bytes], dict[str, Any]]
-"""Makes an object of a message, whose number it names in errors."""
+"""A function from the number and the bytes of a message to an object; errors name the number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,12 +87,12 @@ class TopicPlan:
     is_ros1: bool = False
 
     def describe_reason(self) -> str:
-        """Return the topic with the reason why it cannot be decoded, for errors."""
+        """Return the topic with the reason why its messages cannot be decoded, for errors."""
         return describe_unread(self.topic, self.reason)
 
     @property
     def row_size(self) -> int:
-        """Memory per message [bytes]; more for long texts or sequences."""
+        """Memory per message [bytes]; long texts and sequences need more."""
         if self.json is not None:
             return _HEAD + sum(_NUMBER if field.kind in _NUMBERS else _TEXT for field in self.json)
         return _HEAD + (_measure(self.fields) if self.layout is None else self.layout.size)
@@ -229,12 +229,12 @@ class Catalogue:
         return TopicPlan(topic=channel.topic, **self._find_reading(channel))
 
     def _find_reading(self, channel: Channel) -> Mapping[str, Any]:
-        """Return the fields of a plan except its topic, for a schema and an encoding."""
+        """Return the fields of a topic's plan except its topic, from schema and encoding."""
         key = channel.schema_id, channel.message_encoding
         reading = self._readings.get(key)
         if reading is None:
             reading = self._choose_reading(*key)
-            if channel.schema_id in self.schemas:  # one that is not there may still come
+            if channel.schema_id in self.schemas:  # a missing schema may still follow
                 self._readings[key] = reading
         return reading
 
@@ -264,7 +264,7 @@ class Catalogue:
                 return {**found, "json": described.fields, "decode": described.decode}
 
     def _read_type(self, schema: Schema) -> MessageType | ObjectType | str:
-        """Return the type, or why it cannot be read."""
+        """Return the message type, or the reason why it cannot be read."""
         if schema.id not in self._types:
             try:
                 self._types[schema.id] = _parse(schema, self.allowance)
@@ -277,7 +277,7 @@ def _name_type(record: Any) -> Any:
     """Return a record; a ROS 1 schema gets the ROS 2 name of its type."""
     if not isinstance(record, Schema) or record.encoding != SchemaEncoding.ROS1:
         return record
-    from turtlelog.log.engine.ros1_messages import name_as_ros2  # few files need it
+    from turtlelog.log.engine.ros1_messages import name_as_ros2  # only files of ROS 1 need it
 
     name = name_as_ros2(record.name)
     return Schema(id=record.id, name=name, encoding=record.encoding, data=record.data)
@@ -310,7 +310,7 @@ def _parse(schema: Schema, allowance: Allowance) -> MessageType | ObjectType:
         allowance.spend(FIELDS, len(described.fields))
         return described
     if schema.encoding == SchemaEncoding.ROS1:
-        from turtlelog.log.engine.ros1_messages import read_ros1_type  # few files need it
+        from turtlelog.log.engine.ros1_messages import read_ros1_type  # only ROS 1 files need it
 
         found = read_ros1_type(schema.name, _read_text(schema, None))
         allowance.spend(FIELDS, found.size)
@@ -329,7 +329,7 @@ def _parse(schema: Schema, allowance: Allowance) -> MessageType | ObjectType:
 def _describe_objects(schema: Schema) -> ObjectType:
     if schema.encoding == SchemaEncoding.JSONSchema:
         return ObjectType(fields=read_json_schema(schema.name, schema.data))
-    from turtlelog.log.engine.protobuf_messages import read_protobuf_type  # few files need it
+    from turtlelog.log.engine.protobuf_messages import read_protobuf_type  # only protobuf needs it
 
     found = read_protobuf_type(schema.name, schema.data)
     return ObjectType(fields=tuple(found.list_fields()), decode=found.decode)
@@ -340,7 +340,7 @@ def _read_text(schema: Schema, known: str | None) -> str:
     size = len(schema.data)
     if size > LONGEST_TEXT:
         raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")
-    # In ros2msg a type without fields has an empty text.
+    # In ros2msg the text of a type without fields is empty.
     plain = (SchemaEncoding.ROS2, SchemaEncoding.ROS1)
     if not size and (known is not None or schema.encoding not in plain):
         if known is None:

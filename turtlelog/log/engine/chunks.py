@@ -14,16 +14,16 @@ from turtlelog.log.engine.limits import LARGEST_CHUNK
 from turtlelog.log.error_boundary import DamageError
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
-"""Start, end, size unpacked, crc, and length of the name of the compression."""
+"""Start and end time, unpacked size, checksum, and length of the compression's name."""
 
 _SIZE: Final = struct.Struct("<Q")
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 SPARE: Final = 2**25
-"""Bytes that may be allocated on the word of a header alone."""
+"""Bytes that may be allocated when only a header claims the size."""
 
-_STEP: Final = 2**22  # bytes unpacked at a time, where the header may lie
+_STEP: Final = 2**22  # bytes unpacked at a time if the header's size may be wrong
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,12 +145,12 @@ def unpack_chunk(
 def _unpack_zstd(
     packed: bytes | memoryview, size: int, limit: int, spend: Callable[[int], None]
 ) -> bytes:
-    promised = zstandard.frame_content_size(packed)  # -1: not said
-    # Two headers that agree are believed: one alone may be damaged.
+    promised = zstandard.frame_content_size(packed)  # -1: not given
+    # The size is trusted if two headers agree; a single header may be damaged.
     if promised in {-1, size} and size <= (limit if promised == size else SPARE):
         spend(size)
         return zstandard.ZstdDecompressor().decompress(packed, size)
-    # A window is allocated on the word of the frame's header; a sound one is within the chunk.
+    # The frame's header determines how large a window is allocated; a valid one fits the chunk.
     unpacker = zstandard.ZstdDecompressor(max_window_size=limit).stream_reader(packed)
     return _join(iter(lambda: unpacker.read(_STEP), b""), limit, spend)
 
@@ -169,7 +169,7 @@ def _iterate_lz4(packed: bytes | memoryview, size: int) -> Iterator[bytes]:
 def _join(pieces: Iterator[bytes], limit: int, spend: Callable[[int], None]) -> bytes:
     first = next(pieces, b"")
     spend(len(first))
-    data = BytesIO(first)  # takes bytes over, and hands them over, without a copy
+    data = BytesIO(first)  # takes and returns bytes without a copy
     data.seek(0, SEEK_END)
     for piece in pieces:
         spend(len(piece))

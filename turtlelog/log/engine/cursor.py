@@ -19,11 +19,11 @@ from turtlelog.log.engine.parsing import gather_bytes
 Order = Literal["<", ">"]
 
 PADDING: Final = 4
-"""Some middlewares fill a message up to a multiple of this [bytes]."""
+"""Some middlewares pad a message to a multiple of this size [bytes]."""
 
-# Before it writes a message, ROS 2 with Fast DDS estimates its size as if an empty sequence were
-# padded for the numbers that it lacks, and hands on what is left over. After a sequence's length
-# only numbers of this size need padding, and it may carry more with it [bytes].
+# ROS 2 with Fast DDS estimates the size of a message before it writes it. The estimate pads for the
+# numbers of an empty sequence, and the surplus bytes are sent too. After a sequence's length, only
+# numbers of this size need padding; the surplus may grow by this size [bytes].
 _LARGEST_NUMBER: Final = 8
 
 
@@ -61,10 +61,10 @@ def decode_messages(
 
 
 _MOST_STEPS: Final = 50_000
-"""Values of one list that are taken one by one of all messages: 2 s of a list of arrays."""
+"""Values of one list that are read one by one from all messages; a list of arrays takes 2 s."""
 
 _MOST_KNOWN: Final = 256
-"""Texts of a field or message that stand in memory once; those of states and frames are few."""
+"""Number of texts of a field that are stored only once; states and frames have few names."""
 
 
 class _Cursor:
@@ -98,7 +98,7 @@ class _Cursor:
     def _take(self, field: Field) -> Column:
         if field.is_sequence:
             lengths = self._take_numbers("u4", 1)[:, 0].astype(np.int64)
-            # Nothing takes less than a byte: what cannot be there is not asked for.
+            # Each value takes at least a byte: values that cannot exist are not read.
             self._require(lengths)
         elif field.length is None:
             return self._take_texts() if field.kind == TEXT else self._take_one(field)
@@ -148,7 +148,7 @@ class _Cursor:
             for row, (start, end) in enumerate(
                 zip(starts.tolist(), self.places.tolist(), strict=True)
             ):
-                # The closing zero is counted; some middlewares leave it out.
+                # The length includes the final zero byte, which some middlewares leave out.
                 text = data[start:end].removesuffix(b"\x00")
                 found = known.get(text)
                 if found is None:
@@ -165,7 +165,7 @@ class _Cursor:
 
     def _take_arrays(self, kind: str, lengths: Offsets) -> Column:
         code = np.dtype(kind.replace("?", "u1"))
-        # An empty sequence is not padded.
+        # There is no padding after the length of an empty sequence.
         self.places += np.where(lengths > 0, (self._starts - self.places) % code.itemsize, 0)
         if code.itemsize == _LARGEST_NUMBER:
             self.overestimates += np.where(lengths > 0, 0, _LARGEST_NUMBER)
@@ -241,7 +241,7 @@ class _Cursor:
 
 
 FEW_MESSAGES: Final = 16
-"""Messages up to which this is quicker: both ways take alike at some 25."""
+"""Largest number of messages decoded one by one; from about 25 on the other way is faster."""
 
 _CODES: Final = dict(
     zip(
@@ -250,12 +250,13 @@ _CODES: Final = dict(
         strict=True,
     )
 )
-"""Kinds of numbers as `struct` names them."""
+"""Type codes of numbers and their `struct` codes."""
 
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
-"""Name, size and how to read it; None of a text, whose size is that of its length."""
+"""Name, size [bytes] and reader of a number. For a text: None as reader, and the size of its
+length."""
 
-_LENGTH: Final = 4  # bytes before a text that say how long it is
+_LENGTH: Final = 4  # bytes of the length before a text
 
 
 def decode_few(
@@ -385,7 +386,7 @@ def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str,
         else:
             size = _LENGTH if field.kind == TEXT else np.dtype(field.kind).itemsize
             yield prefix + field.name, field.kind, size
-    if not fields:  # which ROS gives one byte
+    if not fields:  # ROS gives a type without fields one byte
         raise _OtherKindError
 
 

@@ -39,10 +39,10 @@ SEQUENCE: Final = "#sequence"
 
 _KINDS: Final = MappingProxyType({LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: "u4"})
 
-# numpy asks Linux for large pages for arrays of this size [bytes], which take a tenth of the time
-# to fill for the first time. What is smaller of a topic shares an array.
+# For arrays of this size [bytes] numpy asks Linux for large pages, which take a tenth of the time
+# to fill at first. Smaller columns of a topic share an array.
 _LARGE: Final = 2**22
-_LINE: Final = 64  # bytes; columns start at a multiple
+_LINE: Final = 64  # bytes; columns start at a multiple of it
 
 
 def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
@@ -81,7 +81,8 @@ def unpack_messages(
     for number, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         packed = block.data[start + MESSAGE_HEAD : end]
         try:
-            # Of data that is no frame its size is not asked: unpacking says what is wrong.
+            # The size is requested only from zstd frames; for other data, unpacking gives the
+            # error.
             is_frame = packed.startswith(ZSTD_MAGIC)
             size = max(zstandard.frame_content_size(packed), 0) if is_frame else 0
             largest = allowance.largest_chunk
@@ -104,7 +105,7 @@ def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block,
     """
     if not plan.is_ros1:
         return block, starts
-    from turtlelog.log.engine.ros1_messages import convert_ros1  # few files need it
+    from turtlelog.log.engine.ros1_messages import convert_ros1  # only files of ROS 1 need it
 
     try:
         data, places = convert_ros1(plan.fields, block.data, starts)
@@ -117,7 +118,7 @@ class FixedColumns:
     """Columns of a topic whose messages have one size."""
 
     def __init__(self, layout: Layout, count: int, kept: Collection[str] | None = None) -> None:
-        """Allocate columns with a number of rows: those with these names, None for all."""
+        """Allocate `count` rows for the columns named in `kept`; None: all columns."""
         self._layout, self._count, self._used = layout, count, 0
         self._lock = Lock()
         kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
@@ -154,7 +155,7 @@ class FixedColumns:
 
     def finish(self) -> Rows:
         """Return the filled rows."""
-        # A byte that is neither 0 nor 1 is no bool of numpy's.
+        # A byte other than 0 and 1 is not a valid bool in numpy.
         return {
             name: column[: self._used] != 0
             if self._layout.kinds.get(name) == "?"
@@ -226,7 +227,7 @@ def _gather_fixed(layout: Layout, data: bytes, starts: Offsets) -> NDArray[np.vo
     """
     size = layout.little.itemsize
     if starts[-1] > len(data) - size:
-        # The last one is too short: found by the check, which needs no more than its head.
+        # The last message is too short; the check needs only the header and reports it.
         _check_sizes(gather_heads(data, starts)["length"], layout)
     rows = gather_bytes(data, starts, size)
     heads = rows.view(layout.little)
@@ -236,7 +237,7 @@ def _gather_fixed(layout: Layout, data: bytes, starts: Offsets) -> NDArray[np.vo
 
 
 def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:
-    extra = lengths - np.uint64(COUNTED_HEAD + layout.size)  # wraps where it is below
+    extra = lengths - np.uint64(COUNTED_HEAD + layout.size)  # wraps if below 0
     if len(extra) and extra.max() >= PADDING:
         number = int((extra >= PADDING).argmax())
         found = int(lengths[number]) - COUNTED_HEAD

@@ -16,10 +16,10 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance, measure_stored
 
 MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
-"""How a file begins and ends; here, because mcap.writer costs 20 ms to load."""
+"""Magic bytes at the start and end of a file; defined here, because mcap.writer loads in 20 ms."""
 
 RECORD: Final = struct.Struct("<BQ")
-"""Opcode, length of the body."""
+"""Opcode, length of the body [bytes]."""
 
 SUMMARY_ONLY: Final = frozenset(
     {
@@ -30,37 +30,36 @@ SUMMARY_ONLY: Final = frozenset(
         Opcode.SUMMARY_OFFSET,
     }
 )
-"""Records that stand only behind the data."""
+"""Kinds of records that occur only after the data section."""
 
 _CHAIN: Final = 4
-"""So many records in a row are no accident, where no checksum vouches for them.
+"""Number of consecutive records that are accepted as such without a checksum.
 
-At worst, in messages half of zeros, one in a hundred places that look like a head is followed by
-another, and there are a thousand such places in a megabyte: three in a row come about by accident
-once in a gigabyte, four once in a hundred. After damage as many messages must stand together to be
-found.
-"""
+The worst case is messages half of zeros: a megabyte contains a thousand places that look like a
+record's head. One in a hundred of these is followed by another such place. By chance, three in a
+row occur once in a gigabyte, four in a row once in 100 GB. After damage, messages are found only if
+this number of them are consecutive."""
 
 _SQLITE: Final = b"SQLite format 3\0"
 _RERUN: Final = b"RRF2"
 _BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
 _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
 START_SIZE: Final = len(_SQLITE)
-"""Bytes at the start of a file that tell what it is."""
+"""Number of bytes at the start of a file that determine its kind."""
 
 _LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
-"""Bytes of a record's body that are believed."""
+"""Largest length of a record's body that is accepted [bytes]."""
 
 _LEAST_MESSAGE: Final = 22
-"""Bytes that the length of a message record counts before its data."""
+"""Length of a message record without data, as its length field counts it [bytes]."""
 
-_PRIVATE: Final = 0x80  # first opcode that anybody may use
+_PRIVATE: Final = 0x80  # first opcode for private use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
 _BEFORE_INDEX: Final = frozenset({0, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _WINDOW: Final = 2**22  # bytes read at once
-_HELD: Final = 2**24  # bytes of a file that is read only once, wherever its records point
+_HELD: Final = 2**24  # bytes of a file that are cached, in whatever order records refer to them
 
-# Bytes of fixed size at the front of a body, and how many fields with a length of their own follow.
+# Size of the fixed front of a body [bytes], and number of length-prefixed fields after it.
 _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
     Opcode.HEADER: (0, 2),
     Opcode.SCHEMA: (2, 3),
@@ -70,15 +69,15 @@ _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
     Opcode.ATTACHMENT: (16, 2),
     Opcode.CHUNK: (28, 1),
 }
-# Then, in two of them, data with a length of 8 bytes, and how many bytes follow these.
+# Two kinds continue with data that have an 8-byte length; number of bytes after these data.
 _DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
 _LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: _LEAST_MESSAGE, Opcode.CHUNK: 40}
 _EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 
-_FIRST_STEP: Final = 2**12  # bytes looked through at a time, while the next record may be near
+_FIRST_STEP: Final = 2**12  # bytes searched at a time while the next record may be near
 _STEP: Final = 2**19
 _FOOTER_SIZE: Final = 29
-_INDEX_HEAD: Final = 6  # bytes of a message index before its pairs: channel, their length
+_INDEX_HEAD: Final = 6  # bytes of a message index before its pairs: channel, length of the pairs
 _PAIR: Final = 16  # bytes: log time, offset
 
 _BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
@@ -173,7 +172,7 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     if found > end or (found < end and not is_padding(window, found, end, opcode)):
         found -= place + RECORD.size
         raise LogError(f"expected a record (opcode {opcode}) of {length} bytes, found {found}")
-    # What its fields do not bear out, the next record must.
+    # If the fields do not confirm the length of a record, the next record must.
     is_borne_out = opcode in _SHAPES or opcode in _EXACT
     if not is_borne_out and not is_record_start(window, end, after=opcode):
         raise LogError(f"no record follows the one of {length} bytes")
@@ -217,7 +216,7 @@ def is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
     """Return whether a record whose fields end at `start` extends to `end`, as its length says.
 
     A later version may append fields, which readers ignore. The length is accepted if a valid
-    record follows it. It is damage if valid records directly follow the fields.
+    record follows after it. If valid records directly follow the fields, the length is damaged.
     """
     return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
 
@@ -309,7 +308,7 @@ def _is_borne_out(window: FileWindow, place: int) -> bool:
     if opcode == Opcode.FOOTER:
         return place + _FOOTER_SIZE + len(MCAP0_MAGIC) == window.size
     _, end = find_record_end(window, place)
-    if opcode == Opcode.CHUNK:  # its reader checks what it holds
+    if opcode == Opcode.CHUNK:  # the reader of chunks checks the content
         return is_record_start(window, end, after=opcode)
     if opcode == Opcode.DATA_END:
         follows = window.read(end, 1)
@@ -334,11 +333,11 @@ def _is_borne_out(window: FileWindow, place: int) -> bool:
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _HEAD: Final = np.dtype([("opcode", "u1"), ("length", "<u8")])
 
-_LONGEST_TURN: Final = 64  # messages; robots have some 20 topics, not all of one rate
-_FIRST: Final = 16  # steps before a turn is looked for; a robot's chunk holds some thousand
-_RAREST: Final = 2**12  # steps between looks where there is none: a look takes as long as 100
-_WORTH: Final = 128  # messages foretold; a look that finds fewer has not paid
-_MOST: Final = 2**14  # messages foretold at a time
+_LONGEST_TURN: Final = 64  # messages; robots have some 20 topics with different rates
+_FIRST: Final = 16  # steps before a period is searched; a chunk has some thousand messages
+_RAREST: Final = 2**12  # steps between failed searches: a search takes the time of 100 steps
+_WORTH: Final = 128  # messages to predict: a search that predicts fewer costs more than it saves
+_MOST: Final = 2**14  # messages predicted at a time
 
 
 class MessageWalk:
@@ -368,7 +367,7 @@ class MessageWalk:
         found = [np.array([place], np.int64)]
         count = 0
         while len(turn) and count < most:
-            reach = min(self._reach - self._reach % len(turn), most - count)  # whole turns
+            reach = min(self._reach - self._reach % len(turn), most - count)  # whole periods
             places = self._foretell(int(found[-1][-1]), turn, reach)
             found.append(places[1:])
             count += len(places) - 1
@@ -393,7 +392,7 @@ class MessageWalk:
     def _plan(self, count: int, turn: int) -> None:
         """Set the time of the next try."""
         if count >= _WORTH:
-            # The step that was not foretold comes before those of the next turn.
+            # The step that was not predicted comes before those of the next period.
             self._turn, self._wait = turn, turn + 1
             self._reach = min(max(count + 2 * turn, 2 * _WORTH), _MOST)
         else:

@@ -9,9 +9,9 @@ from typing import Final, NoReturn
 from turtlelog.errors import LogError
 
 LONGEST_TEXT: Final = 2**19
-"""Bytes of an IDL text with all its types that is read; the longest of ROS take a tenth."""
+"""Largest size of an IDL text with all its types [bytes]; the longest of ROS has a tenth."""
 
-_DEEPEST: Final = 8  # modules in modules, or types that stand for types; ROS has two
+_DEEPEST: Final = 8  # nested modules or type aliases; ROS has two
 _LONGEST_WORD: Final = 1024
 
 _PART: Final = re.compile(r"^={3,}[ \t\r]*\n[ \t]*IDL:[^\n]*(?:\n|\Z)", re.MULTILINE)
@@ -44,13 +44,13 @@ _KINDS: Final = MappingProxyType(
     }
 )
 _SEVERAL: Final = frozenset({"unsigned", "long", "short", "double"})
-"""Words of which several may name one type."""
+"""Words that may form a type name together."""
 
 _NOT_READ: Final = frozenset({"union", "bitset", "bitmask", "interface", "valuetype", "native"})
 _OTHER_BYTES: Final = frozenset({"optional", "mutable", "bit_bound"})
-"""Annotations that change the bytes of a message."""
+"""Annotations that change the encoding of a message."""
 _BETWEEN: Final = frozenset({"msg", "srv", "action"})
-"""What ROS writes between a package and a type."""
+"""Module names between package and type in ROS."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class _Parser:
         found = self._take()
         if not found.isidentifier():
             self._fail("a name", found)
-        # IDL writes a name that is one of its words with an underscore in front.
+        # IDL prefixes a name that is also a keyword with an underscore.
         return found.removeprefix("_")
 
     def _parse_definition(self, scope: tuple[str, ...]) -> None:
@@ -170,7 +170,7 @@ class _Parser:
 
     def _parse_struct(self, scope: tuple[str, ...]) -> None:
         name = "::".join((*scope, self._take_name()))
-        if self._next == ";":  # announced; it is defined further down
+        if self._next == ";":  # a declaration; its definition follows
             return
         if self._next == ":":
             raise LogError(f"schema {self._name}: {name}: a struct of a struct is not read")
@@ -180,7 +180,7 @@ class _Parser:
             self._pass_annotations()
             members += self._parse_declarators(scope)
             self._take(";")
-        # ROS writes a member where IDL wants one and the type has none.
+        # IDL requires a member: ROS writes this one for types without fields.
         if [member for _, member in members] == ["structure_needs_at_least_one_member"]:
             members = []
         self._types.structs[name] = members
@@ -191,7 +191,7 @@ class _Parser:
         self._take("=")
         first = self._place
         self._pass_until(";")
-        if self._place == first + 2:  # what is computed is no length of an array
+        if self._place == first + 2:  # a computed value is not accepted as the length of an array
             self._types.numbers[name] = self._tokens[first]
 
     def _parse_declarators(self, scope: tuple[str, ...]) -> Iterator[tuple[_Kind, str]]:
@@ -238,7 +238,7 @@ class _Parser:
         return _Kind(kind.name, kind.scope, f"[{bound}]")
 
     def _close(self) -> None:
-        if self._next == ">>":  # of two, as in sequence<string<10>>
+        if self._next == ">>":  # the end of two types, as in sequence<string<10>>
             self._tokens[self._place] = ">"
         else:
             self._take(">")
@@ -279,7 +279,7 @@ def _list_tokens(name: str, text: str) -> Iterator[str]:
             raise LogError(f"schema {name}: expected shorter names, found {found[0][:40]!r}")
         if found.lastgroup is not None:
             yield found[0]
-        # A comment or text without an end: to look for the ends of more takes the square.
+        # A comment or text without an end: searching for further ends would take quadratic time.
         place = len(text) if found.lastgroup == "open" else found.end()
 
 

@@ -16,12 +16,14 @@ from turtlelog.log.engine.message_types import LONGEST_TEXT, Column
 JsonKind = Literal["number", "integer", "boolean", "string", "any"]
 
 LONGEST_MESSAGE: Final = 2**24
-"""Bytes of a message that is read: as objects it may take thirty times as many."""
+"""Largest size of a message [bytes]; decoded objects may take thirty times as much."""
 
 _MOST_FIELDS: Final = 10_000
 _MOST_PARTS: Final = 2**18
-"""Objects, references and choices that are looked at in a schema: objects referred to by objects
-multiply, also those without a field. So many take 0.5 s; a text of 1 MB has fewer objects."""
+"""Largest number of objects, references and choices that are read in a schema.
+
+References to objects with references multiply, even without fields. This number takes 0.5 s; a text
+of 1 MB has fewer objects."""
 _DEEPEST: Final = 64
 
 _KINDS: Final[tuple[JsonKind, ...]] = ("number", "integer", "boolean", "string")
@@ -34,7 +36,7 @@ _EXPECTED: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 _NUMBERS: Final = MappingProxyType({"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf})
-"""How writers that follow protobuf's JSON put numbers that JSON lacks."""
+"""Texts that stand for numbers missing in JSON, in the JSON of protobuf."""
 
 _ABSENT: Final = object()
 
@@ -124,7 +126,7 @@ class _Schema:
         self._name, self._root, self._left = name, root, _MOST_PARTS
 
     def list_fields(self, schema: Any, path: tuple[str, ...]) -> Iterator[JsonField]:
-        """Yield the fields of messages, those of objects within them too.
+        """Yield the fields of messages, including those of nested objects.
 
         Raises:
             LogError: If a type contains itself, or there are too many parts.
@@ -204,7 +206,7 @@ def _decode(row: int, data: bytes) -> dict[str, Any]:
 
 
 def _take(field: JsonField, row: int, found: Any) -> Any:
-    """Return a field's value, `_ABSENT` where an object on its path is absent or null."""
+    """Return a field's value; `_ABSENT` if an object on its path is absent or null."""
     for depth, key in enumerate(field.path):
         if found is None or found is _ABSENT:
             return _ABSENT

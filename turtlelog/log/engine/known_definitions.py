@@ -96,10 +96,10 @@ _TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         for name, _, fields in (line.partition(":") for line in _FIELDS.splitlines())
     }
 )
-"""The fields of each type in `ros2msg`, by `package/Type`."""
+"""Fields of each type in `ros2msg`, by `package/Type`."""
 
 KNOWN_TYPES: Final = tuple(name.replace("/", "/msg/") for name in _TEXTS)
-"""Names of the types that are defined here, as ROS 2 writes them."""
+"""ROS 2 names of the types with a definition in this module."""
 
 _NESTED: Final = re.compile(r"^(\w+/\w+)", re.MULTILINE | re.ASCII)
 
@@ -114,7 +114,7 @@ def find_definition(type_name: str) -> str | None:
     name = shorten_type(type_name)
     if name not in _TEXTS:
         return None
-    # Each once, where it is needed first.
+    # Each type once, before the types that follow it in its fields.
     nested = dict.fromkeys(_iterate_nested(name))
     parts = [f"{_SEPARATOR}\nMSG: {other}\n{_TEXTS[other]}" for other in nested]
     return "".join([_TEXTS[name], *parts])

@@ -1,8 +1,8 @@
 """Limits on memory and time for a file, in proportion to its size.
 
-A few kilobytes can unpack to gigabytes, or contain millions of empty records. A file of less than
-10 MB takes less than 256 MB and 10 s in every command, whatever its content; a larger file may take
-more. Most limits are about ten times the needs of recordings.
+A few kilobytes can unpack to gigabytes, or contain millions of empty records. In every command, a
+file of less than 10 MB takes less than 256 MB and 10 s, whatever its content. A larger file may
+take more. Most limits are about ten times the needs of recordings.
 """
 
 from collections.abc import Mapping
@@ -30,66 +30,66 @@ COLUMNS: Final = "bytes of columns"
 CHANGES: Final = "channels that change their meaning"
 
 SMALL_FILE: Final = 10**7
-"""Bytes below which a file is read with less than 256 MB of memory, and within 10 s."""
+"""Size of a file [bytes] below which reading takes less than 256 MB of memory and 10 s."""
 
 LARGEST_CHUNK: Final = 2**30
-"""No chunk may hold more bytes, packed or unpacked; a damaged header may claim anything."""
+"""Largest size of a chunk, packed or unpacked [bytes]; a damaged header may claim any size."""
 
 MOST_DESCRIBED: Final = 2**17
-"""Schemas and channels in one chunk: their ids have 16 bits each."""
+"""Largest number of schemas and channels in a chunk: their ids have 16 bits each."""
 
 LONGEST_DESCRIBED: Final = 2**24
-"""Bytes of one of them; a text with all the types that it names takes 100 kB."""
+"""Largest size of a schema or channel [bytes]; a text with all its types takes 100 kB."""
 
-# Writers close a chunk by the message that fills it: one of 64 MiB is a message longer. Chunks are
-# there to be much smaller than their file: no large file is refused for one eight times as large.
+# A writer closes a chunk after the message that fills it, so one of 64 MiB is one message longer.
+# Chunks should be much smaller than their file; a large file may have one eight times as large.
 _CHUNK: Final = 80 * 2**20
 _CHUNK_SHARE: Final = 8
 
 _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
     {
-        # A robot that stands still packs to a fortieth, an empty map to a thousandth.
+        # The messages of a robot at rest pack to a fortieth, an empty map to a thousandth.
         UNPACKED: (2**30, 64),
         # Written to a disk before it is read.
         UNPACKED_FILE: (2**28, 64),
-        # Parallel compressors write one for each 512 kB or more; to begin one takes 20 us.
+        # Parallel compressors write a frame for each 512 kB or more; starting a frame takes 20 us.
         FRAMES: (2**14, 1 / 1000),
-        # The times of a message take two bytes at least, however well they pack.
+        # The times of a message take at least two bytes, however well they are compressed.
         RECORDS: (2**22, 0.5),
-        # Some writers repeat all that they have in every chunk.
+        # Some writers repeat all schemas and channels in every chunk.
         DESCRIPTIONS: (2**19, 1 / 16),
-        # Of those that differ.
+        # Different schemas only.
         SCHEMA_BYTES: (2**24, 1),
-        # In memory: enough for as many as there are ids, each with a table.
+        # In memory: enough for the largest possible number of channels with a table each.
         CHANNEL_BYTES: (80 * 2**20, 1),
-        # Of types that differ, about 1 kB each in memory; 200 types of 50 fields are many.
+        # Fields of different types, about 1 kB each in memory; 200 types of 50 fields are many.
         FIELDS: (50_000, 1 / 1000),
-        # And the entries of the summary that name them; recordings have a handful, and each
-        # attachment costs 200 us in every pass.
+        # Includes the entries of the summary for them; recordings have few, and each attachment
+        # costs 200 us in every pass.
         NOTES: (2**12, 1 / 1000),
-        # Each is noted, with the reason.
+        # Each damage is noted with its reason.
         DAMAGES: (10_000, 1 / 1000),
-        # One a second for an hour; those with poses of a second and all schemas pack to 1 kB;
-        # each costs 100 us in every pass, and some answers take five.
+        # One per second for an hour. A chunk with the poses of a second and all schemas packs to 1
+        # kB. Each chunk costs 100 us in every pass, and some answers take five passes.
         CHUNKS: (2**12, 1 / 1000),
-        # Each in every chunk that it has messages in.
+        # Each channel counts in every chunk with its messages.
         CHUNK_CHANNELS: (2**18, 1 / 32),
-        # Files that were joined have one for each channel.
+        # Joined files have one change for each channel.
         CHANGES: (2**12, 1 / 1000),
     }
 )
-"""By kind: what a file may hold, and what more by byte of the file."""
+"""Limits by kind: a fixed number, and a number for each byte of the file."""
 
-# What a run is made of takes five times as much. The columns of recordings take up to three bytes a
-# byte, and those of a robot that stands still 25: one that does for hours fits into few bytes. No
-# more fits: with as many poses as are allowed, `explain` and `replay --plant` take 240 MB.
+# A run takes five times as much memory as its columns. Columns of recordings take up to three bytes
+# per byte of the file, those of a robot at rest 25: hours of rest fit into few bytes. The limit
+# must not be higher: with the largest number of poses, `explain` and `replay --plant` take 240 MB.
 _COLUMNS: Final = 40_000_000
-_COLUMNS_SHARE: Final = 16  # of what is beyond
+_COLUMNS_SHARE: Final = 16  # of the size beyond
 
 _LARGER_CHUNKS: Final = "mcap filter FILE -o NEW.mcap writes larger ones"
 
-_CHANNEL: Final = 500  # bytes in memory beside its letters
-_ENTRY: Final = 200  # the same of an entry of its table
+_CHANNEL: Final = 500  # bytes in memory, without the letters of its name
+_ENTRY: Final = 200  # bytes in memory of an entry of its table, without its letters
 
 
 class Allowance:
@@ -115,10 +115,10 @@ class Allowance:
         """Subtract a number of a kind from the limit.
 
         Raises:
-            LogError: If there are more values than a file of this size may contain. The line says
-                what is wrong and, for columns, which option leaves some out.
+            LogError: If there are more values than a file of this size may contain. The line
+                contains the error and, for columns, the option that leaves some out.
         """
-        with self._spending:  # threads unpack messages at once
+        with self._spending:  # several threads unpack messages at once
             self._left[kind] = left = self._left[kind] - count
         if left < 0:
             raise LogError(self._describe_most(kind))

@@ -1,4 +1,4 @@
-"""The text of a `ros2msg` schema -> the fields of a type, and its layout if it has a fixed size."""
+"""Parsing of `ros2msg` schemas: the fields of a type, and its layout if its size is fixed."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -14,21 +14,21 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.parsing import HEADING_FIELDS
 
 TEXT: Final = "text"
-"""Kind of a string; every other kind is a type code of numpy, or the fields of a message."""
+"""Kind of a text; every other kind is a type code of numpy, or the fields of a nested message."""
 
-_MOST_FIELDS: Final = 10_000  # types nested in types multiply; none that people use comes near
+_MOST_FIELDS: Final = 10_000  # nested types multiply fields; common types have far fewer
 _DEEPEST: Final = 64
 
 LONGEST_TEXT: Final = 2**20
-"""Bytes of a definition with all its types that is read; the longest known take a tenth."""
+"""Largest size of a definition with all its types [bytes]; the longest known has a tenth."""
 
 MOST_KEPT_FIELDS: Final = 200
-"""Fields of a type that is kept for the next file, about 1 kB each; messages of ROS have fewer."""
+"""Largest number of fields of a cached type, about 1 kB each; ROS messages have fewer."""
 
 LONGEST_KEPT: Final = 2**14
-"""Letters of its definition, up to 4 bytes each; a point cloud's takes some 6,000."""
+"""Largest length of a cached definition [letters of up to 4 bytes]; a point cloud's has 6,000."""
 
-_MOST_KEPT: Final = 128  # types; so what is kept stays below 40 MB, whatever files hold
+_MOST_KEPT: Final = 128  # types; the cache stays below 40 MB, whatever the files contain
 
 _KINDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -75,18 +75,17 @@ MESSAGE: Final = np.dtype(
         *(("#encapsulation", "<u2"), ("#options", "<u2")),
     ]
 )
-"""What stands before the fields of a CDR message, from the record's opcode on.
+"""The bytes before the fields of a CDR message, from the record's opcode on.
 
-A field of ROS cannot start with #.
-"""
+The names begin with #, which no ROS field does."""
 
 LITTLE_ENDIAN: Final = 0x0100
-"""Encapsulation of plain CDR, its two bytes read as a little-endian number."""
+"""Encapsulation of plain CDR: its first two bytes, read as a little-endian number."""
 
 BIG_ENDIAN: Final = 0x0000
 
 ENCAPSULATION: Final = 4
-"""Bytes before the fields that say which CDR it is; alignment counts from behind them."""
+"""Size of the encapsulation header [bytes]; alignment is counted from its end."""
 
 _LARGEST_RECORD: Final = 2**28  # bytes; a schema may claim arrays of any length
 
@@ -96,7 +95,7 @@ class Field:
     """One field of a message type.
 
     Attributes:
-        name: Without the names of the messages around it.
+        name: Name without those of the enclosing messages.
         kind: A type code of numpy without byte order, `TEXT`, or the fields of a nested message.
         length: Length of a fixed array; None for single values and sequences.
         is_sequence: Whether the field is a sequence of any length.
@@ -131,9 +130,9 @@ class MessageType:
 
     Attributes:
         fields: Fields of the type, nested fields within their messages.
-        layout: None where its messages differ in size.
+        layout: Layout of the type; None if its messages differ in size.
         size: Total size of the fields, counted in numbers, texts and sequences.
-        sequence: Dotted name of a sequence of texts or messages in it, None without one.
+        sequence: Dotted name of a sequence of texts or messages in the type; None if there is none.
     """
 
     fields: tuple[Field, ...]
@@ -147,10 +146,10 @@ _KEEPING: Final = Lock()
 
 
 def read_type(name: str, definition: str) -> MessageType:
-    """Return a message type; a usual one is parsed once in the life of the program.
+    """Return a message type; common types are parsed only once per process.
 
     Raises:
-        LogError: If the text is no `ros2msg`, or a nested type is missing or holds itself.
+        LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
     """
     known = _KEPT.get((name, definition))
     if known is None:
@@ -160,21 +159,22 @@ def read_type(name: str, definition: str) -> MessageType:
         )
         if known.size <= MOST_KEPT_FIELDS and len(definition) <= LONGEST_KEPT:
             with _KEEPING:
-                if len(_KEPT) == _MOST_KEPT:  # the oldest goes
+                if len(_KEPT) == _MOST_KEPT:  # the oldest type is removed
                     del _KEPT[next(iter(_KEPT))]
                 _KEPT[name, definition] = known
     return known
 
 
 def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
-    """Return the fields of the message type `name`, nested types resolved, and their total size.
+    """Return the fields of the message type `name`, including nested types, and their total size.
 
     Args:
         name: `package/msg/Type` or `package/Type`.
-        text: Definition of the type; those of nested types follow after lines of equals signs.
+        text: Definition of the type; definitions of nested types follow after lines of equals
+            signs.
 
     Raises:
-        LogError: If the text is no `ros2msg`, or a nested type is missing or holds itself.
+        LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
     """
     first, *others = _SEPARATOR.split(text.removesuffix("\n") + "\n")
     definitions = dict(_BUILTIN)
@@ -183,14 +183,14 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
         if heading is None:
             raise LogError(f"schema {name}: no MSG: and type after =====")
         definitions[shorten_type(heading[1])] = part[heading.end() :]
-    # The first definition may carry its own heading.
+    # The first definition may have a heading of its own.
     own = _HEADING.match(first)
     definitions[shorten_type(name)] = first[own.end() :] if own else first
     return _Resolver(definitions).resolve(shorten_type(name), ())
 
 
 class _Resolver:
-    """Puts nested types in, once each, and counts the total size of the fields."""
+    """Inserts nested types, reads each only once, and counts the total size of the fields."""
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions
@@ -234,7 +234,7 @@ class _Resolver:
 
 
 def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
-    """Yield the lines that define a field; constants and comments are passed over."""
+    """Yield the lines that define a field; constants and comments are skipped."""
     for line in text.splitlines():
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
@@ -247,7 +247,7 @@ def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
 
 
 def shorten_type(name: str, package: str = "") -> str:
-    """Return `package/Type` without what stands between or, as eProsima writes it, before them."""
+    """Return `package/Type` without names in between or, as eProsima writes them, before."""
     *before, last = name.split("/")
     if before and before[-1] in {"msg", "srv", "action"}:
         before.pop()
@@ -255,7 +255,7 @@ def shorten_type(name: str, package: str = "") -> str:
 
 
 def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
-    """Return the layout of a type; None if messages of it differ in size.
+    """Return the layout of a type; None if its messages differ in size.
 
     CDR aligns a number to its own size, and nothing else.
     """
@@ -273,7 +273,7 @@ def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
 
 
 def name_parts(field: Field) -> Iterator[str]:
-    """Yield the names that a nested message has in dotted names: one, or one per array element."""
+    """Yield the parts of dotted names for a nested message: one, or one per array element."""
     if field.length is None:
         yield field.name
     else:
@@ -281,7 +281,7 @@ def name_parts(field: Field) -> Iterator[str]:
 
 
 def fill_columns(columns: Mapping[str, Column], layout: Layout, rows: NDArray[np.void]) -> None:
-    """Write records as `MESSAGE` and fields into columns in the machine's byte order."""
+    """Write records with the fields of `MESSAGE` into columns in the machine's byte order."""
     little = rows.view(layout.little)
     for name, column in columns.items():
         column[...] = little[name]
@@ -314,7 +314,7 @@ def _find_sequence(fields: tuple[Field, ...]) -> str | None:
 def _place(
     fields: tuple[Field, ...], prefix: str, end: int, places: list[tuple[str, str, int | None, int]]
 ) -> int:
-    """Append name, kind, array length and offset of every number; return where they end."""
+    """Append name, kind, array length and offset of every number; return the end of the last."""
     for field in fields:
         if isinstance(field.kind, str):
             size = np.dtype(field.kind).itemsize

@@ -1,4 +1,4 @@
-"""A file -> what reads it, told by its first bytes: MCAP or SQLite, plain or compressed."""
+"""Opening of files by their first bytes: MCAP or SQLite, plain or compressed."""
 
 import io
 import shutil
@@ -24,24 +24,24 @@ from turtlelog.log.error_boundary import DamageError, name_file, open_file
 ROS1_MAGIC: Final = b"#ROSBAG V"
 
 BAG_SUFFIXES: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-"""How the names of rosbag2's files end."""
+"""Suffixes of rosbag2's files."""
 
 _LONGEST_MAGIC: Final = 16
-_STEP: Final = 2**9  # bytes unpacked at a time: up to 16 MiB come of them
+_STEP: Final = 2**9  # bytes unpacked at a time; the result may have up to 16 MiB
 
 
 class NoMcapError(LogError):
-    """A file that is sound as far as can be told, and in SQLite."""
+    """Error of a SQLite file that shows no damage where MCAP is required."""
 
 
 @contextmanager
 def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
-    """Open a file to read: a stream of MCAP, of whatever is in it, or a bag in SQLite.
+    """Open a file for reading: an MCAP stream (content unchecked) or a SQLite bag.
 
-    One that is compressed as a whole is unpacked in a temporary folder.
+    A file that is compressed as a whole is unpacked into a temporary folder.
 
     Raises:
-        LogError: One line with the file, also for all that goes wrong while it is open.
+        LogError: One line with the file, also for errors while it is open.
     """
     path = make_path(path)
     with name_file(path, expected=_describe_expected(path)), _open_content(path) as (stream, place):
@@ -57,7 +57,7 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
 
 @contextmanager
 def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a file that must not be SQLite; what goes wrong does not name it yet."""
+    """Open a file that must not be SQLite; errors do not name the file yet."""
     with _open_content(make_path(path)) as (stream, _):
         if _read_head(stream) == SQLITE_MAGIC:
             raise NoMcapError("expected an MCAP file, found a bag in SQLite")
@@ -67,19 +67,19 @@ def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def open_source(path: str | Path) -> Iterator[Source | SqliteSource]:
-    """Open a file of messages, as `open_storage` does, to read by topic."""
+    """Open a file of messages, as `open_storage` does, for reading by topic."""
     with open_storage(path) as opened:
         yield opened if isinstance(opened, SqliteSource) else Source(opened)
 
 
 def strip_suffixes(path: Path) -> str:
-    """Return the name of a file without what says its kind."""
+    """Return the name of a file without the suffixes that show its kind."""
     suffix = next((known for known in BAG_SUFFIXES if path.name.lower().endswith(known)), None)
     return path.name[: -len(suffix)] if suffix and len(suffix) < len(path.name) else path.stem
 
 
 class _Unpacked(io.BufferedReader):
-    """A file that was unpacked.
+    """A file after unpacking.
 
     Attributes:
         stored_size: Packed size [bytes], which sets the limits.
@@ -109,10 +109,10 @@ class Damaged:
 
 @contextmanager
 def open_damaged(path: Path) -> Iterator[Damaged]:
-    """Open a file to recover; what goes wrong does not name it yet.
+    """Open a file for recovery; errors do not name the file yet.
 
     Raises:
-        LogError: If nothing of it can be read.
+        LogError: If nothing in the file can be read.
     """
     faults: list[str] = []
     with ExitStack() as closing:
@@ -127,7 +127,7 @@ def open_damaged(path: Path) -> Iterator[Damaged]:
 
 @contextmanager
 def open_place(found: Damaged) -> Iterator[BinaryIO]:
-    """Open a file to recover once more, where it is unpacked."""
+    """Open a file for recovery once more, at the path where it is unpacked."""
     is_remote = isinstance(found.place, RemotePath)
     place = found.place
     with open_file(place) if is_remote else _Unpacked(place, found.stored_size) as stream:
@@ -136,19 +136,19 @@ def open_place(found: Damaged) -> Iterator[BinaryIO]:
 
 @contextmanager
 def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple[BinaryIO, Path]]:
-    """Open a file, unpacked if it is compressed as a whole; with the place of what is open.
+    """Open a file, unpacked if it is compressed as a whole; yield the stream and its path.
 
     Args:
-        path: The file.
-        faults: Takes what is wrong with the compression, instead of raising it.
+        path: Path of the file.
+        faults: List that receives errors of the compression, which are then not raised.
 
     Raises:
-        LogError: If it cannot be unpacked, is of ROS 1, or is named as SQLite and empty.
+        LogError: If the file cannot be unpacked, is a ROS 1 bag, or is empty and named as SQLite.
     """
     with ExitStack() as closing:
         stream, place = closing.enter_context(open_file(path)), path
         head = _read_head(stream)
-        if isinstance(path, RemotePath) and head == SQLITE_MAGIC:  # SQLite opens files only
+        if isinstance(path, RemotePath) and head == SQLITE_MAGIC:  # SQLite opens only local files
             path.file.require_copy()
             folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
             place = Path(folder) / "fetched"
@@ -178,13 +178,13 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
 
 
 _COPIES: Final[dict[object, Path]] = {}
-"""Bags of ROS 1 as MCAP files, by what tells them; a command opens a file several times."""
+"""MCAP copies of ROS 1 bags, by the identity of the bag; a command opens a file several times."""
 
 _MOST_COPIES: Final = 4
 
 
 def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
-    """Return where the messages of a bag of ROS 1 stand as an MCAP file, until the program ends."""
+    """Return the path of a ROS 1 bag's messages as an MCAP file, which exists until the exit."""
     from multiprocessing.util import Finalize  # few files need these
 
     from turtlelog.log.ros1_bag import copy_ros1_bag
@@ -194,7 +194,7 @@ def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
     if key in _COPIES:
         return _COPIES[key]
     folder = Path(tempfile.mkdtemp(prefix="turtlelog-"))
-    # At the end of processes that share work, too, which atexit does not see.
+    # Also at the end of worker processes, which atexit does not notice.
     Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
     copy_ros1_bag(stream, folder / "copied.mcap", stored_size)
     if len(_COPIES) == _MOST_COPIES:
@@ -210,7 +210,7 @@ def _describe_expected(path: Path) -> str:
 
 
 def _require_start(path: Path, stream: BinaryIO) -> None:
-    """Refuse a file that is named as a bag in SQLite and holds something else."""
+    """Refuse a file that has the suffix of a SQLite bag but another content."""
     head = _read_head(stream)
     if ".db3" not in path.suffixes or find_wrong_start(head) is None:
         return
@@ -224,10 +224,10 @@ def _read_head(stream: BinaryIO) -> bytes:
 
 
 def _unpack_file(stream: BinaryIO, place: Path) -> None:
-    """Unpack a file; what it says of its size is not trusted.
+    """Unpack a file; the size that it claims is not trusted.
 
     Raises:
-        LogError: If it is damaged or cut, or far larger than its size lets expect.
+        LogError: If the file is damaged, truncated, or far larger than its packed size suggests.
     """
     size = stream.seek(0, 2)
     stream.seek(0)
@@ -237,7 +237,7 @@ def _unpack_file(stream: BinaryIO, place: Path) -> None:
     with place.open("wb") as output:
         while packed := stream.read(_STEP):
             while packed:
-                if unpacker.eof:  # one frame after the other, as parallel compressors write
+                if unpacker.eof:  # one frame after another, as parallel compressors write
                     allowance.spend(FRAMES)
                     unpacker = zstandard.ZstdDecompressor().decompressobj()
                 try:

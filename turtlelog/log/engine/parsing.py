@@ -31,14 +31,14 @@ from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")
 
-_LONGEST_KEPT: Final = 2**13  # bytes of a schema or a channel that is kept for the next file
-_MOST_KEPT: Final = 256  # of each; with what is read of them they stay below 8 MB
+_LONGEST_KEPT: Final = 2**13  # bytes of a schema or channel that is kept for the next file
+_MOST_KEPT: Final = 256  # schemas, and channels; with their parsed types they stay below 8 MB
 
 _ID: Final = struct.Struct("<H")
-_IDS: Final = struct.Struct("<HH")  # of a channel, and of its schema
+_IDS: Final = struct.Struct("<HH")  # id of a channel, and of its schema
 _LENGTH: Final = struct.Struct("<I")
 
-_MOST_ENTRIES: Final = 4096  # of a channel's table; writers use up to five
+_MOST_ENTRIES: Final = 4096  # entries of a channel's table; writers use up to five
 
 _RARE: Final[dict[int, Any]] = {
     Opcode.HEADER: Header,
@@ -56,31 +56,32 @@ HEADING_FIELDS: Final = (
     *(("log_time", "<u8"), ("publish_time", "<u8")),
 )
 HEADING: Final = np.dtype([*HEADING_FIELDS])
-"""The front of a message record."""
+"""The fields at the front of a message record."""
 
 MESSAGE_HEAD: Final = HEADING.itemsize
 """Bytes of a message record before its data."""
 
 COUNTED_HEAD: Final = MESSAGE_HEAD - RECORD.size
-"""Those of them that the record's length counts."""
+"""Bytes before the data that the record's length includes."""
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _KNOWN: Final = frozenset(
     {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}
 )
 OF_CHUNKS: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
-"""What a chunk may carry beside messages; all else in it is passed over."""
+"""Kinds of records in a chunk besides messages; all others are skipped."""
 
-_ROWS: Final = 2**16  # messages looked at together
-_BYTES: Final = 2**24  # from the first to the last of them
+_ROWS: Final = 2**16  # messages processed together
+_BYTES: Final = 2**24  # bytes from the first to the last of these messages
 
 Places = NDArray[np.int64]
 
 
 class Place(NamedTuple):
-    """A record in a buffer or file: its opcode, where its body starts, and its length [bytes].
+    """A record in a buffer or file: its opcode, the start of its body, and its length [bytes].
 
-    A tuple, because there may be some hundred thousand: a frozen dataclass takes thrice as long.
+    A named tuple, because a file may have some hundred thousand: a frozen dataclass takes three
+    times as long.
     """
 
     opcode: int
@@ -89,12 +90,12 @@ class Place(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The byte behind it."""
+        """The offset of the next byte."""
         return self.start + self.length
 
 
 class _ExactStream(ReadDataStream):
-    """Bytes of which more than there are cannot be read: the library would take fewer."""
+    """A stream that raises an error if too few bytes remain; the library's returns fewer bytes."""
 
     def __init__(self, body: bytes) -> None:
         super().__init__(BytesIO())
@@ -118,7 +119,7 @@ def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) ->
         byte: Offset in the file of the records or of their chunk, for error messages.
 
     Raises:
-        DamageError: If one goes over the end.
+        DamageError: If a record extends beyond `end`.
     """
     while start < end:
         if start + RECORD.size > end:
@@ -136,15 +137,15 @@ def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) ->
 
 
 def take_whole(data: bytes, place: Place) -> bytes:
-    """Return the bytes of a record, opcode and length included."""
+    """Return the bytes of a record, including opcode and length."""
     return data[place.start - RECORD.size : place.end]
 
 
 def parse_record(place: Place, body: bytes, byte: int) -> Any:
-    """Return a record of a rare kind from its bytes, checksums checked; None for another kind.
+    """Return a record of a rare kind from its bytes after checking checksums; None for other kinds.
 
     Raises:
-        DamageError: If the bytes are no such record; `byte` is its offset in the file.
+        DamageError: If the bytes are not a valid record; `byte` is its offset in the file.
     """
     kind = _RARE.get(place.opcode)
     if kind is None:
@@ -154,16 +155,16 @@ def parse_record(place: Place, body: bytes, byte: int) -> Any:
     except LogError as err:
         raise DamageError(f"byte {byte}: {err}") from err
     if kind is Attachment:
-        # Some writers leave bytes behind the checksum, so it is not just the last four.
+        # Some writers leave bytes after the checksum, so it is not always the last four bytes.
         _check_attachment(body[:size], byte)
     return record
 
 
 def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
-    """Return a record and how many bytes it takes; bytes that a later version appended follow.
+    """Return a record and its size [bytes]; bytes that a later version appended may follow.
 
     Raises:
-        LogError: One clause, if there are fewer than it claims.
+        LogError: If there are fewer bytes than the record claims; one clause.
     """
     try:
         if kind in _FREQUENT:
@@ -171,14 +172,14 @@ def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
             return parsed
         stream = _ExactStream(body)
         record: Rare = kind.read(stream)  # type: ignore[attr-defined]
-    except Exception as err:  # the library raises nearly everything
+    except Exception as err:  # the library raises many kinds of errors
         found = describe_error(err)
         raise LogError(f"expected a sound {kind.__name__} record, found {found}") from err
     return record, stream.count
 
 
 def _recall(read: Callable[[bytes], tuple[Rare, int]]) -> Callable[[bytes], tuple[Rare, int]]:
-    """Return what reads short records once in the life of the program: files repeat them."""
+    """Return a reader that caches short records for the whole process: files repeat them."""
     keep = lru_cache(maxsize=_MOST_KEPT)(read)
     return lambda body: keep(body) if len(body) <= _LONGEST_KEPT else read(body)
 
@@ -236,7 +237,7 @@ def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
     return body[start:end], end
 
 
-# A file may repeat some ten thousand of these in every chunk: the library takes thrice as long.
+# A file may repeat ten thousand of these in every chunk: the library takes three times as long.
 _FREQUENT: Final[dict[Any, Any]] = {
     Schema: _recall(_read_schema),
     Channel: _recall(_read_channel),
@@ -265,8 +266,8 @@ class RecordStretch:
     Attributes:
         data: Bytes of the records.
         starts: Start of each message record, shape (n,), increasing, 4 bytes each.
-        others: The other records that carry something, in their order: place, opcode, end.
-        fault: One clause, where a length makes no sense; everything before it has come.
+        others: Other records with content, in order: place, opcode, end.
+        fault: Error of the first invalid length, as one clause; all records before it are included.
         records: Number of records of any kind.
     """
 
@@ -277,7 +278,7 @@ class RecordStretch:
     records: int
 
     def iterate_rows(self, rows: slice = slice(None)) -> Iterator[tuple[Places, NDArray[Any]]]:
-        """Yield where some thousand messages start, and their `HEADING`."""
+        """Yield the starts of messages, some thousand at a time, with their `HEADING` fields."""
         chosen, first = self.starts[rows], 0
         while first < len(chosen):
             starts = chosen[first : first + _ROWS].astype(np.int64)
@@ -287,11 +288,11 @@ class RecordStretch:
 
 
 def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStretch:
-    """Return the offsets of the messages in bytes, with or without a checksum.
+    """Return the offsets of the messages in bytes; no checksum is needed.
 
     Args:
-        data: The bytes.
-        is_chunk: Whether they are a chunk's, which carries messages, schemas and channels only.
+        data: Bytes of the records.
+        is_chunk: Whether the records are those of a chunk: only messages, schemas and channels.
         most_records: Largest number of records; the rest is ignored.
     """
     starts, others = array("I"), list[tuple[int, int, int]]()
@@ -330,7 +331,7 @@ def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStret
 
 
 def _check_others(count: int, opcode: int, length: int) -> str | None:
-    """Return why a chunk may not hold one more schema or channel."""
+    """Return the reason why a chunk may not contain one more schema or channel; None if it may."""
     if count == MOST_DESCRIBED:
         return f"expected up to {MOST_DESCRIBED} schemas and channels, found more"
     if length > LONGEST_DESCRIBED:
@@ -347,13 +348,13 @@ def _describe_fault(opcode: int, left: int, length: int) -> str:
 
 
 def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) -> NDArray[Any]:
-    """Return `size` bytes from each of the places in `data`, as an array of V-size rows.
+    """Return `size` bytes from each place in `data`, as an array of V-size rows.
 
-    The view lets every byte start a row; indexed with the places it costs a sixth of a copy field
-    by field.
+    A view makes a row start at every byte. Indexing it with the places takes a sixth of the time of
+    copying field by field.
 
     Raises:
-        LogError: If a place is not followed by so many bytes.
+        LogError: If fewer than `size` bytes follow a place.
     """
     if not len(starts):
         return np.empty(0, f"V{size}")
@@ -364,7 +365,7 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
 
 
 def gather_heads(data: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
-    """Return the `HEADING` of the messages that start at some places.
+    """Return the `HEADING` fields of the messages that start at given places.
 
     Raises:
         LogError: As for `gather_bytes`.

@@ -1,9 +1,9 @@
-"""Messages in protobuf -> the objects that JSON has, by the descriptors that the file holds.
+"""Decoding of protobuf messages into objects like those of JSON, with the file's descriptors.
 
-An MCAP file defines a type of protobuf by a FileDescriptorSet, which is a message of protobuf
-itself (protobuf.dev/programming-guides/encoding, descriptor.proto). What is needed of both is read
-here, within bounds, and no library has to be installed. A stamp has the names that Foxglove's JSON
-has for it, `sec` and `nsec`.
+An MCAP file defines a protobuf type by a FileDescriptorSet, which is a protobuf message itself
+(protobuf.dev/programming-guides/encoding, descriptor.proto). The necessary parts of both are read
+here, within limits and without a library. A stamp has the names of Foxglove's JSON: `sec` and
+`nsec`.
 """
 
 import struct
@@ -17,7 +17,7 @@ from turtlelog.log.engine.json_messages import LONGEST_MESSAGE, JsonField, JsonK
 from turtlelog.log.engine.message_types import LONGEST_TEXT
 
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
-"""Wire types; groups, which proto3 does not have, are refused."""
+"""Wire types; groups are refused, because proto3 does not have them."""
 
 _LONGEST_VARINT: Final = 10
 _DEEPEST: Final = 64
@@ -36,7 +36,7 @@ _NUMBERS: Final[Mapping[int, tuple[int, str]]] = MappingProxyType(
         16: (_EIGHT, "<q"),
     }
 )
-"""Wire type and `struct` code of the types of fixed size, by their number in descriptor.proto."""
+"""Wire type and `struct` code of types of fixed size, by their number in descriptor.proto."""
 
 _KINDS: Final[Mapping[int, JsonKind]] = MappingProxyType(
     {
@@ -47,12 +47,12 @@ _KINDS: Final[Mapping[int, JsonKind]] = MappingProxyType(
         9: "string",
     }
 )
-"""What a field of a type is, by the number of the type; bytes and groups are none of these."""
+"""Kind of a field by the number of its type; bytes and groups have none."""
 
 _ZEROS: Final[Mapping[JsonKind, Any]] = MappingProxyType(
     {"number": 0.0, "integer": 0, "boolean": False, "string": ""}
 )
-"""A number that was not written is 0, a text empty; a message that was not is absent."""
+"""Values of fields that were not written: numbers 0, texts empty; missing messages stay absent."""
 
 _STAMPS: Final = frozenset({".google.protobuf.Timestamp", ".google.protobuf.Duration"})
 _STAMP_NAMES: Final = MappingProxyType({"seconds": "sec", "nanos": "nsec"})
@@ -63,10 +63,10 @@ class ProtobufField:
     """One field of a type.
 
     Attributes:
-        name: In the file's definition, a stamp's as in JSON.
+        name: Name in the file's definition; fields of a stamp are named as in JSON.
         kind: Number of its type in descriptor.proto.
-        of: The type of a message; None of anything else.
-        is_repeated: Whether there may be many.
+        of: Type of a nested message; None for other kinds.
+        is_repeated: Whether the field may have several values.
     """
 
     name: str
@@ -77,7 +77,7 @@ class ProtobufField:
 
 @dataclass(slots=True, kw_only=True)
 class ProtobufType:
-    """A type of messages: its fields by number. One that may hold itself is left out.
+    """A message type; fields whose type may contain itself are left out.
 
     Attributes:
         fields: Fields by number.
@@ -91,7 +91,7 @@ class ProtobufType:
         """Return a message as an object.
 
         Raises:
-            LogError: If it is no message of the type.
+            LogError: If the bytes are not a message of this type.
         """
         if len(data) > LONGEST_MESSAGE:
             most = LONGEST_MESSAGE
@@ -111,19 +111,19 @@ class ProtobufType:
                 _require_wire(known.name, wire, _BYTES)
                 part: Any = known.of._decode(value)
             elif known.is_repeated or known.kind not in _KINDS:
-                continue  # lists and bytes are nothing of a run
+                continue  # a run needs no lists and no bytes
             else:
                 part = _read_scalar(known, wire, value)
             if known.is_repeated:
                 found.setdefault(known.name, []).append(part)
             elif isinstance(part, dict) and isinstance(found.get(known.name), dict):
-                found[known.name] = {**found[known.name], **part}  # in two parts it is one
+                found[known.name] = {**found[known.name], **part}  # two parts are one message
             else:
                 found[known.name] = part
         return found
 
     def list_fields(self, path: tuple[str, ...] = ()) -> Iterator[JsonField]:
-        """Yield the fields of messages, those of messages within them too."""
+        """Yield the fields of messages, including those of nested messages."""
         for one in self.fields.values():
             inner = (*path, one.name)
             if one.is_repeated or (one.of is None and one.kind not in _KINDS):
@@ -135,10 +135,10 @@ class ProtobufType:
 
 
 def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
-    """Return a type by the FileDescriptorSet that defines it.
+    """Return a type from the FileDescriptorSet that defines it.
 
     Raises:
-        LogError: If it is no such set, or does not define the type.
+        LogError: If the data are not such a set, or do not define the type.
     """
     if len(data) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
@@ -161,7 +161,7 @@ def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
 def _describe(
     described: dict[str, list[Mapping[int, list[Any]]]], prefix: str, message: Any, depth: int
 ) -> None:
-    """Note the fields of a message and of those that are defined in it."""
+    """Collect the fields of a message type and of the types that it defines."""
     if depth > _DEEPEST:
         raise LogError("expected types within types that end, found more")
     parts = _collect(message)
@@ -172,7 +172,7 @@ def _describe(
 
 
 class _Builder:
-    """Puts types together, and counts their fields: types within types multiply."""
+    """Builder of types that counts their fields: nested types multiply them."""
 
     def __init__(self, described: Mapping[str, Sequence[Mapping[int, list[Any]]]]) -> None:
         self._described, self._left = described, _MOST_FIELDS
@@ -186,7 +186,7 @@ class _Builder:
             number, kind = _read_number(parts, 3), _read_number(parts, 5)
             own, of = _read_text(parts, 1), _read_text(parts, 6)
             is_repeated = _read_number(parts, 4) == _REPEATED
-            # A list of messages is not looked into: a run has none.
+            # Lists of messages are not decoded: a run has none.
             is_inner = kind == _MESSAGE and not is_repeated
             if is_inner and (of in inside or of == name or len(inside) > _DEEPEST):
                 continue
@@ -200,7 +200,7 @@ class _Builder:
             found.fields[number] = one
             if one.is_repeated:
                 continue
-            if one.of is not None and of in _STAMPS:  # 1970 is written as nothing
+            if one.of is not None and of in _STAMPS:  # the year 1970 is not written
                 found.zeros[one.name] = dict(one.of.zeros)
             elif one.of is None and one.kind in _KINDS:
                 found.zeros[one.name] = _ZEROS[_KINDS[one.kind]]
@@ -228,10 +228,10 @@ def _read_number(parts: Mapping[int, list[Any]], number: int) -> int:
 
 
 def iterate_fields(data: bytes) -> Iterator[tuple[int, int, Any]]:
-    """Yield number, wire type and value of each field of a message: a number, or its bytes.
+    """Yield number, wire type and value of each field of a message; the value is a number or bytes.
 
     Raises:
-        LogError: If the bytes are no message.
+        LogError: If the bytes are not a message.
     """
     place, end = 0, len(data)
     while place < end:
@@ -282,7 +282,7 @@ def _read_scalar(known: ProtobufField, wire: int, value: Any) -> Any:
     _require_wire(known.name, wire, _VARINT)
     if kind == 8:
         return bool(value)
-    if kind in {17, 18}:  # zigzag: small numbers below 0 are short
+    if kind in {17, 18}:  # zigzag: numbers slightly below 0 are short
         return (value >> 1) ^ -(value & 1)
     if kind in {3, 5, 14} and value >= 2**63:
         return value - 2**64

@@ -1,7 +1,7 @@
-"""Messages as ROS 1 writes them -> the same in CDR: aligned, and texts with a zero at their end.
+"""Conversion of ROS 1 messages to CDR, with alignment and zero-terminated texts.
 
-ROS 1 (wiki.ros.org/msg) writes numbers little-endian one after the other, a text or a sequence
-behind its length. CDR aligns each number to its own size and counts the zero behind a text.
+ROS 1 (wiki.ros.org/msg) writes little-endian numbers one after another, and the length before a
+text or a sequence. CDR aligns each number to its own size and counts the zero after a text.
 """
 
 import struct
@@ -26,24 +26,24 @@ from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_head
 _ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 _LENGTH: Final = struct.Struct("<I")
 _HEADER: Final = f"{'=' * 80}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-"""Of ROS 1, which counts messages in their headers; it always stands in the definitions."""
+"""Header of ROS 1, which counts messages; always part of the definitions."""
 
 _RENAMED: Final = {"tf/tfMessage": "tf2_msgs/TFMessage"}
-"""Types that ROS 2 has under another name."""
+"""Types that have another name in ROS 2."""
 
 Places = NDArray[np.int64]
 _Step = Callable[["_Message"], None]
 
 
 def name_as_ros2(kind: str) -> str:
-    """Return a type as ROS 2 calls it: `nav_msgs/Odometry` is `nav_msgs/msg/Odometry` there."""
+    """Return the ROS 2 name of a type: `nav_msgs/Odometry` becomes `nav_msgs/msg/Odometry`."""
     known = _RENAMED.get(kind, kind)
     package, slash, name = known.partition("/")
     return f"{package}/msg/{name}" if slash and "/" not in name else known
 
 
 def read_ros1_type(name: str, text: str) -> MessageType:
-    """Return a type by its definition in `ros1msg`.
+    """Return a type from its definition in `ros1msg`.
 
     Raises:
         LogError: As for `read_type`, and if there is no text.
@@ -55,7 +55,7 @@ def read_ros1_type(name: str, text: str) -> MessageType:
 
 
 def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tuple[bytes, Places]:
-    """Return messages of ROS 1 as records of CDR messages.
+    """Return ROS 1 messages as records of CDR messages.
 
     Args:
         fields: Fields of the message type.
@@ -63,7 +63,7 @@ def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tupl
         starts: Start of each record.
 
     Raises:
-        LogError: If one is not of that type.
+        LogError: If a message does not have this type.
     """
     heads = gather_heads(data, starts)
     ends = starts + RECORD.size + heads["length"].astype(np.int64)
@@ -89,7 +89,7 @@ def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tupl
 
 
 class _Message:
-    """A message while it is rewritten.
+    """A message that is being converted.
 
     Attributes:
         data: Message in the ROS 1 format.
@@ -122,12 +122,12 @@ class _Message:
         return count
 
     def align(self, size: int) -> None:
-        """Fill up to a multiple of a size."""
+        """Pad the body to a multiple of a size [bytes]."""
         self.body += bytes(-len(self.body) % size)
 
 
 def _plan(fields: tuple[Field, ...]) -> tuple[_Step, ...]:
-    """Return the steps that rewrite a message; numbers of one size in a row are one step."""
+    """Return the steps that convert a message; consecutive numbers of one size form one step."""
     runs: list[tuple[int, int] | _Step] = []
     _append_steps(runs, fields)
     return tuple(_copy(*run) if isinstance(run, tuple) else run for run in runs)

@@ -1,4 +1,4 @@
-"""Reading of requested messages piece by piece, by the index or record by record."""
+"""Reading of requested messages piece by piece, with the index or record by record."""
 
 import os
 from collections import Counter, deque
@@ -54,19 +54,19 @@ T = TypeVar("T")
 _Job = tuple[ChunkEntry, bytes, Mapping[str, int]]
 
 _THREADS: Final = min(os.cpu_count() or 1, 4)
-_AHEAD: Final = 2**25  # bytes of chunks that are unpacked before they are asked for
+_AHEAD: Final = 2**25  # bytes of chunks that are unpacked before they are needed
 
 EVER: Final = 2**64
 """A log time after all others [ns]."""
 
 
 class Source:
-    """An open file, its ends and its summary checked.
+    """An open MCAP file with checked ends and summary.
 
     Attributes:
         catalogue: Channels and schemas; without an index it fills as blocks are read.
         is_indexed: Whether the summary indexes the complete file.
-        statistics: None where there are none.
+        statistics: Statistics record; None if the file has none.
         ends: Offsets of its parts.
         allowance: Remaining limits of the file.
         size: Size of the file [bytes].
@@ -85,14 +85,14 @@ class Source:
         self._lone, self._summary = lone or (), summary
 
     def read_lone(self, opcodes: Collection[int]) -> Iterator[Any]:
-        """Yield the records of some rare kinds outside chunks; none where there is no index."""
+        """Yield the records of some rare kinds outside chunks; none if the file has no index."""
         named = self._summary.named if self.is_indexed else {}
         named = {byte: of for byte, of in named.items() if of[0] in opcodes}
         for place in self._lone:
             if place.opcode not in opcodes:
                 continue
             record, byte = read_record(self._stream, place), place.start - RECORD.size
-            # Metadata has no checksum; the summary has, and it says what must be there.
+            # Metadata has no checksum; the summary has one, and shows which metadata must exist.
             found = place.opcode, getattr(record, "name", "")
             if named.pop(byte, found) != found:
                 raise DamageError(f"byte {byte}: expected what the summary names, found {found[1]}")
@@ -102,16 +102,16 @@ class Source:
 
     @property
     def summary_start(self) -> int:
-        """Byte at which the summary starts."""
+        """The offset of the summary [bytes]."""
         return self.ends.summary_start
 
     @property
     def index_length(self) -> int:
-        """Bytes of all message indexes."""
+        """The total size of all message indexes [bytes]."""
         return sum(entry.index_length for entry in self._summary.chunks)
 
     def check_data(self) -> None:
-        """Check the checksum of the whole data section; costs a pass over the file."""
+        """Check the checksum of the whole data section; takes a pass over the file."""
         check_data(self._stream, self.ends)
 
     def map_blocks(
@@ -121,10 +121,11 @@ class Source:
         start_ns: int = 0,
         end_ns: int = EVER,
     ) -> Iterator[T]:
-        """Yield what `work` makes of each block, in the order of the file.
+        """Yield the result of `work` for each block, in file order.
 
-        With an index it runs on threads, over the chunks that hold one of the channels and overlap
-        the time; otherwise over everything; there the checksum of all data comes at the end.
+        With an index, threads process the chunks that contain one of the channels and overlap the
+        time interval. Without an index all blocks are processed, and the checksum of all data is
+        checked at the end.
         """
         if not self.is_indexed:
             yield from map(work, self._walk_blocks())
@@ -150,7 +151,7 @@ class Source:
             ((entry.start, entry.start + entry.length + entry.index_length) for entry in wanted),
         )
         jobs = self._read_chunks(wanted)
-        # Threads cost more to start than one chunk takes.
+        # Starting threads takes longer than reading one chunk.
         yield from map(build, jobs) if len(wanted) <= 1 else _map_ahead(build, jobs)
 
     def _walk_blocks(self) -> Iterator[Block]:
@@ -176,13 +177,13 @@ class Source:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """Some neighbouring messages.
+    """Some consecutive messages.
 
     Attributes:
         rows: Rows of requested topics.
-        size: Size of the bytes that were read.
+        size: Number of bytes read.
         counts: Number of messages by channel, requested or not.
-        rest: The other records among them, at the first piece of a block.
+        rest: Other records of the block; only in the first piece of a block.
     """
 
     rows: Mapping[str, Rows]
@@ -218,7 +219,7 @@ class Selection:
 
     @property
     def is_ever(self) -> bool:
-        """Whether no message is left out for its time."""
+        """Whether no message is left out because of its time."""
         return self.start_ns <= 0 and self.end_ns >= EVER
 
     def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
@@ -236,10 +237,10 @@ class Selection:
         return plans
 
     def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
-        """Return the plan of a topic, None if it is not requested.
+        """Return the plan of a topic; None if it is not requested.
 
         Raises:
-            LogError: If it is requested by name and cannot be decoded.
+            LogError: If the topic is requested by name and cannot be decoded.
         """
         if self.topics is not None and topic not in self.topics:
             return None
@@ -256,7 +257,7 @@ class Selection:
         return None if plan.reason else plan
 
     def require_topics(self, catalogue: Catalogue) -> None:
-        """Check that every topic requested by name exists, or else that any topic can be read.
+        """Check that every topic requested by name exists, or that any topic can be decoded.
 
         Raises:
             LogError: If a topic is missing, or no topic of the file can be decoded.
@@ -276,7 +277,7 @@ def iterate_pieces(
     most_rows: int | None = None,
     wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
 ) -> Iterator[Piece]:
-    """Yield the requested messages in file order, up to a number per topic at once.
+    """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
 
     Messages of topics in `wholes` are stored there instead of in pieces while there is room.
 
@@ -309,9 +310,9 @@ def iterate_pieces(
 
 
 def count_rows(source: Source | SqliteSource, selection: Selection) -> Mapping[str, int]:
-    """Return how many rows of each topic the statistics promise, none where they do not tell.
+    """Return the number of rows of each topic from the statistics; empty without statistics.
 
-    No more than the message indexes, where there are some, have room for.
+    The numbers are limited to the space in the message indexes, if there are any.
     """
     if source.statistics is None or not selection.is_ever:
         return {}
@@ -361,11 +362,11 @@ def read_piece(
 
 
 _LISTS: Final = 2
-"""Messages within messages take ten times their bytes, columns five times what they are."""
+"""Memory factor for lists: nested messages take ten times their bytes, columns five times."""
 
 
 def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
-    """Return about what messages take as columns [bytes]."""
+    """Return the approximate memory of messages as columns [bytes]."""
     size = len(starts) * plan.row_size
     if plan.layout is None:
         share = 1 if plan.sequence is None else _LISTS
@@ -374,11 +375,11 @@ def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
 
 
 def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
-    """Yield results in order, computed on threads a bounded number of bytes ahead."""
-    from concurrent.futures import ThreadPoolExecutor  # 8 ms that a file of one chunk spares
+    """Yield results in order; threads compute them ahead, up to a limited number of bytes."""
+    from concurrent.futures import ThreadPoolExecutor  # 8 ms that a file with one chunk saves
 
     waiting: deque[tuple[int, Future[T]]] = deque()
-    ahead = 0  # bytes
+    ahead = 0  # bytes computed ahead
     with ThreadPoolExecutor(_THREADS) as pool:
         try:
             for job in jobs:
@@ -403,7 +404,7 @@ def _merge(offsets: list[Offsets]) -> Offsets:
 def _split(
     offsets: Mapping[int, Offsets], most_rows: int | None
 ) -> Sequence[Mapping[int, Offsets]]:
-    """Return the messages of a block in stretches of up to so many of a channel."""
+    """Return the messages of a block in segments of at most `most_rows` messages per channel."""
     if most_rows is None or max(map(len, offsets.values()), default=0) <= most_rows:
         return [offsets]
     borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
@@ -430,4 +431,4 @@ def _check_counts(
 
 
 _MOST_REASONS: Final = 3
-"""Topics that an error names with their reasons."""
+"""Largest number of topics that an error lists with their reasons."""

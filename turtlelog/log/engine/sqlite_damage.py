@@ -1,7 +1,7 @@
-"""A damaged bag in SQLite, row by row: what SQLite still gives, and where it gives nothing.
+"""Reading of a damaged SQLite bag row by row: the readable rows, and the gaps between them.
 
-A table is a tree of pages in order of the rows' numbers. Where a page is lost, so are the rows in
-it; those after it are found by the least number from which on SQLite answers again.
+A table is a tree of pages in order of row numbers. If a page is lost, its rows are lost too. The
+rows after it are found by searching the smallest row number that SQLite can read again.
 """
 
 import sqlite3
@@ -17,18 +17,18 @@ from turtlelog.log.engine.walk import Loss, Section
 
 _BATCH: Final = 4096  # rows
 _BATCH_BYTES: Final = 2**22
-_MOST_NAMED: Final = 10_000  # rows that are no messages, each with the reason
-_LEAST, _MOST = -(2**63), 2**63 - 1  # numbers of rows
+_MOST_NAMED: Final = 10_000  # invalid rows that are listed with their reasons
+_LEAST, _MOST = -(2**63), 2**63 - 1  # smallest and largest row number
 _BEFORE: Final = _LEAST - 1
-"""Stands for no row yet: the least number may be a row's, too."""
+"""Row number before the first row: the smallest number may belong to a row."""
 
 
 def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
-    """Yield the messages of a bag as sections of records, and what could not be read.
+    """Yield the messages of a bag as sections of records, and the unreadable parts.
 
     Args:
         source: The bag, opened as damaged.
-        path: The file, for its size.
+        path: Path of the file, for its size.
     """
     size, claimed, _ = measure_pages(path)
     yield from _group_rows(source, size)
@@ -38,7 +38,7 @@ def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
 
 
 def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
-    """Yield what is found in sections of some thousand rows."""
+    """Yield readable rows and losses in sections of some thousand rows."""
     rows, held = SqliteRows(), 0
     for found in _judge_rows(source):
         if isinstance(found, str):
@@ -54,7 +54,7 @@ def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
 
 
 def _judge_rows(source: SqliteSource) -> Iterator[Row | str]:
-    """Yield the rows that are messages; of others, and where there are none, why."""
+    """Yield the rows that are messages; for other rows and gaps yield the reason."""
     faults, left = 0, source.size
     for found in _walk_rows(source):
         if isinstance(found, str):
@@ -81,7 +81,7 @@ def _make_section(source: SqliteSource, rows: SqliteRows) -> Section:
 
 
 def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
-    """Yield the rows that SQLite still gives, each with its number; where it gives none, why."""
+    """Yield the rows that SQLite can read, with their numbers; for gaps yield the reason."""
     last: int | None = _BEFORE
     while last is not None:
         last, error = yield from _walk_sound(source, last)
@@ -92,7 +92,7 @@ def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
         except LogError as err:
             yield str(err)
             return
-        # The cursor steps ahead: the row that it was about to give may be sound.
+        # The cursor reads one row ahead: the row that it would return next may be valid.
         row = _read_row(source, last)
         if row:
             yield row
@@ -111,7 +111,7 @@ def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
 def _walk_sound(
     source: SqliteSource, last: int
 ) -> Generator[Row, None, tuple[int, sqlite3.Error | None]]:
-    """Yield rows behind one until something is wrong; return the last row's number, and what."""
+    """Yield rows after `last` up to an error; return the last row's number and the error."""
     try:
         for row in source.execute(_build_query(source), last + 1):
             if row[0] <= last:
@@ -132,7 +132,7 @@ def _build_query(source: SqliteSource) -> str:
 
 
 def _read_row(source: SqliteSource, after: int) -> Row | None:
-    """Return the first row behind another, () behind the last; None if it cannot be read."""
+    """Return the first row after another; () after the last row, None if it cannot be read."""
     if after == _MOST:
         return ()
     try:
@@ -143,14 +143,14 @@ def _read_row(source: SqliteSource, after: int) -> Row | None:
 
 
 def _find_next(source: SqliteSource, after: int) -> int | None:
-    """Return the number of the first row behind a gap that can be read; None without one."""
+    """Return the number of the first readable row after a gap; None if there is none."""
     lost = max(after, 0)
     step, found = 1, None
     while lost + step <= _MOST and (found := _read_row(source, lost + step)) is None:
         step *= 2
     if found is None:
         return None
-    least, most = step // 2, step  # the row after the one is lost, that after the other is not
+    least, most = step // 2, step  # the row after `least` is lost, the row after `most` is not
     while most - least > 1:
         middle = (least + most) // 2
         nearer = _read_row(source, lost + middle)

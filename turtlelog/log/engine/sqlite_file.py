@@ -1,4 +1,4 @@
-"""A SQLite file opened without a byte written beside it, and the tables of the bag in it."""
+"""Opening of SQLite files without writing beside them, and the tables of a bag."""
 
 import os
 import shutil
@@ -29,9 +29,9 @@ _PAGE_SIZE: Final = slice(16, 18)
 _CHANGES: Final = slice(24, 28)
 _PAGES: Final = slice(28, 32)
 _COUNTED_AT: Final = slice(92, 96)
-"""Where in the header stand the size of a page, how many there are, and at which change."""
+"""Position in the header of the change counter and the number of pages."""
 
-_LEAST_LIMIT, _MOST_LIMIT = 2**16, 2**31 - 1  # bytes of a value; our own queries fit
+_LEAST_LIMIT, _MOST_LIMIT = 2**16, 2**31 - 1  # bytes of a value; turtlelog's own queries fit
 
 _SIDES: Final = ("-wal", "-journal")
 _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
@@ -40,20 +40,22 @@ _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
 
 @contextmanager
 def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.Connection, int]]":
-    """Open a SQLite file to read, with its size [bytes]; nothing is written beside it.
+    """Open a SQLite file for reading; yield the connection and the file's size [bytes].
 
-    A `-wal` beside the file holds rows that were committed, a `-journal` what to take back of those
-    that were not; SQLite would write beside the file to use them. Then a copy in a temporary folder
-    is opened. What the pages claim is held against their size before SQLite reads the first table.
+    Nothing is written beside the file. A `-wal` file beside it contains committed rows, a
+    `-journal` file contains uncommitted changes to undo. SQLite would write beside the file to use
+    them, so a copy in a temporary folder is opened. The sizes that pages claim are checked before
+    SQLite reads the first table.
 
     Args:
-        path: The file.
-        is_damaged: Read one that is cut as far as it goes.
+        path: Path of the file.
+        is_damaged: Whether to read a truncated file as far as possible.
 
     Raises:
-        LogError: One clause, if it cannot be read, also for what SQLite finds while it is open.
+        LogError: One clause, if the file cannot be read; also for errors of SQLite while it is
+            open.
     """
-    import sqlite3  # files of MCAP spare both
+    import sqlite3  # MCAP files do not need these
 
     from turtlelog.log.engine.sqlite_pages import check_pages
 
@@ -75,7 +77,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
                     f"expected a SQLite file of {expected}, found {size} bytes: cut short;"
                     " turtlelog convert --recover reads what is left"
                 )
-            if size % page:  # SQLite would take zeros for what the last page lacks
+            if size % page:  # SQLite would fill an incomplete last page with zeros
                 if place == path:
                     folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
                     place = folder / "bag.db3"
@@ -97,16 +99,16 @@ def _connect(place: Path, mode: str, *, is_damaged: bool) -> "sqlite3.Connection
     connection = sqlite3.connect(
         f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
     )
-    if is_damaged:  # its header may promise more pages than there are
+    if is_damaged:  # the header may claim more pages than the file has
         connection.execute("PRAGMA writable_schema = ON")
     return connection
 
 
 def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
-    """Have SQLite bring a copy up to date with what is beside it, without reading a table.
+    """Make SQLite merge the files beside a copy into it, without reading a table.
 
     Raises:
-        DamageError: If the file becomes larger than all that it was made of.
+        DamageError: If the result is larger than all its source files together.
     """
     most = sum(found.stat().st_size for found in place.parent.iterdir())
     connection = _connect(place, "mode=rw", is_damaged=is_damaged)
@@ -122,20 +124,20 @@ def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
 
 
 def measure_pages(path: Path) -> tuple[int, int, int]:
-    """Return a file's size, what its header says of that, and the size of a page [bytes]."""
+    """Return the size of a file, the size in its header, and the size of a page [bytes]."""
     with path.open("rb") as stream:
         head = stream.read(_HEADER)
         size = stream.seek(0, os.SEEK_END)
     page = int.from_bytes(head[_PAGE_SIZE], "big")
     page = 2**16 if page == 1 else page or 2**16
-    # Before version 3.7 SQLite did not keep the number of pages, and left another number there.
+    # Before version 3.7 SQLite did not update the number of pages and left another number there.
     is_kept = head[_CHANGES] == head[_COUNTED_AT]
     pages = int.from_bytes(head[_PAGES], "big") if is_kept else 0
     return size, pages * page, page
 
 
 def describe_sqlite_error(err: "sqlite3.Error") -> str:
-    """Return what SQLite found as one clause."""
+    """Return an error of SQLite as one clause."""
     text = " ".join(str(err).split())
     if text == "interrupted":
         text = "pages that lead in circles, or far more rows than its size allows"
@@ -162,17 +164,17 @@ _TOPIC_NOTES: Final = {
     "offered_qos_profiles": "offered_qos_profiles",
     "type_description_hash": "topic_type_hash",
 }
-"""Columns that only some versions of rosbag2 write, and their names in an MCAP channel."""
+"""Columns of some rosbag2 versions only, and their names in an MCAP channel."""
 
 _ROW_NUMBERS: Final = ("rowid", "_rowid_", "oid")
 
 _MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
 _DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
 
-_MOST_CHANNELS: Final = 2**16 - 1  # their numbers have 16 bits in a block
+_MOST_CHANNELS: Final = 2**16 - 1  # channel numbers have 16 bits in a block
 
 _Execute = Callable[..., "Cursor"]
-"""Runs a query with its values, within a bounded number of steps."""
+"""A function that runs a query with its values, within a limited number of steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,8 +182,8 @@ class BagTable:
     """A table of a bag.
 
     Attributes:
-        columns: Those that hold values, by the names that the file gives them.
-        row_number: The name of the numbers of its rows: one that is no column's.
+        columns: Columns with values, named as in the file.
+        row_number: Name of the row number; no column has this name.
     """
 
     columns: Sequence[str]
@@ -189,10 +191,10 @@ class BagTable:
 
 
 def list_tables(execute: _Execute) -> dict[str, BagTable]:
-    """Return the tables of a bag by their names.
+    """Return the tables of a bag by name.
 
     Raises:
-        LogError: If one that is needed is missing, or is no plain table.
+        LogError: If a required table is missing, or is not a plain table.
     """
     kinds = {}
     for kind, name, sql in execute("SELECT type, name, sql FROM sqlite_master"):
@@ -222,9 +224,9 @@ def _describe_table(execute: _Execute, table: str, needed: Collection[str]) -> B
         if name not in columns:
             others = ", ".join(f"{other} computed" if hidden else other for other, hidden in found)
             raise LogError(f"{table}: expected a column {name}, found {others[:200]}")
-    import sqlite3  # files of MCAP spare it
+    import sqlite3  # MCAP files do not need it
 
-    # A column of such a name hides the number.
+    # A column with such a name hides the row number.
     taken = {name.lower() for name, _ in found}
     free = [name for name in _ROW_NUMBERS if name not in taken]
     if not free:
@@ -242,13 +244,13 @@ def read_channels(
     catalogue: Catalogue,
     allowance: Allowance,
 ) -> dict[int, int]:
-    """Fill the catalogue with the topics; return the number of each one's channel, by its id.
+    """Add the topics to the catalogue; return the channel number of each topic by its id.
 
     Args:
-        execute: Runs a query.
+        execute: Function that runs a query.
         tables: Tables from `list_tables`.
-        catalogue: Takes channels, and the types as schemas.
-        allowance: Limits that topics are counted against.
+        catalogue: Catalogue that receives topics as channels and types as schemas.
+        allowance: Limits of the file, from which topics are subtracted.
 
     Raises:
         LogError: If a row of `topics` or `message_definitions` is wrong, or there are too many.
@@ -290,7 +292,7 @@ def read_channels(
 def _read_definitions(
     execute: _Execute, table: BagTable, allowance: Allowance
 ) -> dict[str, tuple[str, str]]:
-    """Return encoding and text of the types that the file defines itself."""
+    """Return encoding and text of the types that the file defines."""
     definitions: dict[str, tuple[str, str]] = {}
     rows = _select(execute, "message_definitions", table, _DEFINITION_COLUMNS)
     for number, row in enumerate(rows, start=1):
@@ -298,7 +300,7 @@ def _read_definitions(
         _require_texts(f"message_definitions: row {number}", _DEFINITION_COLUMNS, row)
         allowance.spend(SCHEMA_BYTES, sum(map(len, row)))
         kind, encoding, text = row
-        # rosbag2 writes the encoding `unknown`, and no text, where it finds no definition.
+        # If rosbag2 finds no definition, it writes the encoding `unknown` and no text.
         if text and encoding != "unknown":
             definitions.setdefault(kind, (encoding, text))
     return definitions

@@ -1,11 +1,11 @@
-"""The pages of a SQLite file, counted before SQLite reads them.
+"""Counting of the pages of a SQLite file before SQLite reads them.
 
-A row claims how long it is, and which pages hold what its own has no room for. An honest file has
-each page in one tree, and no more bytes of rows than bytes. Otherwise rows share their pages: a
-megabyte that thousands of rows lead to is copied thousands of times, which SQLite does not count.
+A row claims its length and the pages of the part that does not fit into its own page. In a valid
+file each page belongs to one tree, and rows have no more bytes than the file. In other files rows
+may share pages: SQLite would copy a megabyte thousands of times if thousands of rows refer to it.
 
-https://www.sqlite.org/fileformat2.html has the format. Numbers are read as SQLite reads them, so
-that it meets no row that was not counted: places in a page wrap, lengths have 32 bits.
+The format is described at https://www.sqlite.org/fileformat2.html. Numbers are read as SQLite reads
+them, so that every row is counted: offsets in a page wrap around, lengths have 32 bits.
 """
 
 from collections.abc import Iterator
@@ -30,35 +30,35 @@ _PARENT_HEAD: Final = 12
 _LEAF_HEAD: Final = 8
 _COUNT: Final = 3
 _RIGHT: Final = 8
-"""Where in the head of a page stand the number of its cells and the last page below it."""
+"""Position in a page's header of the number of its cells and the last page below it."""
 
-_LEAST_CELL: Final = 6  # bytes, with what leads to it
+_LEAST_CELL: Final = 6  # bytes, including its pointer
 _LONGEST_VARINT: Final = 9
-_DEEPEST: Final = 20  # SQLite goes no further
+_DEEPEST: Final = 20  # levels; SQLite reads no deeper tree
 _READ_BYTES: Final = 2**20
 
 MOST_DEFINED: Final = 2**16
-"""Bytes that define tables; a bag has 2,000. SQLite keeps them parsed, 100 times as large."""
+"""Largest size of table definitions [bytes]; a bag has 2,000. SQLite stores 100 times as many."""
 
 _MOST_TABLES: Final = 2**10
 _DAMAGED_SHARE: Final = 64
-"""A damaged row may claim any length: so many as large as the file are let through to recover."""
+"""Rows of the file's size that a recovery accepts: a damaged row may claim any length."""
 
 _INTEGERS: Final = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
-"""Bytes of a whole number in a row, by its kind; NULL, 0 and 1 take none."""
+"""Size of a whole number in a row, by its kind [bytes]; NULL, 0 and 1 take none."""
 
 _ONE: Final = 9
 _REAL: Final = 8  # bytes
 
 
 def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
-    """Hold what the rows of a SQLite file claim against its size.
+    """Check that the rows of a SQLite file claim no more bytes than the file has.
 
     Args:
-        path: The file, with nothing beside it that changes it.
+        path: Path of the file, without files beside it that change it.
         page_size: Size of a page [bytes].
-        is_damaged: Pass over pages that are none, and some rows that claim too much; the
-            definitions of tables must be sound in any case.
+        is_damaged: Whether to skip invalid pages and some rows that claim too much. The definitions
+            of tables must be valid in any case.
 
     Raises:
         LogError: If pages belong to two trees, or rows claim more bytes than exist.
@@ -78,35 +78,35 @@ def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Some pages of a tree: their bytes one after another, and where each one's head is."""
+    """Some pages of a tree: their bytes one after another, and the offset of each page's header."""
 
     data: NDArray[np.uint8]
     heads: NDArray[np.int64]
     page_size: int
 
     def find_cells(self, kinds: tuple[int, ...], head: int) -> NDArray[np.int64]:
-        """Return where the cells of the pages of some kinds are."""
+        """Return the offsets of the cells of pages of some kinds."""
         heads = self.heads[np.isin(self.data[self.heads], kinds)]
         counts = _read_number(self.data, heads + _COUNT, 2)
-        counts[counts > (self.page_size - _LEAF_HEAD) // _LEAST_CELL] = 0  # refused by SQLite
+        counts[counts > (self.page_size - _LEAF_HEAD) // _LEAST_CELL] = 0  # SQLite refuses these
         first = np.repeat(heads + head - 2 * (np.cumsum(counts) - counts), counts)
         places = _read_number(self.data, first + 2 * np.arange(len(first)), 2)
         starts = np.repeat(heads - heads % self.page_size, counts)
         return starts + places % self.page_size
 
     def list_children(self) -> NDArray[np.int64]:
-        """Return the numbers of the pages below."""
+        """Return the numbers of the child pages."""
         heads = self.heads[np.isin(self.data[self.heads], _PARENTS)]
         cells = self.find_cells(_PARENTS, _PARENT_HEAD)
         return _read_number(self.data, np.concatenate([cells, heads + _RIGHT]), 4)
 
     def find_rows(self) -> NDArray[np.int64]:
-        """Return where rows begin, with their lengths."""
+        """Return the offsets of rows and their lengths."""
         leaves = self.find_cells((_TABLE_LEAF, _INDEX_LEAF), _LEAF_HEAD)
         return np.concatenate([leaves, self.find_cells((_INDEX_INTERIOR,), _PARENT_HEAD) + 4])
 
     def read_varints(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return numbers of up to nine bytes, of which 32 bits count."""
+        """Return numbers of up to nine bytes, of which 32 bits are used."""
         values = self.data[places].astype(np.int64)
         more = np.flatnonzero(values > 0x7F)
         values &= 0x7F
@@ -137,10 +137,10 @@ class _Pages:
         self.is_damaged = False
 
     def list_roots(self) -> list[int]:
-        """Return the first page of every tree that the table of tables names.
+        """Return the first page of every tree in the table of tables.
 
         Raises:
-            DamageError: If that is damaged, or far larger than that of a bag.
+            DamageError: If the table of tables is damaged, or far larger than that of a bag.
         """
         roots, defined, tables = [], 0, 0
         for batch in self._walk(1):
@@ -158,7 +158,7 @@ class _Pages:
         return [root for root in roots if root]
 
     def _read_payload(self, cell: bytes, length: int) -> bytes:
-        """Return the bytes of a row, as far as they are there."""
+        """Return the available bytes of a row."""
         _, at = _read_varint(cell, 0)
         _, at = _read_varint(cell, at)
         local = self._count_local(length)
@@ -172,7 +172,7 @@ class _Pages:
         return data[:length]
 
     def _count_local(self, length: int) -> int:
-        """Return how much of a row stands in its own page."""
+        """Return the number of bytes of a row in its own page."""
         if length <= self._usable - 35:
             return length
         least = (self._usable - 12) * 32 // 255 - 23
@@ -180,10 +180,10 @@ class _Pages:
         return more if more <= self._usable - 35 else least
 
     def count_tree(self, root: int) -> None:
-        """Add what the rows of a tree claim.
+        """Add the bytes that the rows of a tree claim.
 
         Raises:
-            LogError: If that is too much.
+            LogError: If the rows claim too much.
         """
         for batch in self._walk(root):
             lengths = batch.read_varints(batch.find_rows())
@@ -208,7 +208,7 @@ class _Pages:
             level = np.concatenate(below)
 
     def _visit(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return pages in their order; those that are not there are left to SQLite to find."""
+        """Return pages in order; SQLite reports missing pages itself."""
         numbers = np.sort(numbers[(numbers > 0) & (numbers <= self._count)])
         is_again = self._seen[numbers]
         is_again[1:] |= numbers[1:] == numbers[:-1]
@@ -231,7 +231,7 @@ class _Pages:
                 data += self._stream.read(len(run) * self._size)
             heads = np.arange(len(some)) * self._size
             heads[some == 1] += _FILE_HEAD
-            data += bytes(_FILE_HEAD + _PARENT_HEAD)  # what leads to cells may be past the end
+            data += bytes(_FILE_HEAD + _PARENT_HEAD)  # pointers to cells may lie beyond the end
             yield _Batch(np.frombuffer(data, np.uint8), heads, self._size)
 
 
@@ -245,10 +245,10 @@ def _read_number(
 
 
 def _find_root(row: bytes) -> int:
-    """Return the page that a row of the table of tables names; 0 for a view or a trigger.
+    """Return the root page in a row of the table of tables; 0 for a view or a trigger.
 
     Raises:
-        DamageError: If it is no number.
+        DamageError: If the value is not a number.
     """
     place, at = _read_varint(row, 0)
     kinds = list[int]()

@@ -1,10 +1,10 @@
 """Reading of requested messages from a SQLite bag, block by block as from an MCAP file.
 
-The blobs of a batch are joined with room before each for the head of an MCAP message record, and
-the heads are scattered into it at once: from there on the decoding is that of MCAP files.
+The blobs of a batch are joined, with space for the header of an MCAP message record before each.
+All headers are written at once; after that, decoding is the same as for MCAP files.
 
-A recording chooses no code to run: tables are read, never views, no function of the schema is
-called, and a file whose pages lead in circles is left after a bounded number of steps.
+A recording cannot run code: only tables are read, never views, and no function of the schema is
+called. Reading a file whose pages form a loop stops after a limited number of steps.
 """
 
 from array import array
@@ -36,12 +36,12 @@ _MOST_ROWS: Final = 2**9
 _BLOCK_BYTES: Final = 2**22
 
 _ROW_BYTES: Final = 4
-"""What a row takes at least of its page beside its blob [bytes]; in truth some 12."""
+"""Smallest size of a row beside its blob in the limit [bytes]; real rows have about 12."""
 
-_STEPS: Final = 100_000  # of SQLite's machine, between two looks at their number
+_STEPS: Final = 100_000  # steps of SQLite's virtual machine between two checks of their number
 _BASE_STEPS: Final = 20_000_000
 _STEPS_A_BYTE: Final = 20
-"""A row of 20 bytes takes about 40 steps to count."""
+"""Steps per byte: counting a row of 20 bytes takes about 40 steps."""
 
 _FUNCTIONS: Final = frozenset({"count", "min", "max", "typeof"})
 
@@ -51,8 +51,8 @@ _GAP: Final = bytearray(MESSAGE_HEAD)
 class SqliteRows:
     """Rows of `topic_id`, `timestamp` and `data`, column by column.
 
-    Few are taken at a time: then SQLite and Python fill the same memory again and again, which
-    stays in the processor's cache; a million rows take half as long.
+    Only few rows are taken at a time. SQLite and Python then reuse memory that stays in the
+    processor's cache, so a million rows take half as long.
     """
 
     def __init__(self) -> None:
@@ -61,10 +61,10 @@ class SqliteRows:
         self._parts: list[bytearray] = []
 
     def take(self, rows: list[Row]) -> int:
-        """Add some rows; return the bytes of their blobs.
+        """Add rows; return the total size of their blobs [bytes].
 
         Raises:
-            TypeError: If a column holds something else than it should.
+            TypeError: If a value has the wrong type.
         """
         ids, times, blobs = zip(*rows, strict=True)
         self.ids.extend(ids)
@@ -77,19 +77,19 @@ class SqliteRows:
         return size
 
     def join(self) -> bytearray:
-        """Return the blobs with a gap before each."""
+        """Return the blobs with a gap before each blob."""
         return _GAP.join((b"", *self._parts))
 
 
 class SqliteSource:
-    """An open bag in SQLite, its tables checked.
+    """An open SQLite bag with checked tables.
 
     Attributes:
-        catalogue: Topics as channels, their types as schemas.
-        is_indexed: Always: the catalogue is complete before the first message is read.
-        statistics: None; `count_messages` counts.
+        catalogue: Catalogue with topics as channels and types as schemas.
+        is_indexed: Always True: the catalogue is complete before the first message is read.
+        statistics: Always None; `count_messages` counts messages.
         size: Size of the file [bytes].
-        row_number: The name of the numbers of the rows of `messages`.
+        row_number: Name of the row number in the table `messages`.
     """
 
     is_indexed = True
@@ -112,15 +112,15 @@ class SqliteSource:
         self.row_number = tables["messages"].row_number
 
     def execute(self, query: str, *values: object) -> "sqlite3.Cursor":
-        """Run a query; it may take a number of steps that the size of the file bounds."""
+        """Run a query; the number of steps is limited in proportion to the file's size."""
         self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self.size
         return self._connection.execute(query, values)
 
     def count_messages(self) -> tuple[Counter[int], tuple[int, int] | None]:
-        """Return messages by channel, and least and greatest log time; None without a message.
+        """Return the number of messages by channel, and the first and last log time [ns] or None.
 
         Raises:
-            DamageError: If a message has no topic, or a time that is none.
+            DamageError: If a message has no topic, or an invalid time.
         """
         counts, times = Counter[int](), list[int]()
         query = (
@@ -149,7 +149,7 @@ class SqliteSource:
         start_ns: int = 0,
         end_ns: int = 2**64,
     ) -> Iterator[T]:
-        """Yield what `work` makes of each block, in the order in which rows were written."""
+        """Yield the result of `work` for each block, in the order in which rows were written."""
         wanted = [
             topic_id
             for topic_id, number in self._numbers.items()
@@ -159,7 +159,7 @@ class SqliteSource:
         values = list[object]()
         conditions = []
         if len(wanted) < len(self._numbers):
-            # The plus keeps SQLite from making a number of a text.
+            # The plus sign keeps SQLite from converting a text to a number.
             conditions.append(f"+topic_id IN ({','.join(map(str, wanted))})")
         if start_ns > 0:
             conditions.append("+timestamp >= ?")
@@ -194,10 +194,10 @@ class SqliteSource:
             yield self.build_block(rows, first)
 
     def build_block(self, rows: SqliteRows, first: int) -> Block:
-        """Return rows as a block; `first` is the number of the first one, from 1 on.
+        """Return rows as a block; `first` is the number of the first row, counted from 1.
 
         Raises:
-            DamageError: If one has no topic, or a time below 0.
+            DamageError: If a row has no topic, or a time below 0.
         """
         time_ns, ids = np.frombuffer(rows.times, np.int64), np.frombuffer(rows.ids, np.int64)
         known = np.array(sorted(self._numbers), np.int64)
@@ -215,7 +215,7 @@ class SqliteSource:
         return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
 
     def find_fault_of(self, row: Row) -> str | None:
-        """Return what is wrong with a topic, a time and data; None if they are sound."""
+        """Return the error in a row of topic, time and data; None if the row is valid."""
         topic_id, timestamp, data = row
         if not isinstance(topic_id, int):
             return f"topic_id: expected a whole number, found {_name_kind(topic_id)}"
@@ -229,7 +229,7 @@ class SqliteSource:
         return None
 
     def _find_fault(self) -> DamageError:
-        """Return what is wrong with the first row of `messages` that is not sound."""
+        """Return the error of the first invalid row of `messages`."""
         query = (
             f"SELECT {self.row_number}, typeof(timestamp), typeof(data), typeof(topic_id),"
             " CASE typeof(timestamp) WHEN 'integer' THEN timestamp END,"
@@ -263,22 +263,22 @@ class SqliteSource:
 def open_sqlite(
     path: Path, stored_size: int, *, is_damaged: bool = False
 ) -> Iterator[SqliteSource]:
-    """Open a bag in SQLite, as `open_connection` opens its file.
+    """Open a SQLite bag, as `open_connection` opens its file.
 
     Args:
-        path: The file.
-        stored_size: Size of the file, packed if it was compressed [bytes].
-        is_damaged: Read one that is cut as far as it goes.
+        path: Path of the file.
+        stored_size: Size of the file, or its packed size if it was compressed [bytes].
+        is_damaged: Whether to read a truncated file as far as possible.
 
     Raises:
-        LogError: One clause, if it cannot be read or is no bag.
+        LogError: One clause, if the file cannot be read or is not a bag.
     """
     with open_connection(path, is_damaged=is_damaged) as (connection, size):
         yield SqliteSource(connection, size, stored_size)
 
 
 def _name_kind(value: object) -> str:
-    """Return what SQLite calls a value's type."""
+    """Return SQLite's name of a value's type."""
     names = {bytes: "blob", float: "real", int: "integer", str: "text"}
     return names.get(type(value), "null")
 
@@ -286,7 +286,7 @@ def _name_kind(value: object) -> str:
 def _authorize(
     action: int, _: str | None, second: str | None, __: str | None, inside: str | None
 ) -> int:
-    """Allow reading tables, and counting; nothing within a view or trigger."""
+    """Allow reading and counting tables; deny everything within a view or trigger."""
     import sqlite3
 
     is_reading = action in {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}

@@ -1,4 +1,4 @@
-"""Whether a file is whole, by its ends and checksums; its summary: what is where in it.
+"""Checking of a file's ends and checksums, and parsing of its summary.
 
 The mcap library checks chunks and the data section, but never the summary.
 """
@@ -25,12 +25,12 @@ _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary off
 _DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
 _STEP: Final = 2**20  # bytes
 
-_TIMES: Final = struct.Struct("<QQQQI")  # start, end, place, length, bytes of the offsets
+_TIMES: Final = struct.Struct("<QQQQI")  # start, end, place, length, size of the offsets
 _OFFSET: Final = np.dtype([("channel", "<u2"), ("offset", "<u8")])
-_SIZES: Final = struct.Struct("<QI")  # length of the message indexes, of the compression's name
+_SIZES: Final = struct.Struct("<QI")  # size of the message indexes, of the compression's name
 
 _ALONE: Final = frozenset({Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA})
-"""What is read from between the chunks of a file that has an index."""
+"""Kinds of records that are read from between the chunks of a file with an index."""
 
 _KINDS: Final[Mapping[int, str]] = {
     Opcode.CHUNK_INDEX: CHUNKS,
@@ -43,7 +43,7 @@ _KINDS: Final[Mapping[int, str]] = {
     Opcode.METADATA: NOTES,
     Opcode.ATTACHMENT: NOTES,
 }
-"""Under what a record of the summary, or one that stands alone, is counted."""
+"""Limit that a record of the summary, or one outside chunks, counts against."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,10 +51,10 @@ class Ends:
     """Offsets of the parts of a complete file.
 
     Attributes:
-        data_end: Byte of the record that ends the data section.
+        data_end: Offset of the record that ends the data section [bytes].
         data_crc: Checksum of all bytes before it, 0 if there is none.
-        summary_start: Byte of the summary section; where it is empty, that of the footer.
-        summary: Records of the summary, summary offsets included.
+        summary_start: Offset of the summary section [bytes]; the footer's if it is empty.
+        summary: Records of the summary, including summary offsets.
     """
 
     data_end: int
@@ -71,9 +71,9 @@ class FileSummary:
         schemas: Schemas in order.
         channels: Channels in order.
         chunks: Chunks in the order of the file.
-        statistics: None where there are none.
-        named: Opcode and name of each metadata record and attachment, by its byte in the file.
-        described: Schemas and channels by their bytes, the opcode first: chunks repeat them.
+        statistics: Statistics record; None if there is none.
+        named: Opcode and name of each metadata record and attachment, by its offset in the file.
+        described: Schemas and channels by their bytes from the opcode on; chunks repeat them.
     """
 
     schemas: tuple[Schema, ...]
@@ -89,7 +89,7 @@ def read_ends(stream: BinaryIO) -> Ends:
 
     Raises:
         LogError: If the file is not MCAP.
-        DamageError: If it is cut short, or its summary is damaged.
+        DamageError: If the file is truncated, or its summary is damaged.
     """
     check_start(stream)
     place, start, checksum = _read_footer(stream)
@@ -99,22 +99,22 @@ def read_ends(stream: BinaryIO) -> Ends:
 
 
 def read_summary(stream: BinaryIO) -> tuple[int, bytes]:
-    """Return start and records of the summary section of a file, whatever its data are like.
+    """Return start and records of the summary section of a file, even if its data are damaged.
 
     Raises:
-        DamageError: If the file is cut short, or its footer or summary is damaged.
+        DamageError: If the file is truncated, or its footer or summary is damaged.
     """
     place, start, checksum = _read_footer(stream)
-    if not checksum:  # then only this bears out where it starts
+    if not checksum:  # without a checksum only this confirms the start
         _read_data_end(stream, start)
     return start, _read_summary(stream, place, start, checksum)
 
 
 def check_data(stream: BinaryIO, ends: Ends) -> None:
-    """Check all bytes before the end of the data section; costs one pass over the file.
+    """Check the checksum of the data section; takes one pass over the file.
 
     Raises:
-        DamageError: If they are not those that were written.
+        DamageError: If the bytes differ from those that were written.
     """
     found = _compute_checksum(stream, 0, ends.data_end if ends.data_crc else 0)
     if found != ends.data_crc:
@@ -125,16 +125,16 @@ def check_data(stream: BinaryIO, ends: Ends) -> None:
 
 
 def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
-    """Return where the footer stands and the summary starts, and the checksum of both, 0 if none.
+    """Return the offsets of the footer and the summary, and the checksum of both; 0 without one.
 
-    Where the summary is empty, it starts where the footer does.
+    An empty summary starts at the footer.
     """
     size = stream.seek(0, io.SEEK_END)
     place = size - _FOOTER.size - len(MCAP0_MAGIC)
     stream.seek(max(place, 0))
     footer, end = stream.read(_FOOTER.size), stream.read()
     if place < len(MCAP0_MAGIC) or end != MCAP0_MAGIC:
-        raise UnfinishedError(f"byte {size}: no end of an MCAP file: truncated or unfinished")
+        raise UnfinishedError(f"truncated or unfinished (no end of an MCAP file at byte {size})")
     opcode, length, start, _, checksum = _FOOTER.unpack(footer)
     if opcode != Opcode.FOOTER or length != 20 or start > place:
         raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")
@@ -143,7 +143,7 @@ def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
 
 def _read_summary(stream: BinaryIO, footer: int, start: int, expected: int) -> bytes:
     end = footer + _FOOTER.size - 4  # the checksum covers the footer up to itself
-    # Held before anything is read: a damaged footer may claim that all of the file is summary.
+    # Checked before anything is read: a damaged footer may claim that the whole file is summary.
     if expected and expected != (found := _compute_checksum(stream, start, end)):
         raise DamageError(
             f"byte {start}: expected a summary of checksum {expected:#010x}, found {found:#010x}"
@@ -158,7 +158,7 @@ def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:
     while start < end:
         count = stream.readinto(buffer[: end - start])  # type: ignore[attr-defined]
         if not count:
-            break  # the file became shorter: what is missing is missed in the checksum
+            break  # the file became shorter; the checksum will differ
         found = zlib.crc32(buffer[:count], found)
         start += count
     return found
@@ -174,10 +174,10 @@ def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
 
 
 def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
-    """Return what the summary section says; `byte` is where it starts in the file.
+    """Return the contents of the summary section; `byte` is its offset in the file.
 
     Raises:
-        DamageError: If a record in it makes no sense, or there are too many.
+        DamageError: If a record in it is invalid, or there are too many.
     """
     chunks: list[ChunkEntry] = []
     statistics, named = None, dict[int, tuple[int, str]]()
@@ -218,13 +218,12 @@ def _spend(allowance: Allowance, opcode: int, byte: int) -> None:
 def find_lone_records(
     stream: BinaryIO, ends: Ends, summary: FileSummary, allowance: Allowance
 ) -> tuple[Place, ...] | None:
-    """Return the records that stand between the chunks; None if the index does not tell all.
+    """Return the records between the chunks; None if the index is incomplete.
 
-    It tells all where what lies between the chunks that it names holds no message and no further
-    chunk, and every chunk has message indexes, of channels that are known
-    with their schemas.
+    The index is complete if there is no message and no further chunk between its chunks, and every
+    chunk has message indexes with known channels and schemas.
     """
-    schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without one
+    schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without a schema
     known = {channel.id for channel in summary.channels if channel.schema_id in schemas}
     lone: list[Place] = []
     start = len(MCAP0_MAGIC)
@@ -291,7 +290,7 @@ def _parse_entry(data: bytes, place: Place, byte: int) -> ChunkEntry:
 
 
 def salvage_summary(stream: BinaryIO) -> FileSummary | None:
-    """Return what the summary says, of each id the last; None if the end or its checksum fails."""
+    """Return the summary, the last record of each id; None if its end or its checksum is wrong."""
     try:
         start, data = read_summary(stream)
         summary = parse_summary(data, start, Allowance(measure_stored(stream)))

@@ -25,12 +25,13 @@ from turtlelog.log.engine.source import EVER, Piece, Selection, Source, count_ro
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.run.tables import Tabular
 
-_MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
+_MOST_BYTES: Final = 2**25  # bytes of blocks in a batch: rows of images are large
 
-# Columns of a topic may take so many times the bytes of the file before they are filled: no one is
-# believed who promises more. An index has 16 bytes for each message, whose row takes some 50.
+# Columns of a topic may take this many times the bytes of the file before they are filled: a
+# claimed number of messages is not trusted. An index has 16 bytes for each message; a row takes
+# about 50.
 _SHARE: Final = 16
-_SPARE: Final = 2**22  # bytes; of small files
+_SPARE: Final = 2**22  # bytes for small files
 
 
 _TIMES: Final = ("log_time_ns", "publish_time_ns", "sequence")
@@ -47,9 +48,9 @@ class TopicColumns(Tabular):
         publish_time_ns: Publish time of each message [ns], shape (n,).
         sequence: Sequence number set by the publisher, shape (n,).
         fields: Columns by dotted name, in the order of the schema. A fixed array of k numbers has
-            shape (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a
-            list, a sequence of messages a list of dictionaries by dotted name, in columns of
-            objects. For JSON messages, an array is a list, and missing values are NaN, an empty
+            shape (n, k). Columns of objects contain texts as `str`, sequences of numbers as arrays,
+            sequences of texts as lists, and sequences of messages as lists of dictionaries by
+            dotted name. For JSON messages, an array is a list, and missing values are NaN, an empty
             text or None.
     """
 
@@ -204,7 +205,7 @@ def _set_aside(
     """Allocate columns for topics with messages of fixed size and a known count."""
     try:
         plans = selection.choose_plans(source.catalogue)
-    except LogError:  # said where they are read
+    except LogError:  # reported where the messages are read
         return {}
     most = _SHARE * source.size + _SPARE
     return {
@@ -260,7 +261,7 @@ def _select_topics(
 
 
 def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> bool:
-    """Return whether this piece would give a topic too many rows."""
+    """Return whether this piece would give a topic more than `most_rows` rows."""
     return any(
         sum(len(part[LOG_TIME]) for part in batch.get(topic, [])) + len(found[LOG_TIME]) > most_rows
         for topic, found in piece.rows.items()
@@ -268,7 +269,7 @@ def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> b
 
 
 class _RowStore:
-    """Rows of one topic, part by part; if their number is known, each is copied only once."""
+    """Rows of one topic, part by part; if their number is known, each row is copied only once."""
 
     def __init__(self, expected: int) -> None:
         self._expected, self._used = expected, 0
@@ -278,7 +279,7 @@ class _RowStore:
     def take(self, part: Rows) -> None:
         """Append rows."""
         end = self._used + len(part[LOG_TIME])
-        # Of JSON a block may have floats where others have whole numbers.
+        # In JSON, one block may have floats where another has whole numbers.
         is_new = any(
             name in self._whole and self._whole[name].dtype != values.dtype
             for name, values in part.items()
@@ -297,6 +298,6 @@ class _RowStore:
 
     @property
     def parts(self) -> list[Rows]:
-        """All rows, in one part if their number was right."""
+        """All rows; a single part if the expected number was right."""
         whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]

@@ -1,7 +1,7 @@
 """Reading of a file record by record from its start, even if damaged.
 
-Finished files are read by their indexes; this is for files without an index and for unfinished or
-damaged files.
+Finished files are read by their indexes. This module is for files without an index, and for
+unfinished or damaged files.
 """
 
 import zlib
@@ -29,8 +29,8 @@ from turtlelog.log.engine.framing import (
 )
 from turtlelog.log.engine.limits import CHUNKS, DAMAGES, LARGEST_CHUNK, NOTES, UNPACKED, Allowance
 
-_BATCH: Final = 2**20  # bytes of lone records handed on together
-_LONGEST_NAME: Final = 64  # bytes; of a compression
+_BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
+_LONGEST_NAME: Final = 64  # bytes of the name of a compression
 _RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
 _LONE: Final = frozenset(
     {
@@ -53,9 +53,9 @@ class Section:
             chunk, or records outside chunks in the data section (header, schemas, channels,
             messages, metadata, one attachment, the end of the data).
         start: Offset in the file [bytes].
-        is_chunk: Whether it is a chunk.
-        is_checked: Whether a checksum confirms it: that of the chunk or attachment. For the end of
-            the data, whether the checksum of the whole data section is correct.
+        is_chunk: Whether the segment is a chunk.
+        is_checked: Whether the checksum of the chunk or attachment is correct. For the end of the
+            data, whether the checksum of the whole data section is correct.
     """
 
     data: bytes
@@ -70,7 +70,7 @@ class Loss:
 
     Attributes:
         start: Offset of the first byte in the file.
-        end: Offset after the last byte; if equal to `start`, something is missing at this place.
+        end: Offset after the last byte; equal to `start` if bytes are missing there.
         reason: One clause with the expectation and the finding.
     """
 
@@ -101,8 +101,8 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
 def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None, int]]:
     """Yield complete records from `place`, the start of a record, and the place to continue.
 
-    For files that are being written: it ends before the first incomplete record. After the end of
-    the data, the place to continue is the end of the file.
+    For files that are being written, so it ends before the first incomplete record. After the end
+    of the data, the place to continue is the end of the file.
     """
     window = FileWindow(stream)
     while place < window.size:
@@ -124,7 +124,7 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
     reason = find_wrong_start(window.read(0, START_SIZE))
     if reason is not None:
         yield Loss(start=0, end=min(len(MCAP0_MAGIC), window.size), reason=reason)
-    kind = 0  # what stood first: chunks, messages of their own, or what comes before both
+    kind = 0  # first kind found: chunks, single messages, or 0 for records that precede both
     while place is not None:
         start = place
         try:
@@ -168,10 +168,11 @@ def _read_record(
     if window.read(place, 1)[0] == Opcode.ATTACHMENT:
         return _read_attachment(window, place)
     opcode, end = find_record_end(window, place)
-    # One bit makes a message of a header or of a message index. Nobody mixes chunks and messages.
+    # A wrong bit can turn a header or a message index into a message. No writer mixes chunks and
+    # single messages.
     if opcode == Opcode.MESSAGE and kind in {0, Opcode.CHUNK}:
         raise LogError("expected messages in chunks, found one that stands alone")
-    # One bit makes one of these of metadata or an attachment.
+    # A wrong bit can turn metadata or an attachment into one of these.
     if opcode in SUMMARY_ONLY:
         raise LogError(f"expected data, found a record of the summary (opcode {opcode})")
     if opcode == Opcode.FOOTER:
@@ -217,12 +218,12 @@ def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Los
     if checksum and not is_checked:
         reason = f"expected an attachment with checksum {checksum:#010x}, found {found:#010x}"
         return [Loss(start=place, end=end, reason=reason)], end
-    # Bytes behind the checksum are left out; the length is then that of the rest.
+    # Bytes after the checksum are omitted; the length is corrected.
     data = data[:1] + (last - place - RECORD.size).to_bytes(8, "little") + data[RECORD.size :]
     section = Section(data=data, start=place, is_chunk=False, is_checked=is_checked)
     if fault is None:
         return [section], end
-    # The checksum holds, so it is the length that is wrong, or what follows.
+    # The checksum is correct, so the length is wrong, or the next record.
     return [section, Loss(start=place, end=place, reason=str(fault))], end
 
 
@@ -259,7 +260,7 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
         section = Section(data=data, start=place, is_chunk=True, is_checked=checksum != 0)
         if agree and end == by_data and len(data) == size:
             return [section], by_record
-        # The checksum holds, so it is the header that is wrong, or what follows.
+        # The checksum is correct, so the header is wrong, or the next record.
         reason = f"expected a chunk of {len(data)} bytes, found a header that says otherwise"
         if len(data) == size:
             reason = "the chunk's lengths disagree, and no sound record follows"

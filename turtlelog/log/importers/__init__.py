@@ -1,4 +1,4 @@
-"""Third-party logs -> Run, one layout per file.
+"""Import of third-party logs as runs, one module per layout.
 
 The names are in `__init__.pyi` and load on first use.
 """

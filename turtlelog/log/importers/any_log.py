@@ -71,7 +71,7 @@ def _read_text(path: Path) -> str:
     if data.startswith(MCAP0_MAGIC):
         raise LogError("expected a log in JSON or CSV, found MCAP, which is read as it is")
     try:
-        # Spreadsheets put a byte order mark in front.
+        # Spreadsheet programs write a byte order mark first.
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as err:
         raise LogError(

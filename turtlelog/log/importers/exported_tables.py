@@ -46,7 +46,7 @@ _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
 _ROWS_AT_ONCE: Final = 4096
 _ROUNDED_RAD: Final = 2e-15
-"""By how much sine, cosine and arctangent may turn a heading: 4 steps of 64-bit numbers at pi."""
+"""Rounding of a heading by sine, cosine and arctangent [rad]: 4 float64 steps at pi."""
 
 _MARKS: Final[Mapping[str, frozenset[str]]] = {
     "events": frozenset({"time_ns", "kind", "text"}),
@@ -54,10 +54,10 @@ _MARKS: Final[Mapping[str, frozenset[str]]] = {
     "commands": frozenset({"time_ns", "speed_m_s", "lateral_speed_m_s", "turn_rate_rad_s"}),
     "poses": frozenset({"time_ns", "x_m", "y_m", "heading_rad"}),
 }
-"""Columns that tell which table a file holds."""
+"""Columns that identify the table in a file."""
 
 _CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandColumns}
-"""What the tables become whose columns are known; samples have states of their law, too."""
+"""Classes of the tables with fixed columns; samples also have states of their law."""
 
 
 def find_table(columns: Sequence[str]) -> str | None:
@@ -82,7 +82,7 @@ def holds_tables(path: Path) -> bool:
         return False
     try:
         return find_table(read_header(path)) is not None
-    except ValueError:  # no Parquet file, whatever it is called
+    except ValueError:  # not a Parquet file despite its name
         return True
 
 
@@ -161,7 +161,7 @@ def _iterate_trajectory(path: Path) -> Iterator[tuple[list[int], NDArray[Any], N
         io.TextIOWrapper(stream, "ascii") as lines,
     ):
         while part := [*islice(lines, _ROWS_AT_ONCE)]:
-            # The digits of a time are its nanoseconds, more of them than a float has.
+            # The digits of a time give its nanoseconds; a float has fewer digits.
             time_ns = [int(line[: line.index(" ")].replace(".", "")) for line in part]
             numbers = np.loadtxt(part, ndmin=2)
             yield time_ns, numbers[:, 1:3], compute_heading(*numbers[:, 4:8].T)
@@ -205,7 +205,8 @@ def _read_csv(path: Path) -> Table:
         head, count = [*chain(*_take_rows(rows, 0, most=1))], 0
         require_few_columns(len(head))
         known = _list_known(find_table(head), head)
-        # Arrays of parts of the rows: as texts the cells would take ten times as much.
+        # Rows are parsed in parts and stored as arrays: cells as texts take ten times as much
+        # memory.
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in head if name in known}
         while part := _take_rows(rows, count):
             _require_rows(part, count, len(head), size)
@@ -312,7 +313,7 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
     samples, declaration = _build_samples(tables.get("samples"), declaration)
     goal = _parse_fact(facts, "goal_m_m_rad", tuple[float, float, float | None] | None)
     absent = [name for name in ("commands", "samples", "events") if name not in tables]
-    # Of poses alone no loop is known: which acts when stands in the samples.
+    # Poses alone do not show which loop acts when; the samples do.
     absent += [] if is_declared and "samples" in tables else ["declaration"]
     if "scenario" not in facts:
         absent += ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]

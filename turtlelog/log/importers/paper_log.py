@@ -29,16 +29,16 @@ _STATES: Final = MappingProxyType(
         "FINALIZADO": _PHASES[DONE],
     }
 )
-"""The number of the phase that a state names: that AFTER the callback."""
+"""Phase number by the name of a state, which is that AFTER the callback."""
 
 _NUMBERS: Final = (
     *("time", "pos_x", "pos_y", "pos_theta", "target_angle_rad", "error_angle", "error_x"),
     *("error_y", "error_distance", "vel_linear_x", "vel_angular_z", "vel_x_global"),
     "vel_y_global",
 )
-"""The lists of numbers, by the names of the JSON layout."""
+"""The lists of numbers, named as in the JSON layout."""
 
-_LONGEST_S: Final = 4e9  # beyond any clock, and well within 64 bits of nanoseconds
+_LONGEST_S: Final = 4e9  # later than any clock, and well within 64 bits of nanoseconds
 
 _POSE_TIMES: Final = "of the callbacks that read them: in a burst they are later than the poses"
 
@@ -50,13 +50,13 @@ _NEVER_LOGGED: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PaperLog:
-    """A log as in its file, with every value checked by itself.
+    """A log as in its file; each value is checked alone.
 
     Attributes:
         name: Name of the run.
         source: Layout and name of the file.
         columns: Lists named in `_NUMBERS`, all of one length.
-        states: Phase after each callback, of the same length.
+        states: Phase after each callback, as long as the columns.
         parameters: Known values of the scenario, by dotted key.
         absent: Fields of this layout that the file lacks.
         notes: As in `Run`.
@@ -170,7 +170,7 @@ def _build_samples(
         time_ns=time_ns,
         sequence=rows,
         pose_sequence=rows,
-        # A command was computed in the state that the callback before it left.
+        # A command was computed in the state after the previous callback.
         phase=np.array([_PHASES["rotate"], *states[:-1]], dtype=np.int64),
         bearing_rad=columns["target_angle_rad"],
         heading_error_rad=columns["error_angle"],
@@ -241,20 +241,20 @@ _PARAMETERS: Final = MappingProxyType(
         "goal.y_m": ("target_position", "y"),
     }
 )
-"""Where the metadata holds a key of a scenario."""
+"""Section and name in the metadata, by scenario key."""
 
 _PLACES: Final = MappingProxyType({name: f"data.{name}" for name in (*_NUMBERS, "state")})
 
 _MOST_SIGNS: Final = 2**17
-"""Lists, objects and keys of a JSON text: thousands of times what a log has."""
+"""Largest number of lists, objects and keys of a JSON text: thousands of times those of a log."""
 
 _HEADINGS: Final = MappingProxyType(
     {name: name for name in (*_NUMBERS, "state")} | {"error_angle": "error_angle_rad"}
 )
-"""What a list is called in this layout."""
+"""Name of each list in the CSV layout."""
 
 PAPER_MARKS: Final = frozenset({"target_angle_rad", "error_angle_rad", "vel_x_global"})
-"""Columns of a CSV that tell this layout from other tables."""
+"""CSV columns that distinguish this layout from other tables."""
 
 
 def parse_paper_json(text: str, path: Path) -> PaperLog:
@@ -286,7 +286,7 @@ def parse_paper_json(text: str, path: Path) -> PaperLog:
 
 
 def _parse_json(text: str) -> object:
-    # An empty list of two letters takes 64 bytes in memory, a key of five 200.
+    # An empty list of two letters takes 64 bytes in memory, a key of five letters 200.
     for sign, noun in (("[", "lists"), ("{", "objects"), (":", "keys")):
         if text.count(sign) > _MOST_SIGNS:
             raise LogError(

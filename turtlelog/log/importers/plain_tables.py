@@ -28,7 +28,7 @@ _QUATERNION: Final = ("qx", "qy", "qz", "qw")
 _NEEDED: Final = ("t", "x", "y", "heading")
 
 _SHOWN_NAMES: Final = 12
-"""Columns that an error names."""
+"""Largest number of columns that an error lists."""
 
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
 

@@ -18,19 +18,19 @@ Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _LONGEST_STEP_S: Final = 1000.0
-"""Usual time from row to row beyond which numbers without a unit are no seconds: nobody logs a
+"""Largest usual step between rows that is read as seconds if the unit is unknown: nobody records a
 drive every quarter of an hour."""
 
 _WRAPS_DEG: Final = (330.0, 361.0)
-"""Step of a heading without a unit that only degrees take, where they are wrapped: a turn, less the
-30 deg at most that a robot turns from row to row. As radians it were 52 turns and more."""
+"""Steps of a wrapped heading that show degrees if the unit is unknown: a turn, less up to 30 deg of
+rotation between two rows. In radians these steps would be 52 turns and more."""
 
 _EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
-"""Numbers that are times since 1970, from 2001 to 2286, by the least of each unit."""
+"""Smallest time since 1970 in each unit; the ranges last from 2001 to 2286."""
 
 _POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 _LATEST_NS: Final = 2**62
-_MOST_DIGITS: Final = 20  # before the point; more are no nanoseconds of 64 bits
+_MOST_DIGITS: Final = 20  # digits before the point; nanoseconds of 64 bits have no more
 _ENDS: Final = re.compile(r"[\])]$")
 _DATE: Final = re.compile(
     r"\s*+(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d++))?"
@@ -45,7 +45,7 @@ class Cells:
     Attributes:
         table: Table as in its file.
         chosen: Chosen columns by quantity.
-        time_ns: Times [ns], since 1970 or from wherever they count, shape (n,).
+        time_ns: Times [ns], since 1970 or from another start, shape (n,).
     """
 
     def __init__(self, table: PlainTable, chosen: Mapping[str, Choice]) -> None:
@@ -74,7 +74,7 @@ class Cells:
         told = []
         for field, choice in self.chosen.items():
             unit = self._guesses.get(field, choice.unit)
-            # A name that ends in its unit says it already.
+            # The unit is not repeated if the column's name ends with it.
             is_said = QUANTITIES[field] == "number" or (
                 unit == choice.unit and _ENDS.search(choice.name)
             )
@@ -123,7 +123,7 @@ class Cells:
         return usual
 
     def _read_times(self) -> Times:
-        """Return times [ns], since 1970 or from wherever they count.
+        """Return times [ns], since 1970 or from another start.
 
         Raises:
             LogError: If a cell is not a time, or the unit cannot be determined.

@@ -29,7 +29,7 @@ QUANTITIES: Final[Mapping[str, Quantity]] = MappingProxyType(
         "command_turn_rate": "turn_rate",
     }
 )
-"""What a table may hold; `speed` and `turn_rate` are what the robot measured."""
+"""Quantities of a table by field; `speed` and `turn_rate` are measured values of the robot."""
 
 UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = MappingProxyType(
     {
@@ -41,7 +41,7 @@ UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = MappingProxyType(
         "number": {"1": 1.0},
     }
 )
-"""Units by what they measure, the usual one first, each as a multiple of it."""
+"""Units by quantity, the standard unit first, each as a multiple of the standard unit."""
 
 _SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -61,13 +61,13 @@ _SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
         **dict.fromkeys(("deg/s", "deg_s", "degps", "dps", "deg_per_s", "°/s"), "deg/s"),
     }
 )
-"""Units as people write them."""
+"""Common spellings of units."""
 
 _NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "t": "t time timestamp timestamps stamp header_stamp header_stamp_sec header_stamp_secs"
         " stamp_sec stamp_secs elapsed elapsed_time sim_time ros_time sec secs seconds",
-        "t_nanosec": "",  # only beside the seconds
+        "t_nanosec": "",  # only together with seconds
         **{
             axis: f"{axis} pos_{axis} position_{axis} p{axis} {axis}_pos {axis}_position {axis}pos"
             f" pose_{axis} t{axis} pose_position_{axis} pose_pose_position_{axis}"
@@ -88,11 +88,11 @@ _NAMES: Final[Mapping[str, str]] = MappingProxyType(
         " ang_vel angular_z vel_angular_z twist_angular_z twist_twist_angular_z",
     }
 )
-"""Names of columns, in small letters and with _ for anything else, by what they hold."""
+"""Known column names by field, in lower case, with _ for other characters."""
 
 _COMMANDS: Final = frozenset({"cmd", "command", "commanded", "commands"})
 _OTHERS: Final = frozenset({"measured", "meas", "actual", "odom", "field", "robot", "data"})
-"""Words that say no more than that a robot measured it."""
+"""Words in column names that only mean that a robot measured the values."""
 
 _WANTED: Final = frozenset(
     {
@@ -100,12 +100,14 @@ _WANTED: Final = frozenset(
         *("error", "err", "cov", "covariance", "std", "var", "sigma"),
     }
 )
-"""Words of columns that hold something else than where the robot is and what it does."""
+"""Words in names of columns that do not contain the robot's position or motion."""
 
 
 _LONGEST_NAME: Final = 512
-"""Letters of a name that may say what its column holds; a topic of ROS before it takes 255. To find
-a unit in a longer name takes the square of its length."""
+"""Longest name that is searched for a quantity [letters].
+
+The topic before the quantity may take 255 letters. The time to find a unit grows with the square of
+the length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,7 +247,7 @@ def _rank(field: str, base: str) -> int | None:
     for rank, tried in enumerate((rest, short)):
         if "_".join(tried) in known:
             return rank
-    # What stands before is a topic: /odom/pose/pose/position/x, cmd_vel.linear.x.
+    # The part before is a topic: /odom/pose/pose/position/x, cmd_vel.linear.x.
     tails = ("_".join(short[place:]) for place in range(1, len(short) - 1))
     return 2 if any(tail in known for tail in tails) else None
 
@@ -254,10 +256,10 @@ def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, 
     """Return a lower-case name without its unit, and the unit if it fits this quantity.
 
     Args:
-        field: What the column holds, or may hold.
-        name: Of the column.
-        is_asked: Whether the user says that it holds this; otherwise what stands before the unit
-            has to say it.
+        field: Quantity of the column, certain or assumed.
+        name: Name of the column.
+        is_asked: Whether the user named this column; otherwise the words before the unit must name
+            the quantity.
     """
     text = name.strip().lower()
     match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", text)
@@ -276,10 +278,10 @@ def _simplify(text: str) -> str:
 
 
 def _read_unit(field: str, text: str) -> str | None:
-    """Return a unit of a field, None if the text is none of its units."""
+    """Return the unit of a field; None if the text is not one of its units."""
     plain = text.strip().lower().replace(" ", "").replace("^-1", "").replace("·", "_")
     quantity = QUANTITIES[field]
-    if quantity == "speed" and plain == "ms":  # of a speed nobody means milliseconds
+    if quantity == "speed" and plain == "ms":  # a speed is never in milliseconds
         return "m/s"
     unit = _SPELLINGS.get(plain)
     return unit if unit in UNITS[quantity] else None

@@ -21,35 +21,37 @@ from turtlelog.log.parquet.parquet_file import (
 )
 
 TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
-"""The columns of a TUM trajectory, which has no header: time, position, quaternion."""
+"""Columns of a TUM trajectory, which has no header: time, position, quaternion."""
 
 KITTI_COLUMNS: Final = (
     *("r11", "r12", "r13", "tx", "r21", "r22", "r23", "ty", "r31", "r32", "r33", "tz"),
 )
-"""The columns of a KITTI trajectory, which has neither header nor times: the first three rows of
-the matrix from the robot's frame to the world's, one after the other."""
+"""Columns of a KITTI trajectory, which has neither header nor times.
+
+They are the first three rows, one after another, of the matrix from the robot's frame to the
+world's."""
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
 _LONGEST_HEAD: Final = 64 * 1024
-"""Bytes of a first line, or of the comments above it, that may name columns: 250 states of 60
-letters, and the rest, fit in."""
+"""Longest first line, or comments above it, with column names [bytes]: 250 states with names of 60
+letters, and the other columns, fit."""
 
 MOST_COLUMNS: Final = 10_000
-"""Columns of a table: turtlelog's own have 30, plant models hundreds. Names are looked through once
-for each quantity, which takes 1 s."""
+"""Largest number of columns: turtlelog's tables have 30, those of robot models hundreds. Names are
+searched once for each quantity, which takes 1 s."""
 
 _MOST_KNOWN: Final = 2**14
-"""Texts of cells that stand in memory once: all numbers of three digits with a point."""
+"""Number of cell texts that are stored only once: all numbers of three digits with a point."""
 
 _BLANK: Final = " "
-"""Stands for any number of spaces and tabs between cells."""
+"""Delimiter that means any number of spaces and tabs."""
 
 
 class TableColumns(Protocol):
     """Reader of the columns of a table.
 
     Attributes:
-        lines: Number of each row in its file, from 1, once columns were read.
+        lines: Number of each row in its file, from 1; known after the first read.
     """
 
     lines: Sequence[int]
@@ -100,7 +102,7 @@ def read_header(path: Path) -> tuple[str, ...]:
     """Return the column names without reading rows; for text files the cells of the first line.
 
     Raises:
-        ValueError: If a file that is called so is no Parquet file.
+        ValueError: If a file with the suffix of Parquet is not a Parquet file.
     """
     if path.suffix.lower() != ".parquet":
         with open_file(path) as stream:
@@ -162,7 +164,7 @@ def _find_delimiter(line: str) -> str:
 
 
 def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
-    """Return the names of columns without a header: of a comment above them, of TUM or KITTI."""
+    """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
             if (
@@ -186,18 +188,18 @@ class _TextColumns:
     """The columns of a table of text.
 
     Attributes:
-        lines: Number of each row's line, once columns were read.
+        lines: Line number of each row; known after the first read.
     """
 
     def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
-        """Take a text whose lines have so many cells.
+        """Use a text whose lines have `count` cells.
 
         Args:
-            text: The whole file.
-            delimiter: Between cells.
-            count: How many columns there are.
+            text: Complete text of the file.
+            delimiter: Delimiter between cells.
+            count: Number of columns.
             size: Size of the file [bytes].
-            is_first: Whether the first row has values, and no names.
+            is_first: Whether the first row contains values instead of names.
         """
         self._text, self._delimiter, self._count = text, delimiter, count
         self._size, self._is_first = size, is_first
@@ -207,7 +209,8 @@ class _TextColumns:
         """Return the cells of some columns.
 
         Raises:
-            LogError: If a line is no row, or there are more rows than a file of this size has.
+            LogError: If a line has another number of cells, or there are too many rows for the
+                file's size.
         """
         found: list[list[str]] = [[] for _ in places]
         lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
@@ -222,7 +225,7 @@ class _TextColumns:
                 cell = row[place].strip()
                 if self._delimiter != ",":
                     cell = _replace_comma(cell)
-                # Numbers of few digits repeat.
+                # Numbers with few digits repeat.
                 cells.append(known.get(cell, cell))
                 if len(known) < _MOST_KNOWN:
                     known[cell] = cell
@@ -230,7 +233,7 @@ class _TextColumns:
         return [*found]
 
     def _iterate_rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield the rows below the header, and the number of each one's line."""
+        """Yield the rows below the header with their line numbers."""
         rows = _split_lines(iterate_lines(self._text, comments=False), self._delimiter)
         if not self._is_first:
             next(rows)
@@ -267,7 +270,7 @@ def _split_line(line: str, delimiter: str) -> list[str]:
     if delimiter != _BLANK:
         ((_, row),) = _split_lines([(1, line)], delimiter)
         return [cell.strip() for cell in row]
-    # A unit may stand apart from its name: `yaw [deg]`.
+    # A blank may separate a name from its unit: `yaw [deg]`.
     return re.findall(r"\S+(?:[ \t]+(?:\[[^\]\s]*\]|\([^)\s]*\)))?", line)
 
 
@@ -276,7 +279,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _replace_comma(cell: str) -> str:
-    """Return a number with the point that a comma stands for."""
+    """Return a number with a decimal point instead of a comma."""
     return cell.replace(",", ".") if "," in cell and _is_number(cell) else cell
 
 
@@ -303,7 +306,7 @@ class _StoredColumns:
     """The columns of a Parquet file.
 
     Attributes:
-        names: Of the columns, those within structs with dots.
+        names: Names of the columns; names within structs have dots.
         lines: Number of each row.
     """
 
@@ -315,7 +318,7 @@ class _StoredColumns:
         """Return the cells of some columns.
 
         Raises:
-            LogError: If one would take too much memory, holds lists, or has a name twice.
+            LogError: If a column needs too much memory, contains lists, or has a duplicate name.
         """
         return [self._read_one(self.names[place]) for place in places]
 
@@ -329,7 +332,7 @@ class _StoredColumns:
 
 
 def _unpack(column: Any) -> Sequence[Any]:
-    """Return the cells of a column: numbers, times in ns, else texts; null is empty."""
+    """Return the cells of a column: numbers, times in ns, otherwise texts; null is empty."""
     if not str(column.type).startswith(("dictionary", "string", "large_string")):
         values = column.to_numpy()
         if values.dtype.kind == "M":

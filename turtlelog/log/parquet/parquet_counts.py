@@ -12,18 +12,20 @@ from turtlelog.log.error_boundary import DamageError
 
 _MAGIC: Final = b"PAR1"
 _ENDING: Final = 8
-"""Bytes behind the footer: its length and the magic."""
+"""Size of the length and the magic bytes after the footer [bytes]."""
 
 _DEEPEST: Final = 16
-"""How far structs and lists of Thrift lie within each other: those of Parquet do 8 times."""
+"""Largest nesting depth of Thrift structs and lists; Parquet's is 8."""
 
 _PAGE_HEAD: Final = 2**12
-"""Bytes that are read for the header of a page; with statistics of short texts it takes 100."""
+"""Bytes read for the header of a page; one with statistics of short texts takes 100."""
 _LONGEST_PAGE_HEAD: Final = 2**20
 
 _Wanted = Mapping[int, Any]
-"""Fields of a struct that are kept, by their numbers: None for a whole number, a mapping for a
-struct, and a list of one mapping for a list of structs."""
+"""Wanted fields of a struct by number.
+
+The value is None for a whole number, a mapping for a struct, and a list of one mapping for a list
+of structs."""
 
 _FOOTER: Final[_Wanted] = {
     2: [{5: None}],  # the schema: children
@@ -31,14 +33,14 @@ _FOOTER: Final[_Wanted] = {
     4: [{1: [{3: dict.fromkeys((5, 7, 9, 11))}], 3: None}],  # groups: chunks of columns, rows
 }
 _PAGE: Final[_Wanted] = {
-    **dict.fromkeys((2, 3)),  # bytes unpacked, packed
+    **dict.fromkeys((2, 3)),  # bytes: unpacked, packed
     5: dict.fromkeys((1, 2)),  # values, encoding
     7: dict.fromkeys((1, 2)),
     8: dict.fromkeys((1, 4)),
 }
 
 _KINDS: Final[Mapping[type, type]] = {type(None): int, dict: dict, list: list}
-"""What a field is read as, by what says that it is kept."""
+"""Python type of a field, by the type of its entry in `_Wanted`."""
 
 _BOOLEANS, _BYTE, _DOUBLE, _BINARY, _LISTS, _MAP, _STRUCT = (1, 2), 3, 7, 8, (9, 10), 11, 12
 _WHOLES: Final = (4, 5, 6)
@@ -50,8 +52,8 @@ class ChunkClaim:
 
     Attributes:
         values: Number of values.
-        start: Place of its first page in the file.
-        size: Bytes of its pages, with their headers.
+        start: Offset of its first page in the file [bytes].
+        size: Size of its pages with their headers [bytes].
     """
 
     values: int
@@ -64,9 +66,9 @@ class FooterClaims:
     """Contents of the footer.
 
     Attributes:
-        row_count: Rows of all groups.
+        row_count: Number of rows of all groups.
         depth: Nesting depth of columns in structs and lists, 1 for a flat table.
-        group_rows: Rows of each group.
+        group_rows: Number of rows of each group.
         chunks: Entries by group, then by column.
     """
 
@@ -81,7 +83,7 @@ class PageClaim:
     """Contents of a page header.
 
     Attributes:
-        unpacked: Bytes of the page after decompression.
+        unpacked: Size of the page after decompression [bytes].
         values: Number of values.
         encoding: Parquet's number of the encoding.
     """
@@ -94,16 +96,16 @@ class PageClaim:
 def read_footer_claims(
     stream: BinaryIO, *, most_bytes: int, most_parts: int, advice: str = ""
 ) -> FooterClaims:
-    """Return what the footer of a Parquet file says.
+    """Return the contents of a Parquet file's footer.
 
     Args:
         stream: The file.
-        most_bytes: Of the footer.
-        most_parts: Columns, groups and other structs that it may list.
-        advice: What to do where it has more bytes; ends the line.
+        most_bytes: Largest size of the footer [bytes].
+        most_parts: Largest number of columns, groups and other structs in it.
+        advice: End of the error line if the footer is larger.
 
     Raises:
-        DamageError: If it is no footer, or larger than that.
+        DamageError: If the footer is invalid or exceeds the limits.
     """
     size = stream.seek(0, 2)
     stream.seek(max(size - _ENDING, 0))
@@ -140,7 +142,7 @@ def _read_chunk(chunk: Mapping[int, Any]) -> ChunkClaim:
 
 
 def _measure_depth(children: list[int]) -> int:
-    """Return how deep a tree is, of how many children each node has, parents first."""
+    """Return the depth of a tree, given the number of children of each node, parents first."""
     open_nodes: list[int] = []
     deepest = 0
     for count in children[1:]:
@@ -157,10 +159,10 @@ def _measure_depth(children: list[int]) -> int:
 
 
 def iterate_pages(stream: BinaryIO, chunk: ChunkClaim) -> Iterator[PageClaim]:
-    """Yield what the pages of a column in a group say about themselves; none is unpacked.
+    """Yield the headers of a column's pages in a row group; no page is unpacked.
 
     Raises:
-        DamageError: If the header of one is none, or a page ends behind the file.
+        DamageError: If a header is invalid, or a page extends beyond the file.
     """
     place, end = chunk.start, chunk.start + chunk.size
     if chunk.start < len(_MAGIC) or chunk.size < 0 or end > stream.seek(0, 2):
@@ -194,7 +196,7 @@ class _Thrift:
     """Values in the compact protocol, read one after another.
 
     Attributes:
-        place: Where the next one begins.
+        place: Offset of the next value.
     """
 
     def __init__(self, data: bytes, most_parts: int) -> None:
@@ -202,10 +204,10 @@ class _Thrift:
         self.place = 0
 
     def read_struct(self, wanted: _Wanted, depth: int = 0) -> dict[int, Any]:
-        """Return the wanted fields that are there.
+        """Return the wanted fields that exist.
 
         Raises:
-            DamageError: If the bytes are no struct, or hold too many.
+            DamageError: If the bytes are not a struct, or contain too many values.
         """
         self._count_part(depth)
         found: dict[int, Any] = {}

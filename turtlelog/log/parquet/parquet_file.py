@@ -1,7 +1,7 @@
-"""Reading of Parquet files as Arrow tables: checked before reading, and without threads.
+"""Reading of Parquet files as Arrow tables, checked before reading, without threads.
 
-pyarrow reads a stream of Python in threads of its own unless it is told not to. Such a thread may
-outlive the answer, and then ends the process with SIGABRT when Python exits.
+By default pyarrow reads a Python stream in threads of its own. Such a thread may outlive the
+answer, and then ends the process with SIGABRT when Python exits.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,45 +21,49 @@ from turtlelog.log.parquet.parquet_counts import (
 )
 
 MOST_ROWS: Final = 350_000
-"""Rows of a small file: libraries leave 120 MB of its memory, and commands take up to 310 bytes a
-row. At 50 poses a second these are two hours."""
+"""Largest number of rows of a small file, two hours at 50 poses per second.
+
+Libraries leave 120 MB of the file's memory limit, and commands take up to 310 bytes per row."""
 _ROW_BYTES: Final = 8
-"""Bytes of a larger file that justify a row more: x and y of 32 bits do not pack."""
+"""Bytes of a larger file per further row: x and y as 32-bit numbers do not compress."""
 
 _CELLS_A_ROW: Final = 16
-"""Columns of numbers that are read at once, at the most rows; of fewer rows there may be more."""
+"""Number columns that are read at once with the most rows; fewer rows allow more columns."""
 
 _TEXT_BYTES: Final = (24 * 2**20, 2)
-"""Bytes of texts that are read at once, and what more a byte of the file allows: dictionaries."""
+"""Bytes of texts that are read at once, and further bytes per byte of the file (dictionaries)."""
 
 _PAGES: Final = (10_000, 1 / 1000)
-"""Pages likewise: writers put 20,000 values or 1 MB into one. Reading its header takes 30 us."""
+"""Number of pages, and further pages per byte of the file.
+
+Writers put 20,000 values or 1 MB into a page. Reading its header takes 30 us."""
 
 _PAGE_BYTES: Final = (2**16, 16)
-"""Bytes of a page of numbers, and those of each row; the longest numbers have 16."""
+"""Bytes of a page of numbers, and further bytes per row; the longest numbers have 16."""
 
 _FOOTER_BYTES: Final = (2**21, 1 / 16)
 _FOOTER_PARTS: Final = (2**16, 1 / 128)
-"""Bytes and structs of the footer likewise. Each column of each group takes 740 bytes in Arrow, and
-100 or more in a file that other programs wrote."""
+"""Bytes and structs of the footer, and further ones per byte of the file. Each column of each row
+group takes 740 bytes in Arrow, and 100 or more in a file by other programs."""
 
 _REMOTE_FOOTER_BYTES: Final = 2**23
-"""Bytes of the footer behind a URL, where a server may claim any size of the file: read, copied and
-decoded they take up to 80 MB."""
+"""Largest footer behind a URL [bytes], where the server may claim any file size.
+
+Reading, copying and decoding the footer takes up to 80 MB."""
 _REMOTE_FOOTER_PARTS: Final = 2**17
-"""Structs likewise: they take up to 100 MB in Arrow."""
+"""Largest number of structs in a footer behind a URL; they take up to 100 MB in Arrow."""
 
 _DOWNLOAD: Final = "; download the file, then name the copy"
 
 _DEEPEST: Final = 32
-"""How far columns lie within structs and lists: those of ROS messages do 6 times."""
+"""Largest nesting depth of columns in structs and lists; ROS messages have 6."""
 
 _SHARES_PREFIXES: Final = 7
-"""The encoding DELTA_BYTE_ARRAY: a text of 1 MB takes 2 bytes where it repeats the one before."""
+"""Encoding DELTA_BYTE_ARRAY: a text of 1 MB that repeats the previous one takes 2 bytes."""
 _PLACES: Final = frozenset({2, 8})
-"""The encodings whose pages hold places in a dictionary, which may repeat one long text."""
+"""Encodings with indices of a dictionary, which may repeat one long text."""
 _NO_DICTIONARY: Final = frozenset({6, _SHARES_PREFIXES})
-"""The encodings that Arrow does not read into a dictionary."""
+"""Encodings that Arrow does not read into a dictionary."""
 
 
 def count_most_rows(size: int) -> int:
@@ -90,7 +94,7 @@ class ParquetFile:
         """Read the footer.
 
         Raises:
-            LogError: If it is no Parquet file, or exceeds limits; the message lacks the file's
+            LogError: If the file is not Parquet, or exceeds limits; the message lacks the file's
                 name.
             LibraryError: If pyarrow is not installed.
         """
@@ -99,7 +103,7 @@ class ParquetFile:
         with open_file(self._path) as stream:
             self._size = stream.seek(0, 2)
             is_remote = isinstance(self._path, RemotePath)
-            # What a server says of the size justifies nothing.
+            # The size that a server claims does not raise any limit.
             self._believed = min(self._size, SMALL_FILE - 1) if is_remote else self._size
             self._advice = _DOWNLOAD if is_remote else ""
             most_bytes = grow_bound(_FOOTER_BYTES, self._size)
@@ -118,7 +122,7 @@ class ParquetFile:
             stream.seek(0)
             try:
                 self.metadata = parquet.read_metadata(stream)
-            except (OSError, ValueError) as err:  # Arrow's, with the names of its own errors
+            except (OSError, ValueError) as err:  # Arrow raises its own subclasses of these
                 raise DamageError(
                     "expected a complete Parquet file, found a footer that is damaged; copy the"
                     " file again from its source"
@@ -139,7 +143,7 @@ class ParquetFile:
             group: Index of a row group; None: all.
 
         Raises:
-            LogError: Without the file's name, where they ask for more memory than they may.
+            LogError: If the columns need too much memory; the message lacks the file's name.
         """
         places = [place for place in range(len(self.leaves)) if self._is_asked(place, names)]
         groups = range(len(self.group_rows)) if group is None else [group]
@@ -156,10 +160,10 @@ class ParquetFile:
     def require_rows(self) -> None:
         """Refuse a table with more rows than a run may have.
 
-        Behind a URL a long one is fetched as a whole before its rows are believed.
+        A long table behind a URL is fetched completely before its number of rows is trusted.
 
         Raises:
-            LogError: Without the file's name: how many there are, how many may be, what to do.
+            LogError: With the number of rows, the limit and advice, without the file's name.
         """
         most = count_most_rows(self._size)
         if self.row_count > most:
@@ -176,7 +180,7 @@ class ParquetFile:
             rows: Number of rows of each column; None: all.
 
         Raises:
-            LogError: Without the file's name.
+            LogError: If there are more cells; the message lacks the file's name.
         """
         rows = self.row_count if rows is None else rows
         most = _CELLS_A_ROW * max(MOST_ROWS, self._believed // _ROW_BYTES)
@@ -194,10 +198,10 @@ class ParquetFile:
     def _require_bounded(
         self, stream: BinaryIO, places: Sequence[int], groups: Sequence[int]
     ) -> list[str]:
-        """Return the columns of texts that are read as dictionaries.
+        """Return the text columns that are read as dictionaries.
 
         Raises:
-            LogError: If the columns would take more memory than they may.
+            LogError: If the columns would need too much memory.
         """
         self.require_cells(len(places), sum(self.group_rows[group] for group in groups))
         size = self._believed
@@ -230,7 +234,7 @@ class _PageCounts:
         """Count the pages of a column, and return whether it is read as a dictionary of texts.
 
         Raises:
-            LogError: If they ask for too much.
+            LogError: If the pages exceed the limits.
         """
         if leaf.physical_type == "BYTE_ARRAY":
             return self._count_texts([page for one in chunks for page in self._list(stream, one)])
@@ -259,7 +263,7 @@ class _PageCounts:
             yield page
 
     def _count_texts(self, pages: Sequence[PageClaim]) -> bool:
-        """Return whether texts are read as a dictionary, which does not repeat them."""
+        """Return whether texts are read as a dictionary, which stores repeated texts once."""
         found = {page.encoding for page in pages}
         is_dictionary = not found & _NO_DICTIONARY
         values = max((page.values for page in pages), default=0)
@@ -278,7 +282,7 @@ class _PageCounts:
 
 
 def list_cells(cells: Any) -> list[Any]:
-    """Return an array of Arrow as values of Python; a text that repeats is there once."""
+    """Return an Arrow array as Python values; repeated texts share one object."""
     chunks = getattr(cells, "chunks", [cells])
     return [cell for chunk in chunks for cell in _list_chunk(chunk)]
 

@@ -45,7 +45,7 @@ from turtlelog.log.recording.topics import (
 from turtlelog.run.loops import Declaration
 
 _MOST_PLANS: Final = 64
-"""Of topics: those of every recording, and of the states of some laws."""
+"""Number of cached topic layouts: those of every recording, and of the states of some laws."""
 
 _OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True, is_counted=True)
 _USED: Final = replace(
@@ -61,9 +61,9 @@ class Contents:
     Attributes:
         head: Metadata of the recording.
         attachments: Attached bytes by name.
-        topics: The columns by name of every topic that there should be, by its declaration and its
-            effects; empty ones without messages. Of a whole file without fields that no run needs,
-            and with its log times for times of publication.
+        topics: Columns of every expected topic by name, empty without messages; declaration and
+            effects determine the topics. In a complete file, fields that no run needs are omitted,
+            and log times stand for publish times.
         damages: Segments that could not be read; empty if the file is complete.
         recovered: Note on earlier losses, if the file was recovered.
     """
@@ -103,9 +103,9 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
     except LogError as err:
         if may_be_foreign and isinstance(err, ForeignFileError):
             raise
-        source.check_data()  # where a byte is wrong, that is the reason
+        source.check_data()  # a wrong byte is the actual reason
         raise
-    if source.is_indexed:  # last: it names no place
+    if source.is_indexed:  # last, because its error names no place
         source.check_data()
     return contents
 
@@ -114,7 +114,7 @@ def _read_source(source: Source) -> Contents:
     found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
     head: Head | None = None
     if source.is_indexed:
-        # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
+        # First: messages of other programs or a newer turtlelog may have other types.
         head = _find_head(found)
     parts = collect_parts(source, _USED, lambda piece: found.extend(_keep_notes(piece.rest)))
     for rows in (rows for of_topic in parts.values() for rows in of_topic):
@@ -163,17 +163,18 @@ def build_contents(
     damages: Collection[Loss],
     head: Head | None = None,
 ) -> Contents:
-    """Return what records outside chunks, and the rows of topics in parts, make together.
+    """Return the contents from records outside chunks and the rows of topics in parts.
 
     Args:
-        records: Those outside chunks.
+        records: Records outside chunks.
         catalogue: Catalogue of the file.
-        parts: The rows of topics.
-        damages: What could not be read.
-        head: That of the records, where it is known already.
+        parts: Rows of topics.
+        damages: Segments that could not be read.
+        head: Metadata of the recording, if known.
 
     Raises:
-        LogError: If they are no recording of ours, or a topic of ours has another type.
+        LogError: If the file is not a turtlelog recording, or a topic of turtlelog has another
+            type.
     """
     head, topics = head or _find_head(records), {}
     states = () if head.declaration is None else head.declaration.states
@@ -193,7 +194,7 @@ def build_contents(
 
 
 def _list_topics(head: Head, parts: Mapping[str, list[Rows]]) -> tuple[Topic, ...]:
-    """Return the topics that there should be; a recording that has no end yet shows its effects."""
+    """Return the expected topics; for an unfinished recording, its topics show its effects."""
     has_sensing, has_shaping, has_measured = (
         topic.name in head.more_topics or topic.name in parts
         for topic in (SENSED, SHAPED, MEASURED)
@@ -207,7 +208,7 @@ def _list_topics(head: Head, parts: Mapping[str, list[Rows]]) -> tuple[Topic, ..
 
 
 def _find_head(records: Collection[Any]) -> Head:
-    """Return the last one: a live recording says at its end how it ended."""
+    """Return the last metadata record: at the end, a live recording adds its stop reason."""
     heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
     if not heads:
         raise ForeignFileError(f"not a recording of turtlelog: it has no metadata record {HEAD}")
@@ -216,7 +217,7 @@ def _find_head(records: Collection[Any]) -> Head:
 
 def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
     topic, is_state = expected.topic, expected.topic == LAW_STATE
-    # The type of the states may have any name: what matters is what the law declares.
+    # The type of the states may have any name; only the declared fields matter.
     if found.type != expected.type and not is_state:
         kind = found.type or "no type"
         raise LogError(f"topic {topic}: expected {expected.type}, found {kind}")
@@ -245,12 +246,12 @@ def _keep_empty_rows(topic: Topic) -> Rows:
 
 
 def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
-    """Return contents whose rows belong together, and a clause on what that took; empty if nothing.
+    """Return contents with consistent rows, and a clause on the changes; empty without changes.
 
-    The poses of a recording are numbered from 0, and a sample names the number of its own. Poses
-    of which a column is lost, and samples whose pose, states or reference is, are dropped; the rest
-    are numbered anew. So are samples whose pose as it was sensed, or shaped command, is lost. Of a
-    pose that no sample read, nobody knows whether it dropped out or what was sensed of it is lost.
+    Poses are numbered from 0, and each sample contains the number of its pose. Poses with a missing
+    column are dropped. Samples are dropped if their pose, states, reference, sensed pose or shaped
+    command is missing. The remaining poses are numbered anew. If no sample read a pose, it is
+    unknown whether the pose dropped out or its sensed values are lost.
     """
     topics, declaration = dict(contents.topics), contents.head.declaration
     pose_topics = [
@@ -278,16 +279,16 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
 
 
 _MORE_OF_SAMPLES: Final = {SENSED.name: "sensed pose", SHAPED.name: "shaped command"}
-"""What else belongs to a sample of a run with these topics."""
+"""Other messages of each sample in runs with these topics."""
 
 
 def _reconcile_sensed(
     topics: dict[str, TopicColumns], numbers: NDArray[np.uint32]
 ) -> tuple[list[str], NDArray[np.uint32]]:
-    """Drop what was sensed of lost poses, and number the rest as the poses that are there.
+    """Drop the sensed values of lost poses, and number the rest like the remaining poses.
 
     Returns:
-        Clauses on what is lost, and the numbers of the poses that a sample may have read.
+        Clauses on the losses, and the numbers of poses that a sample may have read.
     """
     if SENSED.name not in topics:
         return [], numbers
@@ -309,7 +310,7 @@ def _reconcile_sensed(
 def _take_described(
     samples: TopicColumns, topics: dict[str, TopicColumns], declaration: Declaration
 ) -> TopicColumns:
-    """Return the samples of which all is there that they have, and drop the rows of all others."""
+    """Return the complete samples, and drop all rows of the others."""
     if declaration.states:
         samples = samples.select(np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
     if declaration.has_reference:

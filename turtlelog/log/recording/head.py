@@ -29,36 +29,37 @@ HEAD: Final = "turtlelog"
 """Name of the metadata record."""
 
 CHECKSUM: Final = "checksum"
-"""Entry that holds the crc32 of the others, as JSON in order of their names, in hexadecimal."""
+"""Entry with the crc32 of all other entries, as JSON sorted by name, in hexadecimal."""
 
 _FORMAT_VERSION: Final = 2
 SCENARIO_FILE: Final = "scenario.toml"
-"""Attachment that holds a whole scenario."""
+"""Attachment with a complete scenario."""
 
 _PARAMETER_FILE: Final = "parameters.toml"
-"""Attachment that holds what is known of a scenario."""
+"""Attachment with the known values of a scenario."""
 
 _USUAL: Final = 2**13
-"""Bytes of an attachment whose tables are kept for the next file: 32 of them take some 25 MB at
-most."""
+"""Largest attachment whose tables are cached [bytes]: 32 of them take at most about 25 MB."""
 
 _LONGEST: Final = 2**18
-"""Bytes of the record, and of an attachment that is read; ours take a few thousand. TOML needs some
-hundred bytes of memory for each."""
+"""Largest size of the record, and of an attachment, that is read [bytes]; turtlelog writes a few
+thousand. Parsing TOML takes some hundred bytes of memory per byte."""
 
 MAY_BE_ABSENT: Final = (
     *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "bearing_rad", "heading_error_rad"),
     *("error_xy_m", "distance_m", "world_velocity_m_s"),
 )
-"""Columns of `SampleColumns` that are None where they are not recorded."""
+"""Columns of `SampleColumns` that are None if not recorded."""
 
 _REFERENCE: Final = ("reference_xy_m", "reference_heading_rad")
 
 _LONGEST_DECLARATION: Final = _LONGEST // 2
-"""Bytes of JSON; the rest of the record needs room, too. 250 names of 60 letters take 16 KiB."""
+"""Largest declaration as JSON [bytes]; the record has other entries, too.
+
+250 names of 60 letters take 16 KiB."""
 
 _OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "translate", "done"), ()))
-"""What is known of another law in format 1: the phases that there were, for everybody."""
+"""Declaration of another law in format 1: the phases that every law had then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,11 +71,11 @@ class Head:
         source: As in `Run`.
         name: As in `Run`.
         stop_reason: As in `Run`.
-        goal_heading_rad: As in `Run`; a quaternion would not give it back exactly.
+        goal_heading_rad: As in `Run`, because a quaternion does not give the exact heading.
         absent: As in `Run`.
         nan_columns: Columns of the run that are None, and NaN in the messages.
-        more_topics: Topics that not every recording has, and this one has, even without a message:
-            what is sensed may drop out as a whole.
+        more_topics: Optional topics of this recording, even without a message: all sensed poses may
+            drop out.
         declaration: As in `Run`; None in format 1.
         notes: As in `Run`.
         clock: As in `Run`.
@@ -123,7 +124,7 @@ def describe_scenario(
     notes: Mapping[str, str],
 ) -> Head:
     """Return the metadata for the recording of a scenario that is running or has run."""
-    from turtlelog.simulate import find_software  # only what records loads laws
+    from turtlelog.simulate import find_software  # only recorders load laws
 
     return Head(
         format_version=_FORMAT_VERSION,
@@ -144,7 +145,7 @@ def format_head(head: Head) -> dict[str, str]:
     """Return the metadata record; entries that are None are omitted.
 
     Raises:
-        LogError: If the declaration is longer than what is read.
+        LogError: If the declaration is longer than readers accept.
     """
     record = {
         "format_version": str(head.format_version),
@@ -171,7 +172,7 @@ def format_head(head: Head) -> dict[str, str]:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
         record["goal_heading_rad"] = repr(float(head.goal_heading_rad))
-    # MCAP has no checksum for a metadata record that is read without the rest of the file.
+    # MCAP has no checksum for metadata records that are read without the rest of the file.
     return {**record, CHECKSUM: sum_up_record(record)}
 
 
@@ -212,7 +213,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
 
 
 _COLUMNS: Final = ("poses", "commands", "samples", "goal_xy_m", "parameters")
-"""What every recording has unless its head names it as absent; of events nobody knows."""
+"""Columns of every recording, unless its metadata lists them as absent; events are unknown."""
 
 
 def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
@@ -241,10 +242,10 @@ def format_scenario_file(run: "Run") -> dict[str, bytes]:
 
 
 def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
-    """Return the attached tables, and whether they are a whole scenario. Loads no law.
+    """Return the attached tables, and whether they are a complete scenario; no law is loaded.
 
     Raises:
-        LogError: If the attachment is no TOML.
+        LogError: If the attachment is not TOML.
     """
     name = SCENARIO_FILE if SCENARIO_FILE in attachments else _PARAMETER_FILE
     text = attachments.get(name, b"")
@@ -262,7 +263,7 @@ def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
 
 
 def _recall_tables(name: str, text: bytes) -> dict[str, Any]:
-    """Return the tables of a text, parsed once: many files of one experiment hold the same."""
+    """Return the tables of a text, parsed only once: files of one experiment share them."""
     tables: dict[str, Any] = copy_tables(_keep_tables(name, text))
     return tables
 
@@ -303,7 +304,7 @@ def _list_more_topics(run: "Run") -> list[str]:
 
 
 def sum_up_record(record: Mapping[str, str]) -> str:
-    """Return the checksum of the entries, that of `CHECKSUM` left out."""
+    """Return the checksum of all entries except `CHECKSUM`."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
     return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
 
@@ -338,12 +339,13 @@ def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
 
 
 def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
-    """Return what is known of the law of a recording of format 1, which holds no declaration.
+    """Return the known declaration of a law in format 1, which stores no declaration.
 
     Args:
-        tables: The attached tables; what they leave out has the default, so that an imported log
-            is one of the sequential law.
-        has_samples: Whether it holds samples; without a law's name and samples nothing is known.
+        tables: Attached tables; missing values have their defaults, so an imported log has the
+            sequential law.
+        has_samples: Whether the recording contains samples; without a law name and samples, nothing
+            is known.
     """
     from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 
@@ -355,24 +357,24 @@ def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declarat
 
 
 RECOVERY: Final = "turtlelog_recovery"
-"""Name of the metadata record that tells a recovered file from one that was always whole."""
+"""Name of the metadata record that distinguishes a recovered file from a complete one."""
 
 _NOTE: Final = "recovered"
 
 LOSS_NOTES: Final = ("partial", "recovered")
-"""Notes of a run that say what its recording has lost."""
+"""Notes of a run on the losses of its recording."""
 
 _FROM_DAMAGED: Final = "from a damaged or unfinished file: "
 _NO_MESSAGE: Final = "no message is lost"
 
 _SUMMARY_ALONE: Final = "no data is lost, only the summary is damaged"
 NO_LOSS: Final = (_SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
-"""How the notes begin of files of which nothing is lost but the summary; what follows a semicolon
-is another loss."""
+"""Beginnings of notes on files that lost only their summary; the text after a semicolon is another
+loss."""
 
 
 def describe_damages(damages: Sequence[Loss]) -> str:
-    """Say in one line how much is lost; the first place stands for all."""
+    """Return one line on the losses: their total, and the first place."""
     if not damages:
         return _SUMMARY_ALONE
     lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
@@ -384,17 +386,17 @@ def describe_damages(damages: Sequence[Loss]) -> str:
 def format_recovery(
     lost: Sequence[Loss], missing: Mapping[str, int] | None, unchecked: Mapping[str, int]
 ) -> dict[str, str]:
-    """Return the metadata record: each entry as JSON, and the checksum of all."""
+    """Return the metadata record with each entry as JSON and a checksum of all."""
     entries = {"lost": lost, "missing": missing, "unchecked": unchecked}
     record = {name: msgspec.json.encode(value).decode() for name, value in entries.items()}
     return {**record, CHECKSUM: sum_up_record(record)}
 
 
 def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
-    """Return the note `recovered` for a file with these records; none where it was always whole.
+    """Return the note `recovered` for a file with these records; empty if it was not recovered.
 
     Raises:
-        LogError: If the record is not as it was written.
+        LogError: If the record was changed after writing.
     """
     found = [
         record.metadata
@@ -413,7 +415,7 @@ def _describe(record: Mapping[str, str]) -> str:
     lost = _decode_loss(record, "lost", tuple[Loss, ...])
     missing = _decode_loss(record, "missing", dict[str, int] | None)
     if missing is None:
-        count = "nobody knows how many messages are lost"
+        count = "the number of lost messages is unknown"
     elif missing:
         count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
     else:

@@ -68,21 +68,21 @@ Values = NDArray[np.float64]
 
 _FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_turn_rate_rad_s"}
 _EVERYTHING: Final = Selection()
-_ANY_SIZE: Final = 2**40  # bytes; nobody knows how large it becomes
+_ANY_SIZE: Final = 2**40  # bytes; the final size is unknown
 NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its source"
-"""What is said of a damaged file that nothing recovers."""
+"""Advice for a damaged file without a recoverable message."""
 
 
 def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
-    """Return the run in a recording after checking checksums. Its law is not loaded.
+    """Return the run in a recording after checking checksums; its law is not loaded.
 
     Args:
         path: The recording.
         allow_partial: Whether to read the intact part of an unfinished or damaged recording. A
-            `PartialRecordingWarning` and the note `partial` of the run say what is lost.
+            `PartialRecordingWarning` and the note `partial` of the run describe the losses.
 
     Raises:
-        LogError: If the file cannot be read, is no recording, is damaged, or is from a newer
+        LogError: If the file cannot be read, is not a recording, is damaged, or is from a newer
             turtlelog; one line with the file and the place.
     """
     return _read_file(path, allow_partial=allow_partial, may_be_foreign=False)
@@ -103,7 +103,7 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
         try:
             return _build_whole_run(read_contents(stream, may_be_foreign=may_be_foreign))
         except DamageError as err:
-            # Its frames hold what was unpacked: they go before the file is read once more.
+            # The error's frames hold unpacked data; they are freed before the file is read again.
             damage, is_unfinished = str(err), isinstance(err, UnfinishedError)
         if not allow_partial:
             survey = _survey_rest(stream)
@@ -120,7 +120,7 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
 
 
 def _survey_rest(stream: BinaryIO) -> Survey | None:
-    """Return what a damaged file still holds, None if it cannot even be walked."""
+    """Return the remaining contents of a damaged file; None if there is no record."""
     try:
         return survey_file(stream, allow_partial=True)
     except LogError:
@@ -128,14 +128,14 @@ def _survey_rest(stream: BinaryIO) -> Survey | None:
 
 
 def _advise(path: str | Path, survey: Survey | None) -> str:
-    """Return what to do about a damaged file: nothing recovers one that holds no message."""
+    """Return advice on a damaged file; a file without a message cannot be recovered."""
     if survey is None or any(survey.counts.values()):
         return f"turtlelog convert --recover {path} -o OUT rewrites what can be read"
     return NOTHING_LEFT
 
 
 def _build_whole_run(contents: Contents) -> Run:
-    """Return the run of a file that is whole; one that was recovered may lack rows, and says so."""
+    """Return the run of a complete file; a recovered file may lack rows, and has a note then."""
     if not contents.recovered:
         return build_run(contents)
     reconciled, dropped = reconcile_contents(contents)
@@ -144,7 +144,7 @@ def _build_whole_run(contents: Contents) -> Run:
 
 
 def _build_part(contents: Contents) -> Run:
-    """Return the run of a file that lacks rows: a column of which none is left is absent."""
+    """Return the run of a file that lacks rows; a column without values is absent."""
     head = contents.head
     run = build_run(contents)
     columns = {
@@ -161,14 +161,14 @@ class RecordingTail:
     """An open turtlelog recording that may still grow.
 
     Attributes:
-        is_finished: Whether its end has been read.
+        is_finished: Whether the end of the recording has been read.
     """
 
     def __init__(self, path: str | Path) -> None:
         """Open the recording.
 
         Raises:
-            LogError: If the file cannot be read, or is no MCAP file.
+            LogError: If the file cannot be read, or is not an MCAP file.
         """
         self.is_finished = False
         self._path, self._place = Path(path), len(MCAP0_MAGIC)
@@ -201,7 +201,7 @@ class RecordingTail:
         """Return the run so far; None if nothing is new since the last call, or there is no pose.
 
         Raises:
-            LogError: If the file is no recording by turtlelog.
+            LogError: If the file is not a recording by turtlelog.
         """
         with name_file(self._path, expected="a turtlelog recording"):
             has_grown = [self._take(section) for section in self._read_sections()]
@@ -211,14 +211,14 @@ class RecordingTail:
         """Return the run so far, even if it is incomplete.
 
         Raises:
-            LogError: If the file is no recording by turtlelog, or contains no pose.
+            LogError: If the file is not a recording by turtlelog, or contains no pose.
         """
         self.read_run()
         with name_file(self._path, expected="a turtlelog recording"):
             return self._build()
 
     def _build(self) -> Run:
-        # What is built takes its parts over, and these are needed again.
+        # `build_contents` empties its parts, which are needed again here.
         parts = {topic: [dict(rows) for rows in found] for topic, found in self._parts.items()}
         contents = build_contents(self._records, self._catalogue, parts, ())
         return build_run(reconcile_contents(contents)[0])
@@ -230,7 +230,7 @@ class RecordingTail:
                 yield section
 
     def _take(self, section: Section) -> bool:
-        """Add a section; return whether there is something to see in it."""
+        """Add a section; return whether it contains new data for a run."""
         if not section.is_chunk and section.data[0] == Opcode.DATA_END:
             self.is_finished = True
             return False
@@ -260,7 +260,7 @@ def build_run(contents: Contents) -> Run:
     goal, goal_xy_m = columns[GOAL.name].fields, None
     if len(columns[GOAL.name]):
         goal_xy_m = float(goal["pose.position.x"][0]), float(goal["pose.position.y"][0])
-    # Each table frees what it was built from before the next is built.
+    # Each table frees its source before the next is built.
     columns.pop(REFERENCE.name, None)
     poses = _build_poses(columns, head)
     commands = _build_commands(columns.pop(COMMAND.name))
@@ -310,7 +310,7 @@ def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
 def _build_measured(
     columns: dict[str, TopicColumns], pose: TopicColumns, head: Head
 ) -> dict[str, Values | None]:
-    """Return what the robot reported, nothing if it reported nothing."""
+    """Return the motion reported by the robot; empty if it reported none."""
     if MEASURED.name not in columns:
         return {}
     found = columns.pop(MEASURED.name)
@@ -327,7 +327,7 @@ def _build_measured(
 def _build_sensed(
     columns: dict[str, TopicColumns], pose: TopicColumns, read: Column
 ) -> tuple[Values | None, Values | None]:
-    """Return position and heading as they were sensed, NaN if a pose dropped out."""
+    """Return sensed position and heading, NaN for poses that dropped out."""
     if SENSED.name not in columns:
         return None, None
     sensed = columns.pop(SENSED.name)
@@ -350,7 +350,7 @@ def _build_sensed(
 
 
 def _spread(found: TopicColumns, rows: Column, count: int) -> tuple[Values, Values]:
-    """Return position and heading at some rows of so many, NaN at all others."""
+    """Return position and heading at some of `count` rows, NaN at all others."""
     xy_m, heading_rad = np.full((count, 2), np.nan), np.full(count, np.nan)
     for place, name in enumerate(("x", "y")):
         xy_m[rows, place] = found.fields[name]
@@ -407,15 +407,15 @@ def _build_samples(
 
 
 def _gather(fields: Mapping[str, Column], names: tuple[str, ...]) -> Column:
-    """Return a field, or several side by side, as 64-bit numbers."""
+    """Return a field, or several fields side by side, as 64-bit numbers."""
     values = fields[names[0]] if len(names) == 1 else np.column_stack([fields[n] for n in names])
     return values.astype(np.float64 if values.dtype.kind == "f" else np.int64, copy=False)
 
 
 def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
-    """Return a column of samples, None if the head says so, or where a live one had to.
+    """Return a column of samples; None if the metadata says so or a live recording lacks it.
 
-    The head that begins a live recording cannot know what its samples will lack.
+    The metadata at the start of a live recording cannot know which columns its samples will lack.
     """
     if head.format_version > 1 and name in _FOUND_LATE:
         is_nan = np.isnan(values)
@@ -443,7 +443,7 @@ def _build_shaped(columns: dict[str, TopicColumns], sequence: Column) -> Mapping
 
 
 def _require_numbers(found: TopicColumns, sequence: Column) -> None:
-    """Refuse what should be there once per sample, and is not."""
+    """Refuse a topic without exactly one message per sample."""
     if not np.array_equal(found.sequence, sequence):
         expected = f"the numbers of the {len(sequence)} samples"
         raise LogError(f"topic {found.topic}: expected {expected}, found {len(found)} others")
@@ -452,7 +452,7 @@ def _require_numbers(found: TopicColumns, sequence: Column) -> None:
 def _build_reference(
     columns: dict[str, TopicColumns], head: Head, sequence: Column
 ) -> tuple[Values | None, Values | None]:
-    """Return position and heading by sample, NaN of one that has none."""
+    """Return reference position and heading by sample; NaN for samples without a reference."""
     found = columns.pop(REFERENCE64.name, None)
     if found is None or "samples.reference_xy_m" in head.nan_columns:
         return None, None

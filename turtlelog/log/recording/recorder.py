@@ -22,13 +22,13 @@ from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick, declare_scenario
 
 CHUNK_BYTES: Final = 2**16
-"""What a chunk of a live recording may hold, about."""
+"""Approximate size of a chunk in a live recording [bytes]."""
 
 FLUSH_S: Final = 1.0
-"""After so long a chunk goes to the operating system, however little it holds [s of wall clock]."""
+"""Time after which a chunk is written even if it is not full [s of wall clock]."""
 
 INTERRUPTED: Final = "interrupted"
-"""Stop reason of a run that somebody ended from outside."""
+"""Stop reason of a run that was ended from outside."""
 
 _INTERRUPTIONS: Final = (KeyboardInterrupt, SystemExit)
 _NO_NOTES: Final[Mapping[str, str]] = MappingProxyType({})
@@ -49,8 +49,7 @@ class Recorder:
 
     As a context manager it finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP or
     SIGQUIT. An existing file is refused, also one that another recorder is writing. If the file is
-    deleted, moved or replaced, the recording ends with the next chunk: what is written after that
-    would be lost.
+    deleted, moved or replaced, the recording ends with the next chunk: later data would be lost.
     """
 
     def __init__(
@@ -89,7 +88,7 @@ class Recorder:
             with hold_stop():
                 self._stream = self._create(create)
                 undoing.callback(self._discard)
-                self._place = self._path.absolute()  # a loop may change its folder
+                self._place = self._path.absolute()  # the process may change its folder
                 mark_live(self._stream)
                 self._file, self._is_open = McapFile(self._stream), True
                 with self._guard():
@@ -181,13 +180,13 @@ class Recorder:
                 self._ticks, self._size = [], 0
 
     def _find_loss(self) -> str | None:
-        """Return what has become of the file where its name no longer leads to it."""
+        """Return what happened to the file if its name no longer leads to it; None otherwise."""
         try:
             own = fstat(self._stream.fileno())
             with suppress(FileNotFoundError, NotADirectoryError):
                 if samestat(own, self._place.stat()):
                     return None
-        except OSError:  # a stream that is no file, or a folder that nobody may read now
+        except OSError:  # not a regular file, or a folder that is no longer readable
             return None
         return "moved" if own.st_nlink else "deleted"
 
@@ -197,7 +196,7 @@ class Recorder:
         return LogError(f"{self._path}: expected a file that stays, found it {loss}: {rest}")
 
     def _discard(self) -> None:
-        """Take away a file that nobody will finish, and that would only be in the way."""
+        """Remove a file that will not be finished."""
         with suppress(OSError):
             self._stream.close()
         self._path.unlink(missing_ok=True)
@@ -230,7 +229,7 @@ class Recorder:
 
     @contextmanager
     def _guard(self) -> Iterator[None]:
-        """Let a write end before a signal acts; where it fails, close what can be read."""
+        """Delay signals until a write ends; if the write fails, close the readable file."""
         try:
             with hold_stop():
                 yield
@@ -245,7 +244,7 @@ class Recorder:
             ) from err
 
     def _give_up(self, reason: str) -> None:
-        """Take half a record away, finish the file if there is room for that, and close it."""
+        """Remove an incomplete record, finish the file if there is room, and close it."""
         self._is_open = False
         try:
             self._file.cut_back()

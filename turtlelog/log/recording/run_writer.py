@@ -74,10 +74,10 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
 
 
 def build_messages(run: Run) -> tuple[TopicColumns, ...]:
-    """Return the messages of a run, in the order of `list_topics`; a topic without any is left out.
+    """Return the messages of a run in the order of `list_topics`; empty topics are left out.
 
     Raises:
-        LogError: If a time or a number does not fit.
+        LogError: If a time or a number exceeds the range of its field.
     """
     _require_range("poses.time_ns", run.poses.time_ns, 2**63)
     _require_range("commands.time_ns", run.commands.time_ns, 2**63)
@@ -101,7 +101,7 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
 
 
 def describe_pose(time_ns: int, x_m: float, y_m: float, heading_rad: float | None) -> Values:
-    """Return the fields of a goal or reference; without a heading it is turned by 0."""
+    """Return the fields of a goal or reference; a missing heading becomes 0."""
     half_rad = (heading_rad or 0.0) / 2.0
     return {
         **_stamp(time_ns),
@@ -138,7 +138,7 @@ def _collect(
     fields: Mapping[str, Column],
     sequence: NDArray[np.uint32] | None = None,
 ) -> TopicColumns:
-    """Number messages from 0 where they have no number of their own."""
+    """Return messages of a topic, numbered from 0 unless `sequence` gives their numbers."""
     return TopicColumns(
         topic=topic.name,
         type=topic.schema,
@@ -167,7 +167,7 @@ def _build_goal(run: Run) -> TopicColumns:
 
 
 def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
-    """Yield poses, and what of them 32 bits would not give back."""
+    """Yield the poses, and their exact values if 32-bit floats would lose digits."""
     place = {"x": poses.xy_m[:, 0], "y": poses.xy_m[:, 1], "theta": poses.heading_rad}
     speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
     velocity = [_or_nan(values, len(poses)) for values in (speed, turn_rate)]
@@ -180,9 +180,9 @@ def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
 
 
 def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
-    """Yield the sensed poses by the numbers of their poses, and what 32 bits would not give back.
+    """Yield the sensed poses by pose number, and their exact values if 32-bit floats lose digits.
 
-    A sensor tells no velocity.
+    A sensor gives no velocity.
     """
     xy_m, heading_rad = poses.sensed_xy_m, poses.sensed_heading_rad
     if xy_m is None or heading_rad is None:
@@ -233,9 +233,9 @@ def _build_states(run: Run) -> list[TopicColumns]:
 
 
 def _build_references(run: Run) -> list[TopicColumns]:
-    """Return the reference poses, for other tools and to the last bit; no row of a sample without.
+    """Return the reference poses, for other tools and exact; samples without one have no row.
 
-    Those for other tools hold a quaternion.
+    Messages for other tools contain a quaternion.
     """
     samples = run.samples
     xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
@@ -258,7 +258,7 @@ def _build_commands(run: Run) -> TopicColumns:
         "linear.y": commands.lateral_speed_m_s,
         "angular.z": commands.turn_rate_rad_s,
     }
-    # Commands go out in the order of their samples; only the last ones may be missing.
+    # Commands are published in the order of their samples; only the last ones may be missing.
     sequence = np.arange(len(commands), dtype=np.uint32)
     answered = run.samples.sequence[: len(commands)]
     sequence[: len(answered)] = answered
@@ -270,7 +270,7 @@ def _build_phases(run: Run) -> TopicColumns:
     changes: list[tuple[int, Values]] = [(span.start_ns, {"data": span.phase}) for span in spans]
     is_held = len(run.commands) < len(run.samples)
     if spans and is_held and spans[-1].phase != PAUSE:
-        # It begins with the last tick: no stretch of time, but a live recording tells it then.
+        # The pause begins at the last tick and has no duration, but a live recording writes it.
         changes.append((spans[-1].end_ns, {"data": PAUSE}))
     if spans and run.is_complete:
         changes.append((spans[-1].end_ns, {"data": DONE}))
@@ -297,21 +297,22 @@ def _fits_float32(values: NDArray[np.float64] | None) -> bool:
 
 _WORLD: Final = "world"
 _ROBOT: Final = "turtle1"
-"""Frames as in the tutorials of tf2, where a broadcaster sends turtlesim's poses."""
+"""Frames of the tf2 tutorials, where a broadcaster sends turtlesim's poses."""
 
 MOST_SHARED: Final = 100_000
-"""Poses that are written once more: an odometry has 720 bytes, most of them covariances, and with
-the transforms so many take 160 MB while they are written. At 62.5 Hz it is a drive of 27 minutes.
-"""
+"""Largest number of poses that are also written for other programs.
+
+An odometry message has 720 bytes, mostly covariances; with the transforms, this number takes 160 MB
+during writing. At 62.5 Hz it is a drive of 27 minutes."""
 
 _LATEST_NS: Final = 2**31 * 1_000_000_000
-"""Seconds of a stamp have 32 bits."""
+"""Latest time of a stamp [ns]: its seconds have 32 bits."""
 
 
 def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
-    """Return the poses as odometry, as transforms and, at the last one's time, as one path.
+    """Return the poses as odometry, as transforms and, at the time of the last pose, as one path.
 
-    None where there are more than `MOST_SHARED` poses, or times beyond those of stamps.
+    Empty if there are more than `MOST_SHARED` poses, or times beyond those of stamps.
     """
     poses = run.poses
     if not _can_share(run):
@@ -363,7 +364,7 @@ def _pack_poses(columns: Mapping[str, NDArray[Any]], rows: int) -> PackedItems:
     kind = "geometry_msgs/msg/PoseStamped"
     layout = lay_out_alike(read_type(kind, SCHEMAS[kind]).fields, columns)
     assert layout is not None
-    assert not layout.size % 8  # the next one begins as the first
+    assert not layout.size % 8  # each item starts with the same alignment
     codes = {name: f"<{code}" for name, code, *_ in layout.numbers}
     numbers = {name: columns[name].astype(codes[name]) for name in columns.keys() & codes.keys()}
     return PackedItems(rows, layout.fill(rows, numbers).tobytes())
@@ -376,7 +377,7 @@ def _can_share(run: Run) -> bool:
 
 
 def list_unshared(run: Run) -> list[str]:
-    """Return why poses are not written once more, in one sentence or none."""
+    """Return why poses are not written for other programs: one sentence, or an empty list."""
     if _can_share(run) or not len(run.poses):
         return []
     reason = (
@@ -388,10 +389,10 @@ def list_unshared(run: Run) -> list[str]:
 
 
 def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return forward speed [m/s] and turn rate [rad/s] of every pose, NaN if nobody knows them.
+    """Return forward speed [m/s] and turn rate [rad/s] of every pose, NaN if unknown.
 
-    As the robot measured them, else as turtlesim applied them. It publishes the magnitude of its
-    speed: the sign is that of the motion along the heading.
+    The values are those that the robot measured, otherwise those that turtlesim applied. turtlesim
+    publishes the magnitude of its speed; the sign is that of the motion along the heading.
     """
     poses = run.poses
     unknown = np.full(len(poses), np.nan)
@@ -404,7 +405,7 @@ def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _find_signs(poses: PoseColumns) -> NDArray[np.float64]:
-    """Return -1 where the robot came to a pose backward, otherwise 1."""
+    """Return -1 for poses that the robot reached backward, otherwise 1."""
     step_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1])
     along_m = (
         step_m * np.column_stack([np.cos(poses.heading_rad), np.sin(poses.heading_rad)])

@@ -1,4 +1,4 @@
-"""Ticks of a running loop -> the message records of a chunk: one packing call per message."""
+"""Encoding of live ticks as the message records of a chunk: one packing call per message."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -42,27 +42,27 @@ from turtlelog.simulate import SampleRow, Tick, TickRow
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _REFERENCE_BYTES: Final = 160
-"""What the two messages of a reference pose take, about."""
+"""Approximate size of the two messages of a reference pose [bytes]."""
 
 _FIELDS: Final = [field for fields in CONTROL_COLUMNS.values() for field in fields]
 _PLACES: Final = {
     name: [_FIELDS.index(field) for field in CONTROL_COLUMNS[name]]
     for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
 }
-"""Where a sample's row holds what it lacks without a goal."""
+"""Indices in a sample's row of the values that are missing without a goal."""
 
 _LIST: Final = attrgetter(
     *("sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
     *("error_x_m", "error_y_m", "distance_m", "wanted_speed_m_s", "wanted_turn_rate_rad_s"),
     *("speed_m_s", "turn_rate_rad_s", "world_v_x_m_s", "world_v_y_m_s"),
 )
-"""What is recorded of a sample, in the order of a ControlSample's fields."""
+"""Getter of a sample's recorded values, in the order of ControlSample's fields."""
 
 _WORLD: Final = slice(_FIELDS.index("world_v_x"), _FIELDS.index("world_v_y") + 1)
 
 
 def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
-    """Return what packs a whole record of a type of fixed size; CDR's gaps become zeros."""
+    """Return a packer of complete records of a fixed-size type; CDR's padding becomes zeros."""
     layout = read_type(topic.schema, definitions[topic.schema]).layout
     if layout is None or layout.little.fields is None:
         raise TypeError(f"{topic.schema}: expected messages of one size")
@@ -84,7 +84,7 @@ _POSE_SIZE, _POSE64_SIZE, _CONTROL_SIZE, _COMMAND_SIZE = (
 
 
 def measure_tick(tick: Tick) -> int:
-    """Return about how many bytes the messages of a tick take."""
+    """Return the approximate size of a tick's messages [bytes]."""
     sensed = 0 if isnan(tick.row.sensed_x_m) else _POSE_SIZE + _POSE64_SIZE
     return (
         _POSE_SIZE
@@ -106,12 +106,12 @@ class _Messages:
     """The messages of one topic.
 
     Attributes:
-        topic: Its name and type.
-        number: Of its channel.
-        pack: Makes a record, where the type has a fixed size.
-        length: Of such a record, as it says itself.
-        count: Messages so far.
-        entries: Log time and place of those in the chunk at hand, in turn.
+        topic: Name and type of the topic.
+        number: Number of its channel.
+        pack: Function that packs a record, if the type has a fixed size.
+        length: Length of such a record, as its length field counts.
+        count: Number of messages so far.
+        entries: Log times and offsets of the messages in the present chunk, alternating.
     """
 
     topic: Topic
@@ -123,14 +123,14 @@ class _Messages:
 
 
 class TickRecords:
-    """Numbers and packs what ticks bring, as `build_messages` does for a whole run.
+    """Encoder of ticks as numbered messages, like `build_messages` for a complete run.
 
-    The message of a pause comes with the sample that begins it, where the law blocks and says that
-    its phase ends; otherwise the next sample tells, and the message carries the earlier time. Poses
-    in double precision are recorded where the scenario asks for them.
+    If the law blocks and declares the end of its phase, the message of the pause comes with the
+    sample that begins it. Otherwise the next sample shows the pause, and its message has the
+    earlier time. Poses are recorded in double precision if the scenario requests it.
 
     Attributes:
-        more_topics: Topics that not every recording has, and this one has.
+        more_topics: Optional topics of this recording.
     """
 
     def __init__(self, scenario: Scenario, declaration: Declaration) -> None:
@@ -172,7 +172,7 @@ class TickRecords:
         return frozenset(f"samples.{name}" for name in self._lacking | worldless)
 
     def encode(self, ticks: Iterable[Tick]) -> ChunkRows:
-        """Return the messages of the next ticks, of which there is at least one."""
+        """Return the messages of the next ticks, of which there must be at least one."""
         for tick in ticks:
             time_ns = tick.time_ns
             self._add_pose(time_ns, tick)
@@ -205,7 +205,7 @@ class TickRecords:
             self._add_sensed(time_ns, number, row)
 
     def _add_sensed(self, time_ns: int, number: int, row: TickRow) -> None:
-        """Add what was sensed of a pose, under the pose's number and time; no velocity."""
+        """Add a sensed pose with the pose's number and time, without velocity."""
         values = row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad
         if self._sensed is not None:
             self._add(self._sensed, time_ns, number, *values, nan, nan)
@@ -264,7 +264,7 @@ class TickRecords:
     def _add_varied(
         self, topic: Topic, time_ns: int, values: Mapping[str, Any], number: int | None = None
     ) -> None:
-        """Add a message; without a number of its own it is numbered from 0."""
+        """Add a message; without a number it is numbered from 0."""
         messages = self._messages[topic.name]
         kind = read_type(topic.schema, SCHEMAS[topic.schema])
         stamp = messages.count if number is None else number, time_ns, time_ns

@@ -1,4 +1,4 @@
-"""The topics of a recording, text and hash of their types, the records that describe them."""
+"""Topics of a recording: their types with text and hash, and the records that describe them."""
 
 import json
 import re
@@ -21,7 +21,7 @@ class Topic:
     """A topic and the type of its messages.
 
     Attributes:
-        name: As ROS names it.
+        name: ROS name of the topic.
         schema: Its message type, a key of `SCHEMAS`.
     """
 
@@ -30,28 +30,28 @@ class Topic:
 
 
 GOAL: Final = Topic("/turtle1/goal", "geometry_msgs/msg/PoseStamped")
-"""Where the turtle should go, once."""
+"""Goal of the turtle, one message."""
 
 POSE: Final = Topic("/turtle1/pose", "turtlesim/msg/Pose")
-"""One message per pose."""
+"""Poses, one message each."""
 
 POSE64: Final = Topic("/turtle1/pose64", "geometry_msgs/msg/Pose2D")
-"""The same poses, only where 32-bit floats would lose something; a reader prefers them."""
+"""Exact poses, only if 32-bit floats would lose digits; readers prefer them."""
 
 VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
-"""The applied velocities of the same poses, likewise."""
+"""Applied velocities of the exact poses, likewise."""
 
 SENSED: Final = Topic("/turtle1/sensed_pose", "turtlesim/msg/Pose")
-"""Each pose as it was sensed, by the pose's number; none of a pose that dropped out."""
+"""Sensed poses with the numbers of their poses; none for a pose that dropped out."""
 
 SENSED64: Final = Topic("/turtle1/sensed_pose64", "geometry_msgs/msg/Pose2D")
-"""The same, only where 32-bit floats would lose something; a reader prefers them."""
+"""Exact sensed poses, only if 32-bit floats would lose digits; readers prefer them."""
 
 MEASURED: Final = Topic("/turtle1/measured", "geometry_msgs/msg/Twist")
-"""What the robot reported of its motion, one message per pose, by the pose's number and time."""
+"""Motion reported by the robot: one message per pose, with the pose's number and time."""
 
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
-"""One message per sample, at the time at which its pose was answered."""
+"""Samples, one message each, at the time when the sample's pose was answered."""
 
 CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -69,41 +69,41 @@ CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "world_velocity_m_s": ("world_v_x", "world_v_y"),
     }
 )
-"""Columns of `SampleColumns` and the fields of that message that hold each, in its order."""
+"""Columns of `SampleColumns` and the fields of the message that contain each, in its order."""
 
 LAW_STATE: Final = "/turtle1/law_state"
-"""The numbers of the law's own, one message per sample; the type is the law's."""
+"""Numbers of the law's own, one message per sample; the law determines the type."""
 
 REFERENCE: Final = Topic("/turtle1/reference", "geometry_msgs/msg/PoseStamped")
-"""Where the robot should be by now, one message per sample that says so; for other tools."""
+"""Reference pose for other tools: one message per sample that has one."""
 
 REFERENCE64: Final = Topic("/turtle1/reference64", "geometry_msgs/msg/Pose2D")
-"""The same poses; a reader takes them from here, for a quaternion does not give a heading back."""
+"""Exact reference poses for readers, because a quaternion does not give the exact heading."""
 
 SHAPED: Final = Topic("/turtle1/shaped", "geometry_msgs/msg/Twist")
-"""What shaping left of a sample's wanted command, before the limits; one message per sample."""
+"""Shaped command of a sample before the limits, one message per sample."""
 
 COMMAND: Final = Topic("/turtle1/cmd_vel", "geometry_msgs/msg/Twist")
-"""One message per command, at the time of its publication."""
+"""Commands, one message each, at the time of publication."""
 
 PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
-"""The phase's name whenever it changes; for people, a reader takes it from the samples."""
+"""Name of the phase at each change, for people; readers use the samples."""
 
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
-"""One message per event."""
+"""Events, one message each."""
 
 ODOMETRY: Final = Topic("/odom", "nav_msgs/msg/Odometry")
-"""The poses once more, for other programs; a reader takes them from `POSE`, as the next two."""
+"""Poses for other programs, like the next two topics; readers use `POSE`."""
 
 TRANSFORMS: Final = Topic("/tf", "tf2_msgs/msg/TFMessage")
-"""The poses as transforms from the world to the robot."""
+"""Poses as transforms from the world to the robot, for other programs."""
 
 PATH: Final = Topic("/path", "nav_msgs/msg/Path")
-"""All poses in one message at the time of the last."""
+"""All poses in one message at the time of the last, for other programs."""
 
 _POSES: Final = (GOAL, POSE, POSE64, VELOCITY64)
 _AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)
-"""Topics of every recording, before and after `CONTROL` and those that not every one has."""
+"""Topics of every recording: those before `CONTROL`, then those after the optional topics."""
 
 OF_SENSING: Final = (SENSED, SENSED64)
 """Topics of a recording whose controller reads poses through a sensor."""
@@ -114,7 +114,7 @@ TOPIC_NAMES: Final = frozenset(
         *(MEASURED.name, LAW_STATE, REFERENCE.name, REFERENCE64.name),
     }
 )
-"""Names of all that a recording may hold."""
+"""Names of all topics that a recording may contain."""
 
 _PLANAR: Final = "x", "y", "theta"
 _TWIST: Final = "linear.x", "angular.z"
@@ -128,7 +128,7 @@ USED_FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         **dict.fromkeys((PHASE.name, REFERENCE.name), ()),
     }
 )
-"""The fields that a run needs of topics of many messages; of others it needs all."""
+"""Fields needed for a run, for topics with many messages; other topics need all fields."""
 
 _CONTROL_SAMPLE: Final = """\
 # One callback of the controller. NaN: not recorded.
@@ -179,24 +179,23 @@ turtlesim/msg/Pose 739beba26bcba6920404ba722b7b8321348512f92ea5be235c47251940dd8
 TYPE_HASHES: Final[Mapping[str, str]] = MappingProxyType(
     {name: f"RIHS01_{digest}" for name, digest in map(str.split, _DIGESTS.splitlines())}
 )
-"""Hash by message type, for every key of `SCHEMAS`: its texts and these change together.
+"""Hash by message type, for every key of `SCHEMAS`: text and hash change together.
 
-RIHS01 is the SHA-256 of a type's description (REP 2011): ROS 2 compares it with the hash of the
-type it has installed.
-"""
+RIHS01 is the SHA-256 of a type's description (REP 2011). ROS 2 compares it with the hash of the
+installed type."""
 
 _FLOAT64: Final = MappingProxyType(
     {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
 )
-"""How a type's description names the type of a field (REP 2011)."""
+"""Description of a float64 field's type (REP 2011)."""
 
 _PACKAGE: Final = "turtlelog_msgs/msg"
 _LONGEST_TYPE: Final = 60
-"""Letters of a type's name; a class may be called anything."""
+"""Longest name of a type [letters]; a class may have any name."""
 
 
 def define_states(names: Iterable[str]) -> str:
-    """Return the `ros2msg` text of the type that holds a law's states."""
+    """Return the `ros2msg` text of the type for a law's states."""
     return _STATES + "".join(f"# The law's state {name}.\nfloat64 {name}\n" for name in names)
 
 
@@ -214,10 +213,10 @@ SCHEMAS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def find_type_hash(kind: str, definition: str) -> str | None:
-    """Return the hash of a type of ours, None of one that somebody else has defined."""
+    """Return the hash of a type of turtlelog; None for types defined by others."""
     if definition == SCHEMAS.get(kind):
         return TYPE_HASHES[kind]
-    # What a law's states are called is known to its definition alone.
+    # Only the definition contains the names of a law's states.
     states = re.findall(r"^float64 (\w+)$", definition, flags=re.MULTILINE)
     return _hash_states(kind, states) if definition == define_states(states) else None
 
@@ -241,14 +240,14 @@ def list_topics(
     has_shaping: bool = False,
     has_measured: bool = False,
 ) -> tuple[Topic, ...]:
-    """Return the topics of a recording in the order in which messages of one time stand.
+    """Return the topics of a recording; messages with equal times have this order.
 
     Args:
-        declaration: None where there is none, as in format 1.
-        kind: The law's name, which the type of its states is called after.
+        declaration: Declaration of the law; None in format 1.
+        kind: Name of the law, from which the type of its states gets its name.
         has_sensing: Whether the controller reads poses through a sensor.
         has_shaping: Whether the wanted commands are shaped.
-        has_measured: Whether the robot reported how it moves.
+        has_measured: Whether the robot reported its motion.
     """
     sensed, shaped = OF_SENSING if has_sensing else (), (SHAPED,) if has_shaping else ()
     sensed = (*sensed, MEASURED) if has_measured else sensed
@@ -260,14 +259,14 @@ def list_topics(
 
 
 def define_types(declaration: Declaration, kind: object = DEFAULT_LAW) -> Mapping[str, str]:
-    """Return the `ros2msg` text of every type that a recording may hold."""
+    """Return the `ros2msg` text of every type that a recording may contain."""
     if not declaration.states:
         return SCHEMAS
     return {**SCHEMAS, name_state_type(kind): define_states(declaration.states)}
 
 
 def name_state_type(kind: object) -> str:
-    """Return the type of a law's states: `file.py:TurnAndDrive` gives `TurnAndDriveState`."""
+    """Return the type name of a law's states: `file.py:TurnAndDrive` gives `TurnAndDriveState`."""
     words = re.findall(r"[A-Za-z0-9]+", str(kind).rpartition(":")[2])
     name = "".join(word[0].upper() + word[1:] for word in words)[:_LONGEST_TYPE]
     return f"{_PACKAGE}/{name if name[:1].isalpha() else f'Law{name}'}State"
@@ -276,7 +275,7 @@ def name_state_type(kind: object) -> str:
 def describe_topics(
     topics: Sequence[tuple[str, str]], definitions: Mapping[str, str]
 ) -> list[tuple[Schema, Channel]]:
-    """Return schema and channel of topics, given by name and type, numbered from 1.
+    """Return schema and channel of topics, given by name and type; ids count from 1.
 
     Raises:
         LogError: If the `ros2msg` text of a type is not among the definitions.
@@ -303,7 +302,7 @@ def describe_topics(
 def _describe_type(kind: str, definition: str) -> dict[str, str]:
     # Without the QoS entry some versions of rosbag2 refuse the channel.
     metadata = {"offered_qos_profiles": ""}
-    # A hash holds for one text: nobody knows that of a type that somebody else has defined.
+    # A hash is valid for one text only; that of a type defined by others is unknown.
     if (type_hash := find_type_hash(kind, definition)) is not None:
         metadata["topic_type_hash"] = type_hash
     return metadata

@@ -1,10 +1,10 @@
 """Reading of third-party bags as runs; detection of bag folders.
 
-In the order in which a bag is read: `bag_metadata` and `bag` find its files and open them,
-`bag_topics` chooses topics, `bag_poses`, `bag_transforms` and `computed_poses` find the poses,
-`bag_columns` makes columns of messages, `reported_motion` judges what odometry reports, `stamps`
-and `bag_clock` time them, `bag_references` adds goal and path, `bag_commands` commands and samples,
-and `bag_reader` builds the run.
+The modules, in the order in which they read a bag: `bag_metadata` and `bag` find its files and open
+them. `bag_topics` chooses topics; `bag_poses`, `bag_transforms` and `computed_poses` find the
+poses. `bag_columns` makes columns of messages, and `reported_motion` judges the rates of odometry.
+`stamps` and `bag_clock` time the rows. `bag_references` adds goal and path, `bag_commands` adds
+commands and samples, and `bag_reader` builds the run.
 
 The names are in `__init__.pyi` and load on first use.
 """

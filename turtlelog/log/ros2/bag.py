@@ -62,7 +62,8 @@ def open_bag(path: str | Path) -> Bag:
     """Return a ROS 2 bag: a folder, or a single file.
 
     Raises:
-        LogError: If it is no bag, or one of its files cannot be read, is truncated or is damaged.
+        LogError: If the path is not a bag, or one of its files cannot be read, is truncated or is
+            damaged.
     """
     path = make_path(path)
     found = _find_bag_files(path)
@@ -75,18 +76,19 @@ def open_bag(path: str | Path) -> Bag:
             is_left = any(topic.count for topic in info.topics)
             fix = "; turtlelog convert --recover reads what is left" if is_left else ""
             lost = info.notes["partial"]
-            raise LogError(f"{file}: no end of an MCAP file: truncated or unfinished: {lost}{fix}")
+            raise LogError(f"{file}: truncated or unfinished (no end of an MCAP file): {lost}{fix}")
     return Bag(path=path, infos=infos)
 
 
 _PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")
-"""How the names of a bag's parts end."""
+"""Pattern of the ends of names of a bag's parts."""
 
 _MOST_NAMED: Final = 6
-"""Files that an error names: one line of a terminal."""
+"""Largest number of files that an error names: one line of a terminal."""
 
 _MOST_OVERLAP: Final = 0.5
-"""Of the shorter of two parts: queued messages overlap by seconds, two recordings wholly."""
+"""Largest overlap of two parts, as a share of the shorter: queued messages overlap by seconds, two
+recordings completely."""
 
 _MOST_APART_NS: Final = 10_000_000_000
 """Time from the end of a part to the next [ns]: rosbag2 begins a part with the next message, and a
@@ -101,9 +103,9 @@ class BagFiles:
     """The files of a bag.
 
     Attributes:
-        files: Files in order of time, if the metadata give one.
+        files: Files, in order of time if the metadata contain it.
         duration_ns: Time from first to last message in the metadata [ns]; None if missing.
-        notes: `bag_files` where the metadata is missing or broken, or names another file.
+        notes: Note `bag_files` if the metadata are missing or invalid, or name another file.
     """
 
     files: tuple[Path, ...]
@@ -121,11 +123,11 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
 
 
 def _find_bag_files(path: str | Path) -> BagFiles:
-    """Return the files of a bag: those that metadata.yaml names and, without it, those there are.
+    """Return the files of a bag as named in metadata.yaml; without it, the files in the folder.
 
     Raises:
-        LogError: If a folder holds no files of a bag, lacks one that its metadata names, or mixes
-            kinds.
+        LogError: If a folder contains no files of a bag, lacks a file named in its metadata, or
+            mixes kinds.
     """
     path = make_path(path)
     if not path.is_dir():
@@ -180,7 +182,7 @@ def _is_bag_file(file: Path) -> bool:
 
 
 def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
-    """Return the files that are there, where nothing that can be read names them.
+    """Return the files in the folder, if no readable metadata name them.
 
     Raises:
         LogError: If there are no files.
@@ -201,12 +203,12 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
 
 
 def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
-    """Return the files that the metadata names; one that was renamed, where it is the only one.
+    """Return the files named in the metadata; a single renamed file is accepted.
 
     Raises:
-        LogError: If one is missing, or named twice.
+        LogError: If a file is missing or named twice.
     """
-    files: dict[Path, None] = {}  # in order, and quick to look into
+    files: dict[Path, None] = {}  # ordered, with fast look-up
     missing: list[str] = []
     base = folder.resolve().as_posix()
     for name in metadata.files:
@@ -233,10 +235,10 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
 
 
 def _find_file(folder: Path, name: str, base: str) -> Path | None:
-    """Return a file of a bag, whose folder is `base` from the root on.
+    """Return a file of a bag; `base` is the bag's folder from the root.
 
-    Early versions put the folder's name in front. What is named elsewhere is not read: a recording
-    does not choose what is opened.
+    Early versions wrote the folder's name before the file's. Files outside the bag are not read: a
+    recording must not choose which files are opened.
     """
     place = PurePosixPath(name.replace("\\", "/"))
     within = place.relative_to(base) if place.is_relative_to(base) else place
@@ -249,7 +251,7 @@ def _find_file(folder: Path, name: str, base: str) -> Path | None:
 
 
 def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
-    """Refuse several files that are not parts of one bag, which rosbag2 numbers (drive_0.db3)."""
+    """Refuse several files that are not numbered as parts of one bag by rosbag2 (drive_0.db3)."""
     if len(files) < 2:
         return
     stems = {_PART.sub("", file.name) for file in files}
@@ -275,7 +277,7 @@ def _find_break(files: tuple[Path, ...]) -> str | None:
     for file in files:
         try:
             info = read_info(file)
-        except LogError:  # whoever reads the file says what is wrong
+        except LogError:  # the reader of the file reports the error
             is_whole = False
             continue
         if info.format_version is not None:
@@ -325,7 +327,7 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
     A folder with one turtlelog recording is described as that recording.
 
     Raises:
-        LogError: If it is no bag, or one of its files cannot be read.
+        LogError: If the folder is not a bag, or one of its files cannot be read.
     """
     path = make_path(path)
     found = _find_bag_files(path)

@@ -28,24 +28,25 @@ from turtlelog.log.ros2.stamps import (
 from turtlelog.run import Clock
 
 CLOCK: Final = "clock"
-"""Note on what times a run's poses."""
+"""Name of the note on the clock of a run's poses."""
 
 CLOSE_ROWS: Final = "close_rows"
-"""Note on poses of nearly one time that were left out."""
+"""Name of the note on dropped poses at nearly equal times."""
 
 _CLOSEST_NS: Final = 1_000_000
-"""Two poses closer than this [ns] tell no rate: noise of 0.2 mm becomes 0.2 m/s and more."""
+"""Smallest time between two poses that gives a rate [ns]: noise of 0.2 mm becomes 0.2 m/s and
+more."""
 
 _CLOSEST_SHARE: Final = 0.25
-"""But a motion capture at 2 kHz may: only closer than this share of the usual step are poses
-close."""
+"""Poses count as close only below this share of the usual step, because a motion capture may run at
+2 kHz."""
 
 _SAME_CLOCK_NS: Final = 1_000_000_000
-"""Stamps of commands are of the poses' simulation where they lie this close [ns] to when the
-commands were received: two simulations, or a clock of the wall, are further apart."""
+"""Largest time between a stamp of a command and its reception [ns] for stamps of the poses'
+simulation. Stamps of another simulation, or of a wall clock, differ by more."""
 
 _SHOWN_DRIFT_NS: Final = 1_000_000
-"""A drift that adds up to less [ns] is not worth a word."""
+"""Smallest total drift that is mentioned [ns]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,8 +67,8 @@ class BagTimes:
     """Times of the poses and commands of a bag.
 
     Attributes:
-        poses: Poses that are kept.
-        commands: All of them.
+        poses: Times of the poses that are kept.
+        commands: Times of all commands.
         clock: Clock that times the poses; None if they have no stamps.
         notes: Description of the timing, for the notes of a run.
     """
@@ -83,16 +84,16 @@ def time_rows(
 ) -> BagTimes:
     """Return the times of poses and commands on one timeline.
 
-    This is the recorder's clock. If stamps run at another rate, as in simulation, the motion
-    follows the stamps: the timeline has the rate of the stamps, and commands are mapped to it.
-    Commands with usable stamps are timed by these, as poses are.
+    The timeline is the recorder's clock. If stamps run at another rate, as in simulation, the
+    motion follows the stamps: the timeline has the rate of the stamps, and commands are mapped to
+    it. Commands with usable stamps are timed by these, as poses are.
 
     Args:
         poses: Stamps of the pose topic, in order of log time.
-        commands: Stamps of the command topic, likewise; None without commands.
+        commands: Stamps of the command topic, in order of log time; None without commands.
         time: `auto`: by the stamps of poses if these are usable, otherwise by log times.
-        noun: What the rows are that stand as poses: commands, of a bag that has nothing else. Of
-            these none is left out, however close they are.
+        noun: Name of the rows given as poses: `commands` for a bag without poses. No command is
+            dropped, however close in time.
 
     Raises:
         LogError: If stamps are requested and no pose has a usable stamp.
@@ -122,7 +123,7 @@ def time_rows(
 
 
 def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[TimesNs, str]:
-    """Return when commands happened, on the timeline of the poses, and how that is known."""
+    """Return the times of commands on the poses' timeline, and a description of their source."""
     if not len(commands.log_ns):
         return commands.log_ns, ""
     own = read_stamp_clock(commands)
@@ -149,7 +150,7 @@ def _make_clock(found: StampClock, used: Literal["log", "stamp"]) -> Clock:
 
 
 def _describe_log(found: StampClock) -> str:
-    """Return why the log's times are used, and what that means for rates."""
+    """Return the reason why log times are used, and its effect on rates."""
     if found.reason:
         return f"as {found.reason}"
     text = "as given"
@@ -159,7 +160,7 @@ def _describe_log(found: StampClock) -> str:
 
 
 def _describe(found: StampClock) -> str:
-    """Return how the stamps stand to the recorder's clock, in words that follow `stamps`."""
+    """Return the relation of stamps to the recorder's clock, in words that follow `stamps`."""
     texts = []
     pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
     is_wall = int(found.time_ns[found.known[0]]) - offset_ns >= FIRST_WALL_NS
@@ -190,18 +191,18 @@ def _describe(found: StampClock) -> str:
 
 
 def _format_pace(pace: float) -> str:
-    """Return a ratio in as many digits as tell it from 1."""
+    """Return a ratio with enough digits to differ from 1."""
     return f"{pace:.3g}" if abs(pace - 1.0) > 0.01 else f"{pace:.5g}"
 
 
 def _format_offset(offset_ns: int) -> str:
-    """Return an offset with a sign, and no milliseconds of decades."""
+    """Return an offset with a sign, and without milliseconds for offsets of decades."""
     sign, offset_s = "-" if offset_ns < 0 else "+", abs(offset_ns) / 1e9
     return f"{sign} {offset_s:.3f} s" if offset_s < 1000.0 else f"{sign} {offset_s:.0f} s"
 
 
 def _build(poses: TimedRows, commands: TimedRows, clock: Clock, text: str) -> BagTimes:
-    """Return times of stamped poses, without those of nearly one time."""
+    """Return times of stamped poses, without poses at nearly equal times."""
     kept = _find_apart(poses.time_ns)
     notes = {CLOCK: text}
     close = int(len(kept) - kept.sum())
@@ -213,9 +214,9 @@ def _build(poses: TimedRows, commands: TimedRows, clock: Clock, text: str) -> Ba
 
 
 def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
-    """Return which rows no other one follows so closely that no rate can be told.
+    """Return which rows to keep: rows that no other row follows too closely to give a rate.
 
-    Of close ones the last stays: of poses that were held up, it is the one whose time is right.
+    The last of several close rows is kept: if poses were delayed, its time is correct.
     """
     step_ns = np.diff(time_ns)
     moving_ns = step_ns[step_ns > 0]

@@ -19,7 +19,7 @@ from turtlelog.run.angles import wrap_angle
 _ROWS_AT_ONCE: Final = 65_536
 
 Held = list[dict[str, TopicColumns]]
-"""Messages by topic, for each file, until their rows are in order."""
+"""Messages by topic, for each file, in file order."""
 
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
@@ -41,7 +41,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
             "x": _widen(fields["x"]),
             "y": _widen(fields["y"]),
             "heading": _widen(fields["theta"]),
-            # Before Humble the sign of the speed was published, too.
+            # Before Humble, turtlesim also published the sign of the speed.
             "speed": np.abs(_widen(fields["linear_velocity"])),
             "turn_rate": _widen(fields["angular_velocity"]),
         }
@@ -98,10 +98,10 @@ _SHAPES: Final = {
     "geometry_msgs/msg/TransformStamped": _join_shape("transform.", "translation", "rotation"),
 }
 POSITIONS: Final = {kind: shape.position for kind, shape in _SHAPES.items()}
-"""What stands before x and y in the fields of each type of poses."""
+"""Prefix of x and y in the fields of each pose type."""
 
 _NO_SHAPE: Final = _join_shape("pose.")
-"""What is missing is named as of a pose with a stamp."""
+"""Shape for errors on missing fields: that of a stamped pose."""
 
 _ANGLES: Final = ("theta", "heading", "yaw", "orientation.yaw", "rotation.yaw")
 
@@ -109,8 +109,8 @@ _ANGLES: Final = ("theta", "heading", "yaw", "orientation.yaw", "rotation.yaw")
 def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
     """Return the fields of a pose in an unknown type, judged by their names; None if there is none.
 
-    Known are position and orientation, translation and rotation, and x, y beside theta, heading or
-    yaw, a rotation being a quaternion; an angle in degrees ends in `_deg`.
+    Known fields are position and orientation, translation and rotation (quaternions), and x, y with
+    theta, heading or yaw. The name of an angle in degrees ends in `_deg`.
     """
     places = [name[:-1] for name in fields if name == "x" or name.endswith(".x")]
     found = (_find_turn(fields, place) for place in places if f"{place}y" in fields)
@@ -118,7 +118,7 @@ def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
 
 
 def _find_turn(fields: Collection[str], place: str) -> PoseShape | None:
-    """Return the pose whose x and y stand behind a name; None if no angle belongs to it."""
+    """Return the pose with x and y after a prefix; None if no angle belongs to it."""
     home = place.removesuffix("position.").removesuffix("translation.")
     for turn in ("orientation", "rotation"):
         if home != place and all(f"{home}{turn}.{axis}" in fields for axis in "xyzw"):
@@ -144,7 +144,7 @@ def extract_commands(
         drive = "drive." if kind.endswith("Stamped") else ""
         speed_m_s = _widen(fields[f"{drive}speed"])
         steering_rad = _widen(fields[f"{drive}steering_angle"])
-        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # A wheel that stands across turns no car.
+        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
         steering_rad = np.where(is_aside, np.nan, steering_rad)
         return {
             "speed": speed_m_s,
@@ -160,18 +160,18 @@ def extract_commands(
 
 
 def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
-    """Return headings within a float32 step of [-pi, pi), and how many were not.
+    """Return headings within a float32 step of [-pi, pi), and the number of changed headings.
 
-    turtlesim's own rounding leaves that interval by less than a step; such headings stay.
+    turtlesim's own rounding exceeds that interval by less than a step; such headings are kept.
     """
     far = np.abs(heading_rad) > np.nextafter(np.float32(np.pi), np.float32(4.0))
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
-    """Return heading and tilt [rad] of quaternions of any length; NaN for those of length 0.
+    """Return heading and tilt of quaternions of any length [rad]; NaN for those of length 0.
 
-    The heading is that of the robot's forward axis, seen from above, however it leans.
+    The heading is that of the robot's forward axis seen from above, for any tilt.
     """
     parts = [fields[f"{orientation}{name}"] for name in "xyzw"]
     name = orientation.removesuffix(".")
@@ -180,7 +180,7 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
     for first in range(0, len(yaw_rad), _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
         x, y, z, w = (_widen(part[rows]) for part in parts)
-        # The default of the message is all zeros in ROS 1 and in programs that never set it.
+        # Messages have zeros by default in ROS 1, and in programs that never set the quaternion.
         empty[rows] = x**2 + y**2 + z**2 + w**2 == 0.0
         yaw_rad[rows], tilt_rad[rows] = compute_heading(x, y, z, w), compute_tilt(x, y, z, w)
     if len(empty) > 1 and empty.all():
@@ -190,7 +190,7 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
         )
     if len(empty) and empty.all():
         raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
-    # Of a program that sets them from its second message on, or of a camera that lost its robot.
+    # Some programs set quaternions only from the second message on; a camera may lose its robot.
     yaw_rad[empty] = np.nan
     return {"heading": yaw_rad, "tilt": tilt_rad}
 
@@ -227,7 +227,7 @@ class OrderedRows:
         rows: NDArray[np.int64] | NDArray[np.bool_],
         time_ns: NDArray[np.int64] | None = None,
     ) -> "OrderedRows":
-        """Return some of the rows, in any order, and where it is given at times of their own."""
+        """Return some of the rows in any order, with new times if given."""
         if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):
             return self if time_ns is None else replace(self, time_ns=time_ns)
         return replace(
@@ -239,7 +239,7 @@ class OrderedRows:
 
 
 def _is_whole(rows: NDArray[Any]) -> bool:
-    """Return whether numbers of rows are those of all rows in their order."""
+    """Return whether row numbers are those of all rows in order."""
     return all(
         np.array_equal(
             rows[first : first + _ROWS_AT_ONCE],
@@ -256,7 +256,7 @@ def order_rows(
 
     Args:
         found: The messages of each file.
-        tables: The columns that are wanted of them.
+        tables: Requested columns of the messages.
     """
     time_ns = _join([columns.log_time_ns for columns in found])
     found_stamps = [read_stamps(columns) for columns in found]
@@ -269,7 +269,7 @@ def order_rows(
         duplicates=0,
         stamp_ns=_join(known) if len(known) == len(found) else None,
     )
-    # Two equal commands of one burst are no duplicates; their numbers differ.
+    # Equal commands of one burst are not duplicates; their sequence numbers differ.
     others = [
         _join([columns.publish_time_ns for columns in found]),
         _join([columns.sequence for columns in found]),
@@ -286,7 +286,7 @@ def order_rows(
 def order_topic(
     found: Held, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
 ) -> OrderedRows:
-    """Return the rows of a topic from all files, whose messages are not held any longer."""
+    """Return the rows of a topic from all files; their messages are removed from `found`."""
     messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
     tables = []
     for columns in messages:
@@ -328,14 +328,14 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
 
 
 _LEAP_M: Final = 0.1
-"""Least step of a leap to and fro [m]; the noise of a filter is less from pose to pose."""
+"""Smallest step of a leap [m]; the noise of a filter from pose to pose is less."""
 
 _LEAP_BACK: Final = 0.2
-"""Share of a leap within which one of the next poses is back."""
+"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
 
 _LEAP_SHARE: Final = 0.2
-"""Share of poses that leap and come back where two programs publish them, one as seldom as every
-fourth; noise of any size leaps and comes back in a tenth of them."""
+"""Smallest share of poses that leap and return if two programs publish poses. One program may
+publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
 
 _LEAP_ROWS: Final = 4
 
@@ -376,11 +376,11 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
 def _find_duplicates(
     time_ns: NDArray[np.int64], contents: Sequence[NDArray[Any]]
 ) -> NDArray[np.bool_]:
-    """Return which rows, in order of time, repeat an earlier one; only rows of one time can."""
+    """Return which rows, in order of time, repeat an earlier row; only rows at equal times can."""
     repeated = np.zeros(len(time_ns), dtype=bool)
     same = np.flatnonzero(np.diff(time_ns) == 0)
     order = np.union1d(same, same + 1)
-    # As bits, so that NaN equals itself; equal rows come together, the earliest first.
+    # Compared as bits, so that NaN equals NaN; equal rows are adjacent, the earliest first.
     keys = [time_ns, *(column.view(f"u{column.itemsize}") for column in contents)]
     for key in reversed(keys):
         order = order[np.argsort(key[order], kind="stable")]

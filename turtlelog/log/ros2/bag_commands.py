@@ -1,4 +1,4 @@
-"""The commands of a bag, and the samples of one that holds the topics of turtlelog."""
+"""Commands of a bag, and samples if the bag contains turtlelog's topics."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -43,7 +43,7 @@ from turtlelog.run.loops import DONE, PAUSE, Declaration
 NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
 )
-"""What no bag of a robot holds, by the names of `Run`."""
+"""Fields of `Run` that no bag of a robot contains."""
 
 
 def read_commands_alone(
@@ -52,15 +52,14 @@ def read_commands_alone(
     """Return the run of a bag that contains commands but no poses.
 
     Raises:
-        LogError: If there are no commands either, poses are needed, or something of poses was asked
-            for.
+        LogError: If there are no commands, poses are required, or an option about poses was given.
     """
     pick, lack = choose_commands(topics, choice, pose_topic="")
     if pick is None:
         raise NoPosesError(f"no poses; {lack}") if lack else err
     if not choice.allow_no_poses:
         found = f"{pick.topic.topic} ({pick.topic.type})"
-        # Poses that are there and cannot be read have a reason that says more.
+        # If there are unreadable poses, their reason is more helpful.
         raise (
             err
             if err.is_unread
@@ -106,11 +105,11 @@ def read_commands_alone(
 
 
 _STORAGES: Final = {".mcap": "mcap", ".bag": "rosbag1"}
-"""How a run says what it was read of, by the ending of a lone file."""
+"""Source of a run by the suffix of a single file."""
 
 
 def name_bag(path: Path) -> tuple[str, str]:
-    """Return the name and the source of a run that is read of a bag."""
+    """Return the name and the source of a run from a bag."""
     name = path.resolve().name
     source = f"{_STORAGES.get(path.suffix, 'rosbag2')}: {name}"
     return (name if path.is_dir() else strip_suffixes(path)), source
@@ -119,9 +118,9 @@ def name_bag(path: Path) -> tuple[str, str]:
 def choose_commands(
     topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
 ) -> tuple[Pick | None, str]:
-    """Return the topic of the commands, and why there is none that could be meant; may be empty.
+    """Return the topic of the commands, or a reason why there is none; the reason may be empty.
 
-    Ackermann commands come first where a wheelbase is given, and tell no turn rate without one.
+    Ackermann commands have priority if a wheelbase is given; without one they give no turn rate.
 
     Raises:
         LogError: If several topics are equally likely, or the requested topic cannot be read.
@@ -147,7 +146,7 @@ def choose_commands(
 def order_commands(
     found: Held, topic: TopicInfo, choice: ReadChoice
 ) -> tuple[OrderedRows | None, int]:
-    """Return commands that are numbers, None without any, and how many are not."""
+    """Return finite commands and the number of dropped ones; None instead of no commands."""
     extract = partial(extract_commands, wheelbase_m=choice.wheelbase)
     ordered = order_topic(found, topic, extract)
     rows, dropped = drop_not_finite(ordered, [*ordered.columns])
@@ -155,7 +154,7 @@ def order_commands(
 
 
 def build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
-    """Return commands as a run holds them, with times from its start."""
+    """Return commands as columns of a run, with times from its start."""
     none = np.zeros(0)
     columns = rows.columns if rows else dict.fromkeys(("speed", "lateral_speed", "turn_rate"), none)
     return CommandColumns(
@@ -174,12 +173,12 @@ _UNKNOWN: Final = "the law, its loops and its parameters are not known"
 
 
 def add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
-    """Return a run with the samples of its bag, where they fit its poses; a note says so.
+    """Return a run with the samples of its bag if they fit its poses; a note describes the result.
 
     Args:
         run: Run of the bag, with the poses of `/turtle1/pose`.
         bag: Bag of the run.
-        start_ns: The recorder's time at which the run's times are 0 [ns].
+        start_ns: Recorder's time at time 0 of the run [ns].
     """
     kinds = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
     if (CONTROL.name, CONTROL.schema) not in kinds:
@@ -208,10 +207,10 @@ def add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
 
 
 def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
-    """Return time and columns of the samples of all files, by their numbers.
+    """Return times and columns of the samples of all files, sorted by sample number.
 
     Raises:
-        LogError: If they are not as turtlelog writes them.
+        LogError: If the samples differ from those that turtlelog writes.
     """
     try:
         fields = {
@@ -238,22 +237,22 @@ def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
 
 
 def _lacks(name: str, values: NDArray[np.float64]) -> bool:
-    """Return whether a column was not recorded; a sample may have no velocity in the world."""
+    """Return whether a column was not recorded; samples may lack a velocity in the world frame."""
     unknown = np.isnan(values)
     return bool(unknown.all() if name == "world_velocity_m_s" else unknown.any())
 
 
 def _require_fit(run: Run, written: int, time_ns: Times, columns: Mapping[str, Any]) -> None:
-    """Refuse samples whose numbers of poses are not the rows of the run's.
+    """Refuse samples whose pose numbers are not rows of the run's poses.
 
     Args:
-        run: With its poses.
+        run: Run with its poses.
         written: Poses in the file.
         time_ns: Time at which each sample was answered, on the run's clock [ns].
         columns: Columns of the samples.
 
     Raises:
-        LogError: If they are not.
+        LogError: If the samples do not fit.
     """
     read, poses = columns["pose_sequence"], run.poses
     if written != len(poses):
@@ -272,7 +271,7 @@ def _require_fit(run: Run, written: int, time_ns: Times, columns: Mapping[str, A
 def _read_names(
     phases: list[TopicColumns], time_ns: Times, phase: NDArray[np.int64]
 ) -> dict[int, str] | None:
-    """Return the names of the phases by their numbers, None if they are not told alike."""
+    """Return the phase names by number; None if the phase messages contradict the samples."""
     named: dict[int, str] = {}
     for columns in phases:
         pairs = zip(columns.log_time_ns.tolist(), columns.fields["data"].tolist(), strict=True)
@@ -287,7 +286,7 @@ def _read_names(
 
 
 def _declare(named: Mapping[int, str] | None, highest: int) -> Declaration:
-    """Return phases without loops, by number; those that nothing names are called by it."""
+    """Return phases without loops, by number; unnamed phases have their number as name."""
     usual = dict(enumerate(SEQUENTIAL_P.phase_names))
     if named is None or all(usual.get(number) == name for number, name in named.items()):
         named = usual

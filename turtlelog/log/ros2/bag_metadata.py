@@ -1,9 +1,9 @@
 """Reading and writing of the metadata.yaml of bags.
 
-A reader needs four entries of it and a writer always writes the same few lines, so both go by lines
-here: a YAML library would be a dependency for that alone, and takes 50 times as long (4 s for 2,000
-topics). What the reader does not understand (anchors, lists over several lines within brackets) it
-refuses by line; neither rosbag2 nor rosbags writes it.
+The reader needs four entries and the writer always writes the same few lines, so both process
+single lines. A YAML library would be a further dependency, and takes 50 times as long (4 s for
+2,000 topics). The reader refuses anchors, and lists in brackets over several lines, with the line
+number; neither rosbag2 nor rosbags writes them.
 """
 
 import json
@@ -20,14 +20,14 @@ from turtlelog.log.error_boundary import name_file, open_file
 METADATA_FILE: Final = "metadata.yaml"
 
 _LARGEST: Final = 2**24
-"""Bytes of metadata.yaml; with 2,000 topics it takes 2 MB."""
+"""Largest size of metadata.yaml [bytes]; with 2,000 topics it has 2 MB."""
 
 _MOST_ENTRIES: Final = 1000
 _MOST_FILES: Final = 100_000
 _MOST_LINES: Final = 10 * _MOST_FILES
-"""A file takes eight lines, and the text is read up to four times."""
-"""Entries right below the root, of which rosbag2 writes 12, and files: a day in parts of a second
-each. Ten million of them fit into a text of this size."""
+"""Largest number of lines: a file takes eight, and the text is read up to four times."""
+"""Largest number of entries right below the root, of which rosbag2 writes 12, and of files: a day
+in parts of a second each. Ten million of them fit into a text of this size."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
 
@@ -50,7 +50,7 @@ _COMMENT: Final = re.compile(r"(?:^|\s)#.*$")
 
 _EMPTY: Final = '""'
 _PLAIN: Final = re.compile(r"[\w/.][\w/.-]*", re.ASCII)
-"""Text that YAML takes for nothing else, in names of topics and types."""
+"""Text in names of topics and types that YAML can only read as text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +59,7 @@ class BagMetadata:
 
     Attributes:
         storage: Storage of the files: `mcap` or `sqlite3`.
-        compression: How whole files or messages are compressed on top: `file`, `message`, or
-            empty.
+        compression: Compression in addition to the storage's: `file`, `message`, or empty.
         files: Names of the files, in order of time.
         duration_ns: Time from first to last message [ns]; None if missing.
     """
@@ -73,7 +72,7 @@ class BagMetadata:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagTopic:
-    """A topic of a bag: its name, the type of its messages, that type's hash, how many."""
+    """A topic of a bag: name, message type, hash of the type, number of messages."""
 
     name: str
     type: str
@@ -83,7 +82,7 @@ class BagTopic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagPart:
-    """A file of a bag: its name, the time of its first message, first to last [ns], how many."""
+    """A file of a bag: name, time of the first message [ns], duration [ns], number of messages."""
 
     name: str
     start_ns: int
@@ -92,10 +91,10 @@ class BagPart:
 
 
 def read_bag_metadata(folder: Path) -> BagMetadata:
-    """Return what a bag folder says of itself.
+    """Return the metadata of a bag folder.
 
     Raises:
-        LogError: If it says nothing that can be read.
+        LogError: If there are no readable metadata.
     """
     place = folder / METADATA_FILE
     with name_file(place, expected="the description of a bag"):
@@ -112,10 +111,10 @@ def _read_description(place: Path) -> bytes:
 
 
 def parse_bag_metadata(text: str) -> BagMetadata:
-    """Return what the text of a metadata.yaml says of the files.
+    """Return the entries about files in the text of a metadata.yaml.
 
     Raises:
-        LogError: If it is none, with the line.
+        LogError: If the text is invalid; with the line.
     """
     if text.count("\n") > _MOST_LINES:
         raise LogError(f"expected up to {_MOST_LINES:,} lines, found more")
@@ -156,14 +155,14 @@ def format_bag_metadata(
 ) -> str:
     """Return the metadata.yaml of a bag of MCAP files.
 
-    Version 8 is the newest whose quality of service is text, which Humble and Jazzy both read;
-    empty, as in the file's channels, it lets the player choose. Readers of earlier format versions
-    skip the keys that later versions added.
+    Version 8 is the newest with quality of service as text, which Humble and Jazzy both read. An
+    empty text, as in the file's channels, lets the player choose. Readers of earlier format
+    versions skip the keys that later versions added.
 
     Args:
         files: Files in order of time.
         topics: Topics of all files.
-        compression: `message` where rosbag2 compressed message by message.
+        compression: `message` if rosbag2 compressed messages one by one.
     """
     start_ns = min(part.start_ns for part in files)
     end_ns = max(part.start_ns + part.duration_ns for part in files)
@@ -205,12 +204,12 @@ def _format_text(value: str) -> str:
 
 
 def _quote(value: str) -> str:
-    """Return text as YAML that cannot be taken for anything else."""
+    """Return text in quotes, so that YAML reads it as text."""
     return "'" + value.replace("'", "''") + "'"
 
 
 def _read_flow_list(number: int, value: str) -> list[str]:
-    """Return the names of a list within brackets, on one line; none of another value.
+    """Return the names of a list in brackets on one line; empty for another value.
 
     Raises:
         LogError: If an item is neither plain text nor in quotes.
@@ -237,7 +236,7 @@ def _read_file_name(number: int, value: str) -> str:
 
 
 def _read_below(number: int, under: str, value: str) -> dict[str, str]:
-    """Return what a line below an entry adds to it; of the entries that are not needed, nothing."""
+    """Return the additions of a line to the entry above; empty for entries that are not needed."""
     if under in _TEXTS:
         raise LogError(f"line {number}: {under}: expected text, found {value[:60]!r}")
     if under != _DURATION:
@@ -267,7 +266,7 @@ def _parse_duration(text: str) -> int | None:
 def _iterate_entries(text: str, root: str) -> Iterator[tuple[int, str, str]]:
     """Yield line, key and value of the entries right below the root.
 
-    What stands below an entry, list items or keys of its own, comes as text without a key.
+    List items and keys below an entry are yielded as text without a key.
     """
     depth: int | None = None
     for number, indent, item, content in _iterate_body(text, root):
@@ -284,7 +283,7 @@ def _iterate_entries(text: str, root: str) -> Iterator[tuple[int, str, str]]:
 
 
 def _iterate_body(text: str, root: str) -> Iterator[tuple[int, int, bool, str]]:
-    """Yield the lines below the root: number, indent, whether a list item begins, content."""
+    """Yield the lines below the root: number, indent, whether a list item begins, and content."""
     is_inside = False
     for number, whole in iterate_lines(text):
         line = whole.rstrip()
@@ -300,7 +299,7 @@ def _iterate_body(text: str, root: str) -> Iterator[tuple[int, int, bool, str]]:
 
 
 def _unquote(number: int, key: str, value: str) -> str:
-    """Return a value without its quotes and without a comment behind it."""
+    """Return a value without quotes and without a trailing comment."""
     if value[:1] in {'"', "'"}:
         found = _QUOTED.match(value)
         if found is None:

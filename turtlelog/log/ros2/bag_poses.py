@@ -47,11 +47,11 @@ class PoseSource:
     """The messages that contain poses.
 
     Attributes:
-        topic: Name of the topic, and the type of the messages in `found`.
+        topic: Name of the topic, with the type of the messages in `found`.
         found: The messages, by file.
-        home: A topic or frame whose place among the names is the robot's.
+        home: Topic or frame whose namespace is the robot's.
         frame: Frame of the poses; empty if unknown.
-        tree: Transforms, where they were read.
+        tree: Transforms, if they were read.
         notes: Chosen topics or frames, and the alternatives.
     """
 
@@ -64,10 +64,10 @@ class PoseSource:
 
 
 def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> PoseSource:
-    """Return the messages that hold a robot's poses.
+    """Return the messages with a robot's poses.
 
     Raises:
-        LogError: If there are none, or nothing tells which of several.
+        LogError: If there are no poses, or several sources are equally likely.
     """
     frames = {"pose_frame": choice.pose_frame, "world_frame": choice.world_frame}
     asked = [name for name, value in frames.items() if value is not None]
@@ -96,7 +96,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
 
 
 def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
-    """Return the messages of a topic that holds poses itself, if they were not read yet."""
+    """Return the messages of a topic of poses; `found` contains them if they were read already."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
         raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
@@ -118,7 +118,7 @@ def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
 def _integrate_wheels(
     bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice, frames: Sequence[str]
 ) -> PoseSource:
-    """Return the odometry of two wheels as messages of a topic of their own."""
+    """Return the odometry of two wheels as messages of an own topic."""
     if choice.wheel_joints is None or choice.wheels is None:
         given, needed = ("wheels", "wheel_joints")
         if choice.wheels is None:
@@ -140,23 +140,23 @@ def _integrate_wheels(
 
 
 def _pick_fix(topics: Collection[TopicInfo]) -> Pick | None:
-    """Return the topic of a satellite receiver, where there is but one."""
+    """Return the topic of a satellite receiver if there is exactly one."""
     found = [topic for topic in topics if topic.type == FIX and topic.count and not topic.reason]
     return Pick(topic=found[0]) if len(found) == 1 else None
 
 
 def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
-    """Return notes on a topic that was chosen, and on those that could have been meant."""
+    """Return notes on a chosen topic and its alternatives."""
     others = {f"other_{name}s": list_first_names(pick.others)} if pick.others else {}
     still = {"still": f"{pick.still} never moves and was left out"} if pick.still else {}
     return {name: pick.describe() + more, **others, **still}
 
 
 def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
-    """Return all transforms of a bag, those of a robot's own topics (/robot1/tf) where it has them.
+    """Return all transforms of a bag, or only those of the robot's topics (/robot1/tf) if any.
 
     Raises:
-        LogError: If they cannot be read.
+        LogError: If the transforms cannot be read.
     """
     held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
@@ -166,7 +166,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
         return {}
     files = bag.read(names, is_flat=False)
     links = {}
-    # What is sent again and again comes last: it moves.
+    # Transforms that are sent repeatedly come last, because they move.
     for is_static in (True, False):
         chosen = [
             file[name]
@@ -184,7 +184,7 @@ def _is_static(topic: str) -> bool:
 
 
 def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
-    """Return the topic by its type, or else by its fields, which only reading tells."""
+    """Return the topic of poses, by its type or else by its fields, which requires reading."""
     try:
         return choose_pose_topic(topics, asked)
     except NoPosesError:
@@ -195,13 +195,14 @@ def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
 
 
 _FEWEST_STILL: Final = 20
-"""Messages that are all alike of a topic that never moves: fewer may be a robot that waits."""
+"""Number of equal messages from which a topic counts as never moving: fewer may be a waiting
+robot."""
 
 
 def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[Pick, Found | None]:
-    """Return a topic that moves in place of one that never does, and its messages where read.
+    """Return a moving topic instead of one that never moves, with its messages if they were read.
 
-    Some robots publish an odometry of zeros beside one that is computed.
+    Some robots publish an odometry of zeros beside a computed one.
     """
     if not pick.others or pick.topic.type not in POSITIONS:
         return pick, None
@@ -213,7 +214,7 @@ def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[P
         try:
             read = _read_moving(bag, other)
         except LogError:
-            continue  # nobody asked for it
+            continue  # it was not requested
         if read is not None and read.moves:
             others = (pick.topic.topic, *(name for name in pick.others if name != other.topic))
             return Pick(topic=other, others=others, still=pick.topic.topic), read.found
@@ -221,14 +222,14 @@ def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[P
 
 
 class _Read(NamedTuple):
-    """Messages of a topic, and whether their positions differ, to the last bit."""
+    """Messages of a topic, and whether their positions differ in any bit."""
 
     found: Found
     moves: bool
 
 
 def _read_moving(bag: Bag, topic: TopicInfo) -> _Read | None:
-    """Return the messages of a topic and whether it moves; None if that cannot be told."""
+    """Return the messages of a topic and whether it moves; None if that is unknown."""
     if topic.count < _FEWEST_STILL or topic.reason:
         return None
     place, found = POSITIONS[topic.type], [*bag.read({topic.topic})]
@@ -246,7 +247,7 @@ def _holds_poses(bag: Bag, topic: str) -> bool:
     try:
         found = bag.read({topic})
     except LogError:
-        return False  # of another encoding, or of texts and lists: no pose
+        return False  # another encoding, or texts and lists: no poses
     return any(topic in file and find_pose_shape(file[topic].fields) for file in found)
 
 
@@ -261,7 +262,7 @@ def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
 def _trace_poses(
     bag: Bag, pick: Pick, topics: Collection[TopicInfo], choice: ReadChoice
 ) -> PoseSource:
-    """Return poses of one frame in another as messages of a topic of their own."""
+    """Return poses of one frame in another as messages of an own topic."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
     frames = {"robot": choice.pose_frame, "world": choice.world_frame}
@@ -280,7 +281,7 @@ def _trace_poses(
         )
     prefix, _, name = chosen.robot.rpartition("/")
     if not prefix and any(one.topic.startswith(f"/{name}/") for one in topics):
-        prefix = name  # as /turtle1/cmd_vel is of turtle1
+        prefix = name  # as /turtle1/cmd_vel belongs to turtle1
     return PoseSource(
         topic=TopicInfo(topic=topic, type=TRANSFORM, count=len(columns)),
         found=[{topic: columns}],
@@ -304,7 +305,7 @@ def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict
 
 
 def _read_frame(found: Found, topic: str) -> str:
-    """Return the frame that the first message names, empty if it names none."""
+    """Return the frame in the first message; empty if there is none."""
     for of_file in found:
         for name in _FRAMES if topic in of_file and len(of_file[topic]) else ():
             if name in of_file[topic].fields:

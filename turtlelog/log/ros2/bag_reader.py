@@ -54,15 +54,15 @@ from turtlelog.log.ros2.reported_motion import (
 from turtlelog.run import PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
-"""Note on messages that are there and are not read."""
+"""Name of the note on messages that were not read."""
 
 NOT_UNDERSTOOD: Final = "not_understood"
-"""Note on topics of poses, commands, goals or paths that cannot be read."""
+"""Name of the note on topics of poses, commands, goals or paths that cannot be read."""
 
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
 _RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
-"""Columns beside a pose; a topic of sensed poses has nan in all of them."""
+"""Rates in messages of poses; a topic of sensed poses has nan in all of them."""
 
 
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
@@ -107,7 +107,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
 
 
 def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Run:
-    """Return a run with a note on the robots of its bag, and which of them it is.
+    """Return a run with a note on the robots of its bag and the chosen one.
 
     Raises:
         LogError: If another robot was requested.
@@ -123,7 +123,7 @@ def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Ru
 
 
 def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
-    """Return a run with notes on what else the bag holds, and on what was chosen of it."""
+    """Return a run with notes on its bag's other contents and on the choices made."""
     unread = describe_unread_topics(topics)
     notes = {**run.notes, **_note_rest(topics, run), **_join_notes(bag.infos.values())}
     notes |= {NOT_UNDERSTOOD: unread} if unread else {}
@@ -132,7 +132,7 @@ def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
 
 @contextmanager
 def _name_once(bag: Bag) -> Iterator[None]:
-    """Name the bag in errors, but in those that name one of its files."""
+    """Add the bag's name to errors, unless they name one of its files."""
     try:
         with name_file(bag.path, expected="a bag"):
             yield
@@ -144,7 +144,7 @@ def _name_once(bag: Bag) -> Iterator[None]:
 
 
 def describe_chosen(notes: Mapping[str, str]) -> str:
-    """Return in one line what was read of a bag, and what else could have been meant."""
+    """Return one line on the topics that were read, and their alternatives."""
     command = notes.get("command_topic")
     poses = notes.get("pose_topic")
     parts = [f"poses from {poses}" if poses else "no poses"]
@@ -170,7 +170,7 @@ _OPTIONS: Final = {
 
 
 def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
-    """Return a note on the topics of a recording of ours, which only one of ours is read with."""
+    """Return a note on turtlelog's topics, which are read only from turtlelog's recordings."""
     sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
     control = () if len(run.samples) else (CONTROL,)
     own = {topic.name: topic.schema for topic in (*control, REFERENCE64, SHAPED, *sensed)}
@@ -183,14 +183,14 @@ def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
 
 
 def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
-    """Return what the files say of themselves: that they were recovered."""
+    """Return the notes of the files on their recovery."""
     return {name: text for info in infos for name, text in info.notes.items()}
 
 
 def _build_run(
     path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
 ) -> tuple[Run, Track]:
-    """Return the run, and where the robot was by the recorder's clock."""
+    """Return the run, and the positions of the robot on the recorder's clock."""
     poses = order_topic(found, source.topic, extract_poses)
     has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
     has_no_heading = has_place & np.isnan(poses.columns["heading"])
@@ -205,7 +205,7 @@ def _build_run(
         frame=source.frame,
         tree=source.tree,
     )
-    # Views: a second copy of x and y would take 16 bytes a pose.
+    # Views: a second copy of x and y would take 16 bytes per pose.
     poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
     leaps = describe_leaps(track.xy_m) or describe_small_leaps(track.xy_m)
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
@@ -241,7 +241,8 @@ def _build_run(
     notes |= {} if leaps is None else {"leaps": leaps}
     if plane is None:
         notes |= {} if (level := describe_level(columns.get("z"))) is None else {"height": level}
-        # A speed is of the robot's axes: of one that leaves the plane it is not that from above.
+        # Speeds are along the robot's axes: if it leaves the plane, they differ from those seen
+        # from above.
         reported = poses.columns if SPEED in columns else columns
         paths = describe_paths(measure_paths(poses.time_ns, reported, speeds))
         notes |= {} if paths is None else {PATH_NOTE: _name_others(paths, source)}
@@ -272,15 +273,15 @@ def _build_run(
 
 
 def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
-    """Return the poses that are numbers, and how many are not; speeds that are none go as a whole.
+    """Return the finite poses and the number of dropped ones; speeds with nan are dropped.
 
     Raises:
-        LogError: If none is.
+        LogError: If no pose is finite.
     """
     speeds = [name for name in rows.columns if name.removeprefix("measured_") in _RATES]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
     columns = {name: column for name, column in rows.columns.items() if name not in unknown}
-    # How high it is and how it leans is only described, and few robots move sideways.
+    # Height and tilt are only described, and few robots move sideways.
     needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
     kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
     if not len(kept.time_ns) and _count_vertical(columns, np.isnan(columns["heading"])) == dropped:
@@ -311,7 +312,7 @@ def _describe_crowded(time_ns: NDArray[np.int64]) -> str:
 
 
 def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Values] | None:
-    """Return when commands were published, and the magnitudes of their velocities [m/s]."""
+    """Return publication times [ns] and speeds [m/s] of the commands."""
     if commands is None:
         return None
     speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
@@ -319,13 +320,13 @@ def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Value
 
 
 def _name_others(text: str, source: PoseSource) -> str:
-    """Return a sentence on poses that may be wrong with the topics that hold others."""
+    """Return a sentence on possibly wrong poses, with the topics of other poses."""
     others = source.notes.get("other_pose_topics")
     return text if others is None or "poses" not in text else f"{text}; others: {others}"
 
 
 def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> int:
-    """Return how many of some poses have no heading as their forward axis points up or down."""
+    """Return the number of poses without a heading because the forward axis points up or down."""
     tilt_rad = columns.get("tilt")
     # A quaternion that was never set has a tilt of 0.
     return 0 if tilt_rad is None else int((tilt_rad[rows] > 0.0).sum())
@@ -348,9 +349,10 @@ def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
 
 
 def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values | None:
-    """Return x, y and heading as sensed, beside the poses of the same times; NaN without one.
+    """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
 
-    None where there are none, or their times do not tell whose they are: those of a wall clock.
+    None if there are no sensed poses, or their times do not identify the poses, as with a wall
+    clock.
     """
     kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     if moved or not any(SENSED.name in of_file for of_file in found):

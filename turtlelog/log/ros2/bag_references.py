@@ -21,18 +21,21 @@ from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 Values = NDArray[np.float64]
 
 _AT_ROBOT_M: Final = 0.1
-"""From the end of a path to the robot [m], where the path is its trace: a robot's width; what was
-recorded last is a few tenths of a second old. A plan ends at the goal, which is farther."""
+"""Largest distance from a path's end to the robot for a path that is its trace [m].
+
+The value is a robot's width; the last recorded position is a few tenths of a second old. A plan
+ends at the goal, which is farther away."""
 
 _AT_ROBOT_SHARE: Final = 0.1
 """The same as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
 
 _MOST_PATHS: Final = 1000
-"""Messages of paths that are read where nobody asks for them. A trace that grows point by
-point takes 300 MB and 3 s; a plan of Nav2, one a second, lasts a quarter of an hour."""
+"""Largest number of path messages that are read without request. A trace that grows point by point
+takes 300 MB and 3 s; a plan of Nav2, one per second, lasts a quarter of an hour."""
 
 _MOST_LOOKED_AT: Final = 50
-"""Messages of a path that are held against where the robot was: their median decides."""
+"""Number of messages of a path that are compared with the robot's position; their median
+decides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +45,7 @@ class Track:
     Attributes:
         time_ns: Time on the recorder's clock [ns], shape (n,), not decreasing.
         xy_m: Position [m], shape (n, 2).
-        frame: The frame of the poses; empty if they do not name one.
+        frame: Frame of the poses; empty if unknown.
         tree: Transforms between frames; empty if there are none.
     """
 
@@ -107,10 +110,10 @@ def _name_frame(columns: TopicColumns) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundGoal:
-    """A goal, and what there is to say of it.
+    """A goal with a note.
 
     Attributes:
-        xy_m: Position in the frame of the poses [m]; None if it cannot be told.
+        xy_m: Position in the frame of the poses [m]; None if unknown.
         heading_rad: Heading [rad]; None if the goal has no heading.
         note: One sentence.
         time_ns: Time when the goal was set, on the recorder's clock [ns].
@@ -123,10 +126,10 @@ class FoundGoal:
 
 
 def find_goal(messages: Sequence[TopicColumns], topic: str, track: Track) -> FoundGoal:
-    """Return the last goal that was given while the robot was recorded.
+    """Return the last goal that was set while the robot was recorded.
 
-    A goal of another frame is turned into that of the poses by the transforms that held when it was
-    given; where none do, there is no goal, and the note says why.
+    A goal in another frame is converted to that of the poses by the transforms at the time when it
+    was set. If there are none, there is no goal, and the note gives the reason.
     """
     rows = sorted(
         (time_ns, number, row)
@@ -144,7 +147,7 @@ def find_goal(messages: Sequence[TopicColumns], topic: str, track: Track) -> Fou
         said = f"the last of {len(others)} from {topic}: --goal chooses another"
     if not np.isfinite(place_m).all():
         return FoundGoal(xy_m=None, note=f"{topic}: left out: its position is no number")
-    # A message's default; who asks for no heading leaves it.
+    # The default of the message; programs without a goal heading leave it.
     has_heading = bool(np.isfinite(turn).all() and turn[0, :3].any())
     moved = _bring_over(track, str(fields["header.frame_id"]), place_m, turn, time_ns)
     if isinstance(moved, str):
@@ -164,7 +167,7 @@ def _name_place(columns: TopicColumns, row: int) -> tuple[str, ...]:
 def _bring_over(
     track: Track, frame: str, place_m: Values, turn: Values, time_ns: int
 ) -> tuple[Values, Values, str] | str:
-    """Return places and forward directions in the frame of the poses, and how; or why not."""
+    """Return positions and forward directions in the poses' frame, and how; or a reason why not."""
     frame, ahead = frame.lstrip("/"), rotate(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
     if frame == track.frame:
         return place_m, ahead, ""
@@ -182,10 +185,10 @@ def _bring_over(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundPath:
-    """A path to follow, and what there is to say of it.
+    """A path to follow, with a note.
 
     Attributes:
-        points: Points in the frame of the poses [m]; None if the path is no reference.
+        points: Points in the frame of the poses [m]; None if the path is not a reference.
         note: One sentence.
     """
 
@@ -196,9 +199,9 @@ class FoundPath:
 def find_path(
     messages: Sequence[TopicColumns], topic: str, track: Track, *, since_ns: int = 0
 ) -> FoundPath:
-    """Return the first path with a length, of those after a time where there are such.
+    """Return the first path with a length, preferably after a time.
 
-    A topic on which the robot's own way is published is no reference.
+    A topic with the robot's own trace is not a reference.
 
     Args:
         messages: Messages of `nav_msgs/msg/Path`, by file.
@@ -235,7 +238,7 @@ def find_path(
 
 
 def _read_points(columns: TopicColumns, row: int, time_ns: int, track: Track) -> tuple[Values, str]:
-    """Return the points of a path in the frame of the poses, or none and why."""
+    """Return the points of a path in the frame of the poses; otherwise no points and the reason."""
     try:
         found: list[dict[str, Any]] = columns.fields["poses"][row]
         frame = str(columns.fields["header.frame_id"][row])
@@ -259,7 +262,7 @@ def _measure(xy_m: Values) -> float:
 
 
 def _is_trace(known: Sequence[tuple[int, Values]], track: Track) -> bool:
-    """Return whether paths end where the robot was when they were published."""
+    """Return whether paths end at the robot's position at their time of publication."""
     step = -(-len(known) // _MOST_LOOKED_AT)
     shares = []
     for time_ns, xy_m in known[::step]:
@@ -270,7 +273,7 @@ def _is_trace(known: Sequence[tuple[int, Values]], track: Track) -> bool:
 
 
 def _thin(xy_m: Values) -> list[list[float]]:
-    """Return the points without repetitions, and no more than a path may have."""
+    """Return the points without repetitions, thinned to the largest number of a path."""
     differs = np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))
     points = xy_m[differs]
     if len(points) > MOST_POINTS:

@@ -1,4 +1,4 @@
-"""Robots of one bag that are told apart by a name in their topics: /robot1/odom, /robot2/odom."""
+"""Selection of one of several robots in a bag by topic names: /robot1/odom, /robot2/odom."""
 
 import re
 from collections import defaultdict
@@ -25,7 +25,7 @@ _PARTS: Final = re.compile(
     r"(?i)(?:front|rear|left|right)?_?(?:camera|cam|imu|lidar|laser|scan|gps|gnss|sensor|wheel|tag"
     r"|marker|motor|arm|joy)s?_?"
 )
-"""Names, without their numbers, that are parts of a robot and no robots."""
+"""Names, without their numbers, of parts of a robot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,8 +33,8 @@ class BagRobot:
     """A robot among several.
 
     Attributes:
-        name: The word that its topics have and those of the others do not.
-        topics: Of its own.
+        name: Word that occurs only in the topics of this robot.
+        topics: Topics of this robot.
     """
 
     name: str
@@ -42,20 +42,20 @@ class BagRobot:
 
     @property
     def poses(self) -> TopicInfo | None:
-        """Its topic with the most poses."""
+        """The robot's topic with the most poses."""
         return _find_most(filter(_tells_poses, self.topics))
 
     @property
     def commands(self) -> TopicInfo | None:
-        """Its topic with the most commands."""
+        """The robot's topic with the most commands."""
         return _find_most(topic for topic in self.topics if _is_command(topic))
 
 
 def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
-    """Return the robots that topics tell apart, by their names; none of a bag of one robot.
+    """Return the robots that topic names distinguish; empty for a bag of one robot.
 
-    Topics of one type that differ in one word of their place are those of several robots where that
-    word differs by its number alone, or poses and commands both have it.
+    Topics of one type whose namespaces differ in one word belong to several robots if these words
+    differ only by number, or if both poses and commands have them.
     """
     held = [topic for topic in topics if topic.count]
     kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))
@@ -70,11 +70,11 @@ def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
 
 
 _Place = tuple[str, ...]
-"""The words before that of a robot in the name of a topic."""
+"""The words before the robot's name in the name of a topic."""
 
 
 def _group_words(held: Sequence[TopicInfo]) -> Iterator[tuple[_Place, dict[str, bool]]]:
-    """Yield the words in which topics of one type differ, each with whether they are commands."""
+    """Yield the words in which topics of one type differ, and whether the topics are commands."""
     groups: dict[tuple[_Place, _Place, str], dict[str, bool]] = defaultdict(dict)
     for topic in filter(_tells_robots, held):
         words = tuple(topic.topic.split("/"))
@@ -90,13 +90,13 @@ def _group_words(held: Sequence[TopicInfo]) -> Iterator[tuple[_Place, dict[str, 
 def select_robot(
     topics: Sequence[TopicInfo], name: str | None
 ) -> tuple[Sequence[TopicInfo], tuple[BagRobot, ...]]:
-    """Return the topics of one robot and those that are nobody's, and all robots.
+    """Return the topics of one robot and those of no robot, and all robots.
 
-    Without a name, robots that differ by their numbers alone are as many of one kind: the first one
-    that has poses. Of a name that no topic has, transforms may have frames.
+    Without a name, the first robot with poses is chosen if the robots differ only by number. A name
+    that occurs in no topic may be that of frames in transforms.
 
     Raises:
-        LogError: If nothing tells which robot is meant.
+        LogError: If several robots are equally likely.
     """
     robots = find_robots(topics)
     if not robots:
@@ -104,7 +104,7 @@ def select_robot(
     names = [robot.name for robot in robots]
     if name is None:
         if not any(robot.poses for robot in robots) and any(map(_tells_poses, topics)):
-            return topics, ()  # whose poses there are, nothing tells
+            return topics, ()  # the robot of the poses is unknown
         if len({_NUMBER.sub("#", one) for one in names}) > 1:
             raise LogError(
                 f"{len(names)} robots, {list_first_names(names)}: choose with --robot NAME"
@@ -118,17 +118,17 @@ def select_robot(
 
 
 def describe_robots(robots: Sequence[BagRobot], chosen: str | None) -> str:
-    """Return the robots of a bag in words, and which of them is read."""
+    """Return a sentence on the robots of a bag and the chosen one."""
     names = list_first_names([robot.name for robot in robots])
     which = "" if chosen is None else f"{chosen} of "
     return f"{which}{names}: --robot NAME chooses"
 
 
 def require_robot(name: str, topic: str, robots: Collection[BagRobot]) -> None:
-    """Refuse a robot that the topic of the poses or commands is not of.
+    """Refuse a requested robot if the topic of poses or commands belongs to another.
 
     Raises:
-        LogError: With the robots that there are.
+        LogError: With the names of the robots.
     """
     if name in topic.split("/")[:-1]:
         return
@@ -150,7 +150,7 @@ def _is_command(topic: TopicInfo) -> bool:
 
 
 def _choose_names(words: dict[str, set[bool]]) -> list[str]:
-    """Return the words that are robots, in order of their numbers."""
+    """Return the words that are names of robots, in order of their numbers."""
     counts: dict[str, int] = defaultdict(int)
     for word in words:
         counts[_NUMBER.sub("#", word)] += 1

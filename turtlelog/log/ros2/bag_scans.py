@@ -33,25 +33,27 @@ Times = NDArray[np.int64]
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
 MOST_SCANS: Final = 400
-"""Scans that are kept, evenly: a minute at 7 Hz, or one of seven in ten minutes at 5 Hz."""
+"""Largest number of scans, chosen evenly: a minute at 7 Hz, or one in seven of ten minutes at 5
+Hz."""
 
 MOST_RAYS: Final = 360
-"""Points of a scan that are kept, evenly: one a degree."""
+"""Largest number of points per scan, chosen evenly: one per degree."""
 
 CELL_M: Final = 0.05
-"""Size of the cells that all scans together are thinned to [m]: usual maps have it."""
+"""Cell size for thinning the points of all scans [m]; usual for maps."""
 
 MOST_CELLS: Final = 20_000
-"""Cells that are kept: walls of 1 km."""
+"""Largest number of cells: walls of 1 km."""
 
 _MOST_MESSAGES: Final = 20_000
-"""Scans that are read: an hour at 5 Hz. More of 360 rays take over 100 MB."""
+"""Largest number of scans that are read: an hour at 5 Hz. More scans of 360 rays take over 100
+MB."""
 
 _LONGEST_RAY_M: Final = 10_000.0
-"""Ranges beyond are of no scanner on a robot [m]; a `range_max` may be infinite."""
+"""Range beyond that of any scanner on a robot [m]; `range_max` may be infinite."""
 
 _LONGEST_GAP_NS: Final = 1_000_000_000
-"""Between two poses that are further apart nobody knows where a scan was taken [ns]."""
+"""Longest gap between poses in which a scan can be placed [ns]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,7 +157,7 @@ def _collect(bag: Bag, topic: TopicInfo) -> list[TopicColumns]:
 def _place_scans(
     messages: Sequence[TopicColumns], run: Run, start_ns: int, tree: Tree, notes: list[str]
 ) -> tuple[Times, tuple[Values, ...]]:
-    """Return when some scans were taken, and their points in the frame of the poses [m]."""
+    """Return times of scans [ns], and their points in the frame of the poses [m]."""
     scans = [(columns, row) for columns in messages for row in range(len(columns))]
     time_ns = np.concatenate([_time_scans(columns, run) for columns in messages]) - start_ns
     order = np.argsort(time_ns, kind="stable")
@@ -175,7 +177,7 @@ def _place_scans(
 
 
 def _time_scans(columns: TopicColumns, run: Run) -> Times:
-    """Return when scans were taken, by the clock that times the run's poses [ns]."""
+    """Return the times of scans on the clock of the run's poses [ns]."""
     log_ns, stamp_ns = columns.log_time_ns, read_stamps(columns)
     if run.clock is None or run.clock.used == "log" or stamp_ns is None:
         return log_ns
@@ -186,7 +188,7 @@ def _time_scans(columns: TopicColumns, run: Run) -> Times:
 
 
 def _has_pose(run: Run, time_ns: Times) -> NDArray[np.bool_]:
-    """Return at which times there is a pose before and one after, not far apart."""
+    """Return at which times there is a pose shortly before and shortly after."""
     poses_ns = run.poses.time_ns
     after = np.searchsorted(poses_ns, time_ns)
     inside = (after > 0) & (after < len(poses_ns))
@@ -226,7 +228,7 @@ def _to_robot(
 
 
 def _to_world(points: Values, run: Run, time_ns: int) -> Values:
-    """Return points of the robot's frame in that of its poses [m]."""
+    """Return points in the robot's frame, converted to the frame of its poses [m]."""
     poses = run.poses
     after = int(np.clip(np.searchsorted(poses.time_ns, time_ns), 1, len(poses) - 1))
     span_ns = int(poses.time_ns[after] - poses.time_ns[after - 1])
@@ -239,7 +241,7 @@ def _to_world(points: Values, run: Run, time_ns: int) -> Values:
 
 
 def _thin(points: Sequence[Values]) -> Values:
-    """Return the middles of the cells in which points lie, those with most points first."""
+    """Return the centers of the cells that contain points, those with most points first."""
     if not points:
         return np.zeros((0, 2))
     cells = np.floor(np.concatenate(points) / CELL_M).astype(np.int64)

@@ -31,8 +31,8 @@ _TIERS: Final = {
     **dict.fromkeys(TRANSFORM_TYPES, 5),
     FIX: 6,
 }
-"""Types of poses, and which come first: odometry tells rates, too; stamps come before none, and
-a satellite receiver tells no heading."""
+"""Priority of pose types: odometry first (it has rates), then types with stamps; satellite fixes
+come last, because they give no heading."""
 
 POSE_TYPES: Final = tuple(_TIERS)
 _POSES_IN_SHORT: Final = (
@@ -49,12 +49,12 @@ NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels
 NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
 
 _MOST_UNREAD: Final = 3
-"""Topics that a line names with the reason why they are not read."""
+"""Largest number of unread topics that one line lists with their reasons."""
 
 _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
-"""Topics of a recording of ours with the type of commands that nobody published as one."""
+"""Topics of a turtlelog recording that have the type of commands but contain none."""
 
 _NO_POSES: Final = frozenset({POSE64.name})
 
@@ -63,25 +63,25 @@ _NO_ROBOT: Final = re.compile(
     r"|docks?|staging|desired|setpoints?|references?|ref|plan|trajectory|lookahead|carrot|markers?"
     r"|objects?|obstacles?|landmarks?|tf_static)(?=$|[/_\d])"
 )
-"""Words in names of poses that are no robot's: where one is to go, was put, or something else."""
+"""Words in names of poses that are not a robot's: goals, initial poses, other objects."""
 
 _MEASURED: Final = re.compile(
     r"(?:^|[/_])(?:odom|odometry|measured|actual|feedback|estimated?|current|state|imu)(?=$|[/_\d])"
 )
-"""Words in names of velocities that were measured."""
+"""Words in names of measured velocities."""
 
 _VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
-"""Names beside which a pose of the same place makes them measured: /mavros/local_position/pose has
-velocity_local and velocity_body, a body of a motion capture has twist."""
+"""Names of velocities that are measured if a pose has the same namespace: velocity_local and
+velocity_body of /mavros/local_position/pose, twist of a motion capture's body."""
 
 _COMMAND_NAMES: Final = (
     re.compile(r"cmd_vel"),
     re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
-    # The smoother's is what came out of the planner, and goes through the collision monitor.
+    # The smoother's output comes from the planner and passes through the collision monitor.
     re.compile(r"cmd_vel_smoothed"),
     re.compile(r"(?s:cmd_vel.*|.*(?:cmd|command).*)"),
 )
-"""How topics of commands are called, the one that a base listens to first."""
+"""Patterns of names of command topics, the one that a base listens to first."""
 
 _POSE_NAMES: Final = (
     re.compile(r"odom|odometry|pose"),
@@ -91,10 +91,10 @@ _POSE_NAMES: Final = (
 
 
 class NoPosesError(LogError):
-    """No topic is of a type of poses, or none of these can be read.
+    """Error of a bag without a readable topic of poses.
 
     Attributes:
-        is_unread: Whether there are some that cannot be read.
+        is_unread: Whether there are pose topics that cannot be read.
     """
 
     def __init__(self, text: str, *, is_unread: bool = False) -> None:
@@ -103,11 +103,11 @@ class NoPosesError(LogError):
 
 
 _MOST_LISTED: Final = 100
-"""Names in one note; a file of 400 kB can have 65,000 topics."""
+"""Largest number of names in a note; a file of 400 kB can have 65,000 topics."""
 
 
 def list_first_names(names: Sequence[str]) -> str:
-    """Return names for a note; of very many the first, and how many more there are."""
+    """Return names for a note; if there are too many, the first and the number of the others."""
     few = ", ".join(names[:_MOST_LISTED])
     more = len(names) - _MOST_LISTED
     return f"{few} and {more:,} more" if more > 0 else few
@@ -118,9 +118,9 @@ class Pick:
     """A topic that was chosen.
 
     Attributes:
-        topic: The one.
-        others: Names of those that could have been meant as well.
-        still: Name of the one that would have been chosen, but never moves; empty otherwise.
+        topic: The chosen topic.
+        others: Names of the alternatives.
+        still: Name of a topic that was rejected because it never moves; empty if there is none.
     """
 
     topic: TopicInfo
@@ -128,7 +128,7 @@ class Pick:
     still: str = ""
 
     def describe(self) -> str:
-        """Return its name and type."""
+        """Return name and type of the topic."""
         return f"{self.topic.topic} ({self.topic.type})"
 
 
@@ -151,7 +151,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     homes = {_take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
     best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
-        # Robots that are told apart by number alone: the first.
+        # If robots differ only by number, the first is chosen.
         best = [min(best, key=lambda topic: list_numbers(topic.topic))]
     chosen = _require_one(best, "pose_topic", "--pose-topic")
     others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
@@ -221,8 +221,8 @@ def choose_path_topics(
 ) -> list[TopicInfo]:
     """Return the requested path topic, or all topics that may contain plans, in order.
 
-    A controller's short local plan (local_plan) and topics with the name of a trace are no
-    reference.
+    A controller's short local plan (local_plan) and topics with the name of a trace are not
+    references.
 
     Raises:
         LogError: If the requested topic does not exist, or has another type.
@@ -260,7 +260,7 @@ def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick |
 
 
 def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
-    """Return topics whose fields may be a pose's: of a type called so, or of none of ROS's."""
+    """Return topics whose fields may be a pose's: types with such names, or unknown types."""
     return [
         topic
         for topic in topics
@@ -272,16 +272,16 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
 
 
 def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
-    """Return which topics of poses, commands, goals or paths are not read, and why; may be empty.
+    """Return the unread topics of poses, commands, goals or paths with reasons; may be empty.
 
-    Those of other types are no matter of a run.
+    Topics of other types do not matter for a run.
     """
     unread = [topic for topic in topics if topic.count and topic.reason]
     return _join_reasons([topic for topic in unread if _is_of_a_run(topic)])
 
 
 def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> tuple[str, bool]:
-    """Return why a bag has no poses, and whether some are there that cannot be read."""
+    """Return the reason why a bag has no poses, and whether it has unreadable ones."""
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
         return reasons, True
@@ -298,13 +298,13 @@ def _join_reasons(unread: Sequence[TopicInfo]) -> str:
 
 
 def _is_of_a_run(topic: TopicInfo) -> bool:
-    """Return whether the last word of a type, as other encodings write it, is one that is read."""
+    """Return whether the last word of a type is that of a readable type, for other encodings."""
     last = re.split(r"[/.:]", topic.type)[-1]
     return last in _RUN_WORDS or bool(_POSE_LIKE.search(last))
 
 
 def _drop_unread(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
-    """Return topics that can be read, and those of two types, which are refused as such."""
+    """Return readable topics, and topics with two types, which are refused later."""
     held = list(topics)
     counts = Counter(topic.topic for topic in held)
     return [topic for topic in held if not topic.reason or counts[topic.topic] > 1]
@@ -324,22 +324,22 @@ _GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
 def _list_first(
     topics: Sequence[TopicInfo], rank: Callable[[TopicInfo], tuple[int, ...]]
 ) -> list[TopicInfo]:
-    """Return the topics of the least rank."""
+    """Return the topics with the lowest rank."""
     ranks = [rank(topic) for topic in topics]
     least = min(ranks)
     return [topic for topic, of_topic in zip(topics, ranks, strict=True) if of_topic == least]
 
 
 def _rank_poses(topic: TopicInfo, homes: Collection[str]) -> tuple[int, ...]:
-    """Return what orders topics of poses, the most likely first.
+    """Return a sort key for pose topics, the most likely first.
 
     Args:
-        topic: One of them.
-        homes: Where there are commands.
+        topic: Topic to rank.
+        homes: Namespaces with commands.
     """
     has_neighbour = _take_home(topic.topic) in homes
     return (
-        # One message is no motion.
+        # A single message shows no motion.
         int(topic.count < 2),
         int(topic.topic in _NO_POSES),
         _TIERS[topic.type],
@@ -352,17 +352,17 @@ def _rank_poses(topic: TopicInfo, homes: Collection[str]) -> tuple[int, ...]:
 def _rank_commands(topic: str, pose_topic: str) -> tuple[int, ...]:
     near, depth = _rank_place(topic, pose_topic)
     name = _rank_name(topic, _COMMAND_NAMES)
-    # A robot's own commands come before any others, and what is called a command before the rest.
+    # A robot's own commands have priority over others, and topics named as commands over the rest.
     return int(name == len(_COMMAND_NAMES)), near, name, depth
 
 
 def is_measured(topic: str) -> bool:
-    """Return whether the name of a topic says that its velocities were measured."""
+    """Return whether a topic's name shows that its velocities are measured."""
     return _MEASURED.search(_take_last(topic)) is not None
 
 
 def _is_measured_beside(topic: str, pose_topic: str) -> bool:
-    """Return whether a velocity stands beside the poses, and is called no command."""
+    """Return whether a velocity has the namespace of the poses and no name of a command."""
     home, last = _take_home(topic), _take_last(topic)
     return bool(home) and home == _take_home(pose_topic) and bool(_VELOCITIES.fullmatch(last))
 
@@ -373,17 +373,17 @@ def _rank_path(topic: str, pose_topic: str) -> tuple[int, ...]:
 
 
 def _rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
-    """Return how far a topic is from the poses: names that they do not share, then its depth."""
+    """Return the distance of a topic from the poses: number of different words, then depth."""
     own, home = topic.split("/")[1:-1], pose_topic.split("/")[1:-1]
     shared = 0
     while shared < min(len(own), len(home)) and own[shared] == home[shared]:
         shared += 1
-    # A neighbour in the full sense is nearest: /a/cmd_vel of /a/odom, whatever else is in /a.
+    # The nearest topic has exactly the same namespace: /a/cmd_vel for /a/odom.
     return -2 * shared - int(own == home and bool(own)), len(own)
 
 
 def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
-    """Return the number of the first pattern that the end of a name fits."""
+    """Return the index of the first pattern that matches the end of a name."""
     last = _take_last(topic)
     two = "/".join(topic.split("/")[-2:])
     fitting = (
@@ -393,12 +393,12 @@ def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
 
 
 def is_another_thing(topic: str) -> bool:
-    """Return whether the name of a topic says that its poses are no robot's: a goal, a marker."""
+    """Return whether a topic's name shows that its poses are not a robot's: a goal, a marker."""
     return _NO_ROBOT.search(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", topic).lower()) is not None
 
 
 def _is_another_robots(topic: str, pose_topic: str) -> bool:
-    """Return whether a topic lies in the same place as the poses but for a robot's number."""
+    """Return whether a topic's namespace differs from the poses' only by a robot's number."""
     pairs = zip(topic.split("/")[1:-1], pose_topic.split("/")[1:-1], strict=False)
     return any(
         own != home and _NUMBER.search(own) and _NUMBER.sub("#", own) == _NUMBER.sub("#", home)
@@ -407,7 +407,7 @@ def _is_another_robots(topic: str, pose_topic: str) -> bool:
 
 
 def _drop_two_types(fitting: list[TopicInfo], present: Collection[TopicInfo]) -> list[TopicInfo]:
-    """Return topics without those that hold messages of two types; refuse where none is left."""
+    """Return topics without those that have messages of two types; refuse if none is left."""
     counts = Counter(topic.topic for topic in present)
     left = [topic for topic in fitting if counts[topic.topic] == 1]
     if fitting and not left:
@@ -431,7 +431,7 @@ def _find_asked(
         names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
         raise LogError(f"{name}: expected a topic with messages, found {asked} among {names}")
     is_free = name == "pose_topic" and not _ROS_TYPE.fullmatch(found.type)
-    # Why one cannot be understood is said where it is read, with the name of its file.
+    # The reader reports an undecodable topic, with the name of its file.
     if found.type not in types and not is_free and not found.reason:
         raise LogError(f"{name} {asked}: expected {' or '.join(types)}, found {found.type}")
     return found
@@ -453,7 +453,7 @@ def _take_last(topic: str) -> str:
 
 
 def list_numbers(name: str) -> list[tuple[int, str]]:
-    """Return the numbers in a name, to sort by; of any length, which Python makes no number of."""
+    """Return the numbers in a name as a sort key; kept as texts, because they may be very long."""
     digits = (found.lstrip("0") for found in _NUMBER.findall(name))
     return [(len(found), found) for found in digits]
 

@@ -24,7 +24,7 @@ _ROBOTS: Final = (
     re.compile(r"base_link"),
     re.compile(r"base|base_frame|robot|robot_base|chassis|body|turtle\d+"),
 )
-"""How frames of a robot are called (REP 105, REP 120), the one on the ground first."""
+"""Patterns of robot frames (REP 105, REP 120), the one on the ground first."""
 
 _WORLDS: Final = re.compile(r"earth|map|world|odom|odom_\w+|\w+_odom|mocap|optitrack|vicon")
 
@@ -38,8 +38,8 @@ class Link:
     """The transform from one frame to another, message by message.
 
     Attributes:
-        parent: The frame in which the other is given.
-        child: The other frame.
+        parent: Frame in which the child is given.
+        child: Frame that the transform places.
         time_ns: Log time of each message [ns], shape (n,), not decreasing.
         stamp_ns: Stamp of each message [ns], shape (n,).
         place_m: Position of the child's origin in the parent frame [m], shape (n, 3).
@@ -57,12 +57,12 @@ class Link:
 
     @property
     def moves(self) -> bool:
-        """Whether its messages differ."""
+        """Whether the messages differ."""
         values = np.hstack([self.place_m, self.turn])
         return not self.is_static and bool((values != values[0]).any())
 
     def hold(self, time_ns: NDArray[np.int64]) -> tuple[Values, Values]:
-        """Return place and turn as last recorded at some times; NaN before the first."""
+        """Return the last recorded position and rotation at given times; NaN before the first."""
         if self.is_static or not self.moves:
             shape = (len(time_ns), 1)
             return np.tile(self.place_m[-1], shape), np.tile(self.turn[-1], shape)
@@ -91,7 +91,7 @@ class Link:
         return place_m[np.newaxis], turn[np.newaxis]
 
     def describe(self) -> str:
-        """Return both frames."""
+        """Return the names of both frames."""
         return f"{self.parent} -> {self.child}"
 
 
@@ -136,10 +136,10 @@ class FrameChoice:
 def collect_links(
     messages: Iterable[TopicColumns], *, is_static: bool
 ) -> dict[tuple[str, str], Link]:
-    """Return what messages of TFMessage tell, link by link.
+    """Return the transforms in TFMessage messages, by parent and child.
 
     Raises:
-        LogError: If they are of another shape.
+        LogError: If the messages have other fields.
     """
     rows: dict[tuple[str, str], list[tuple[int, dict[str, Any]]]] = defaultdict(list)
     for columns in map(_wrap_foxglove, messages):
@@ -158,7 +158,7 @@ def collect_links(
 
 
 def _wrap_foxglove(columns: TopicColumns) -> TopicColumns:
-    """Return messages of `foxglove.FrameTransform` as TFMessages of one, others as they are.
+    """Return `foxglove.FrameTransform` messages as TFMessages of one transform, others unchanged.
 
     Raises:
         LogError: If a field is missing.
@@ -186,7 +186,7 @@ _FOXGLOVE_NAMES: Final = {
     **{f"translation.{axis}": f"transform.translation.{axis}" for axis in "xyz"},
     **{f"rotation.{axis}": f"transform.rotation.{axis}" for axis in "xyzw"},
 }
-"""Fields of Foxglove's message, and what they are called in that of ROS."""
+"""Fields of Foxglove's message, and their names in the ROS message."""
 
 
 def _build_link(
@@ -221,17 +221,17 @@ def choose_frames(
 ) -> FrameChoice:
     """Return the requested frames, completed by the most likely ones.
 
-    Frames of a robot and of the world have well-known names; where none has one, the one link that
-    moves is taken. A link below a robot's frame is a joint, and never taken.
+    Frames of a robot and of the world have well-known names. Without such names, the only moving
+    link is chosen. A link below a robot's frame is a joint, and is never chosen.
 
     Args:
         tree: The transforms.
         robot: The robot's frame.
         world: Reference frame.
-        name: Of the robot, where frames of several begin with their names.
+        name: Name of the robot, if frames of several robots begin with their names.
 
     Raises:
-        LogError: If one is not there, or nothing tells which of several.
+        LogError: If a frame does not exist, or several are equally likely.
     """
     frames = {frame for names in tree for frame in names}
     robot, world = (None if one is None else one.lstrip("/") for one in (robot, world))
@@ -268,15 +268,15 @@ def choose_frames(
 
 
 def is_named(frame: str, name: str) -> bool:
-    """Return whether a frame is a robot's of some name: turtle1, robot1/base_link."""
+    """Return whether a frame is that of a named robot: turtle1, robot1/base_link."""
     return frame == name or frame.startswith((f"{name}/", f"{name}_"))
 
 
 def _list_unnamed(found: Sequence[tuple[str, str]], name: str) -> list[tuple[str, str]]:
-    """Return the pairs of frames of a robot whose topics alone have its name.
+    """Return the pairs of frames of a robot whose name occurs only in topics.
 
     Raises:
-        LogError: If frames have the names of others.
+        LogError: If frames have the names of other robots.
     """
     if any("/" in robot for _, robot in found):
         frames = ", ".join(robot for _, robot in found)
@@ -285,7 +285,7 @@ def _list_unnamed(found: Sequence[tuple[str, str]], name: str) -> list[tuple[str
 
 
 def _list_other_parents(tree: Tree, robot: str, world: str) -> tuple[str, ...]:
-    """Return the links from another parent to a robot or a frame above it: two programs differ."""
+    """Return links from a second parent to a robot or a frame above it: two programs disagree."""
     above = _climb(tree, robot)
     below = above[: above.index(world)] if world in above else []
     return tuple(
@@ -296,14 +296,14 @@ def _list_other_parents(tree: Tree, robot: str, world: str) -> tuple[str, ...]:
 
 
 def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
-    """Return pairs of well-known names, one for each robot: each has a prefix of its own."""
+    """Return pairs of well-known frames, one per robot; each robot has a prefix of its own."""
     robots: dict[str, tuple[int, str]] = {}
     for _, child in tree:
         prefix, _, name = child.rpartition("/")
         rank = next((k for k, kind in enumerate(_ROBOTS) if kind.fullmatch(name)), None)
         if rank is None or not _list_moving(tree, child):
             continue
-        # Frames that differ by number alone are robots of their own: turtle1, turtle2.
+        # Frames that differ only by number belong to different robots: turtle1, turtle2.
         key = f"{prefix}|{name if _NUMBER.search(name) else ''}"
         robots[key] = min(robots.get(key, (rank, child)), (rank, child))
     pairs = []
@@ -317,7 +317,7 @@ def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
 
 
 def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
-    """Return the links that move and are no joints: no frame above them moves or is a robot's."""
+    """Return moving links that are not joints: no frame above them moves or is a robot's."""
     found = []
     for (parent, child), link in tree.items():
         is_root = not _list_moving(tree, parent) and not is_robot_frame(parent)
@@ -327,14 +327,14 @@ def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
 
 
 def _list_moving(tree: Tree, frame: str) -> list[Link]:
-    """Return the links from a frame up to the root that are sent again and again."""
+    """Return the moving links from a frame up to the root."""
     above = [frame, *_climb(tree, frame)]
     links = [tree[parent, child] for child, parent in pairwise(above)]
     return [link for link in links if not link.is_static]
 
 
 def _climb(tree: Tree, frame: str) -> list[str]:
-    """Return the frames above one, up to the root; of two parents that with more messages."""
+    """Return the frames above a frame up to the root; of two parents, that with more messages."""
     above: list[str] = []
     while True:
         lower = above[-1] if above else frame
@@ -347,10 +347,10 @@ def _climb(tree: Tree, frame: str) -> list[str]:
 
 
 def _find_world(tree: Tree, robot: str) -> str:
-    """Return the highest frame above one that is called a world, otherwise the root.
+    """Return the highest frame above a frame with a name of the world, otherwise the root.
 
     Raises:
-        LogError: If nothing is above it.
+        LogError: If there is no frame above.
     """
     above = _climb(tree, robot)
     if not above:
@@ -360,9 +360,9 @@ def _find_world(tree: Tree, robot: str) -> str:
 
 
 def find_carrier(tree: Tree, frame: str) -> str | None:
-    """Return the robot's frame to which another one is fixed; None if no transform has that one.
+    """Return the robot's frame that carries a fixed frame; None if no transform has the frame.
 
-    It is the highest frame above with the name of a robot's, otherwise the first that moves.
+    The result is the highest frame above with a robot's name, otherwise the first that moves.
     """
     if not any(frame in names for names in tree):
         return None
@@ -379,19 +379,19 @@ def _is_world(frame: str) -> bool:
 
 
 def is_robot_frame(frame: str) -> bool:
-    """Return whether a frame has the name of a robot's own."""
+    """Return whether a frame has a well-known name of a robot's frame."""
     return any(kind.fullmatch(frame.rpartition("/")[2]) for kind in _ROBOTS)
 
 
 def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]]:
     """Return one frame in another, at every message of the moving link next to the robot.
 
-    Other links that move, such as a localisation's correction map -> odom, are held: the newest
-    that was recorded counts.
+    Other links that move, such as a localisation's correction map -> odom, are held at their last
+    recorded value.
 
     Returns:
-        The link from world to robot, rows before the first of a held link being NaN, and the links
-        that were held.
+        The link from world to robot, with NaN before the first message of a held link, and the held
+            links.
 
     Raises:
         LogError: If no transforms join the two frames.
@@ -435,14 +435,14 @@ def locate_frame(
 
 
 _Step = tuple[Link, bool]
-"""A link, and whether it leads from its parent to its child."""
+"""A link, and whether it is followed from parent to child."""
 
 
 def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
-    """Return the shortest way from one frame to another.
+    """Return the shortest path from one frame to another.
 
     Raises:
-        LogError: If there is none.
+        LogError: If no transforms connect them.
     """
     ways: dict[str, list[_Step]] = {start: []}
     waiting = [start]
@@ -472,19 +472,19 @@ def compose_way(
         place_m, turn = link.hold(time_ns) if found is None else found
         parts.append((place_m, turn) if is_down else _invert(place_m, turn))
     if len(parts) == 1:
-        return parts[0]  # to the last bit, whatever the length of its quaternions
+        return parts[0]  # exact, whatever the length of its quaternions
     return reduce(lambda left, right: compose(*left, *right), parts, none)
 
 
 def compose(
     place_m: Values, turn: Values, next_m: Values, next_turn: Values
 ) -> tuple[Values, Values]:
-    """Return a transform followed by another, both shape (n, 3) and (n, 4)."""
+    """Return a transform followed by another; positions have shape (n, 3), rotations (n, 4)."""
     return place_m + rotate(turn, next_m), _multiply(_normalise(turn), _normalise(next_turn))
 
 
 def rotate(turn: Values, vector: Values) -> Values:
-    """Return vectors turned by quaternions of any length but 0."""
+    """Return vectors rotated by quaternions of any length except 0."""
     unit = _normalise(turn)
     axis, w = unit[:, :3], unit[:, 3:]
     across = 2.0 * np.cross(axis, vector)
@@ -505,12 +505,12 @@ def _multiply(left: Values, right: Values) -> Values:
 
 def _normalise(turn: Values) -> Values:
     length = np.linalg.norm(turn, axis=1, keepdims=True)
-    # A quaternion that was never set stays, and is found where headings are made of it.
+    # Quaternions that were never set stay 0; the computation of headings reports them.
     return np.asarray(turn / np.where(length == 0.0, 1.0, length))
 
 
 def build_link_columns(link: Link, topic: str) -> TopicColumns:
-    """Return a link as messages of TransformStamped, as if a topic had held it alone."""
+    """Return a link as TransformStamped messages of a topic of its own."""
     numbers = {
         **{f"transform.{name}": link.place_m[:, k] for k, name in enumerate(_NUMBERS)},
         **{f"transform.{name}": link.turn[:, k] for k, name in enumerate(_TURNS)},

@@ -1,4 +1,4 @@
-"""Poses computed of other messages: of a satellite receiver, and of what two wheels turned."""
+"""Computation of poses from other messages: satellite fixes, or rotations of two wheels."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,8 +27,8 @@ class JoinedMessages:
         publish_ns: Publish time of each message [ns], shape (n,).
         sequence: Sequence number set by the publisher, shape (n,).
         stamp_ns: Stamp of each message [ns], shape (n,); zeros if the type has no stamps.
-        frame: In which they are, as the first one names it.
-        fields: Those that were asked for, each of n rows.
+        frame: Frame of the messages, as named in the first.
+        fields: Requested fields, each with n rows.
     """
 
     topic: str
@@ -45,13 +45,13 @@ class JoinedMessages:
 
     @property
     def motion_s(self) -> Values:
-        """Time of the motion [s], shape (n,): stamps that rise, or else log times."""
+        """Time of the motion [s], shape (n,): increasing stamps, otherwise log times."""
         is_usable = len(self) and (self.stamp_ns > 0).all() and (np.diff(self.stamp_ns) >= 0).all()
         time_ns = self.stamp_ns if is_usable else self.log_ns
         return np.asarray((time_ns - time_ns[:1]) / 1e9)
 
     def make_poses(self, rows: NDArray[np.int64], columns: Mapping[str, Values]) -> TopicColumns:
-        """Return poses that were computed of some messages, as if the topic had held them."""
+        """Return computed poses for some of the messages, as messages of the same topic."""
         stamp_ns = self.stamp_ns[rows]
         return TopicColumns(
             topic=self.topic,
@@ -71,8 +71,8 @@ def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> Joine
     """Return the messages of a topic in all files.
 
     Args:
-        found: Of each file, at least one.
-        names: Of the fields that are wanted.
+        found: Messages of each file; at least one file.
+        names: Names of the requested fields.
 
     Raises:
         LogError: If a field is missing.
@@ -110,31 +110,35 @@ _FIX_FIELDS: Final = ("latitude", "longitude", "altitude", "status.status")
 
 _AXIS_M: Final = 6_378_137.0
 _FLATTENING: Final = 1.0 / 298.257223563
-"""Of the ellipsoid of WGS84 (NGA.STND.0036)."""
+"""Flattening of the WGS84 ellipsoid (NGA.STND.0036)."""
 
 _LEAST_WAY_M: Final = 0.5
-"""Way at least over which a course is taken [m]: for a noise of 5 cm or less."""
+"""Smallest distance over which a course is computed [m]: for noise of 5 cm or less."""
 
 _NOISES: Final = 10.0
-"""Way in standard deviations of the noise: its ends turn it by sqrt(2) / 10 rad, 8 deg."""
+"""Distance in standard deviations of the noise, which turns the course by sqrt(2) / 10 rad, 8
+deg."""
 
 _LONGEST_S: Final = 10.0
-"""Time in which a receiver that moves comes so far [s]: at 0.05 m/s half a metre. One that stands
-wanders by metres in minutes."""
+"""Longest time in which a moving receiver covers this distance [s]: half a metre at 0.05 m/s. A
+receiver at rest drifts by metres in minutes."""
 
 _FEWEST: Final = 3
-"""Fixes that a course needs: its own, one behind and one ahead."""
+"""Fixes needed for a course: its own, one before and one after."""
 
 _MEDIAN_OF_SECOND: Final = 2.884
 """Median length of second differences of positions in the plane, in standard deviations of the
-noise of one axis: sqrt(6) of a second difference, times sqrt(2 ln 2) of a Rayleigh distribution."""
+noise of one axis.
+
+It is sqrt(6) for a second difference, times sqrt(2 ln 2) for the median of a Rayleigh distribution.
+"""
 
 
 def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str, str]]:
-    """Return the poses that fixes of sensor_msgs/NavSatFix tell, and notes on them.
+    """Return the poses from fixes of sensor_msgs/NavSatFix, and notes on them.
 
-    x is east, y north and z up of the first fix. The heading is the course where the receiver
-    moves, held where it stands, and the first one before that.
+    x, y and z are east, north and up of the first fix. While the receiver moves, the heading is its
+    course; at rest, the heading is held. Before the first course, the heading equals that course.
 
     Args:
         found: Messages of NavSatFix, by file.
@@ -147,7 +151,7 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
         np.asarray(messages.fields[name], dtype=np.float64) for name in _FIX_FIELDS
     )
     is_fix = (status >= 0) & (np.abs(latitude_deg) <= 90.0) & (np.abs(longitude_deg) <= 360.0)
-    # A receiver that has found nothing yet publishes zeros, off the coast of Africa.
+    # A receiver without a fix publishes zeros, a place off the coast of Africa.
     is_fix &= (latitude_deg != 0.0) | (longitude_deg != 0.0)
     rows = np.flatnonzero(is_fix)
     if not len(rows):
@@ -184,7 +188,7 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
 
 
 def _describe_standing(time_s: Values, place_m: Values) -> str:
-    """Return what a receiver without a course does instead."""
+    """Return a description of a receiver that never moves far enough for a course."""
     if len(time_s) < _FEWEST:
         return f"fewer than {_FEWEST} fixes"
     step_s = float(np.median(np.diff(time_s)))
@@ -195,7 +199,7 @@ def _describe_standing(time_s: Values, place_m: Values) -> str:
 
 
 def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values) -> Values:
-    """Return places east, north and up of the first one [m], shape (n, 3)."""
+    """Return positions east, north and up of the first one [m], shape (n, 3)."""
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
     squared = _FLATTENING * (2.0 - _FLATTENING)
     normal_m = _AXIS_M / np.sqrt(1.0 - squared * np.sin(latitude) ** 2)
@@ -220,14 +224,14 @@ def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values)
 
 
 def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
-    """Return the courses [rad], the way that they are taken over [m], and how many are held.
+    """Return the courses [rad], the distance that they are computed over [m], and the number held.
 
-    A course leads from the last position that is half that way behind to the first that is half of
-    it ahead, where both lie within ten seconds. Otherwise the one before holds, at the beginning
-    the first. NaN throughout for what never moves.
+    A course leads from the last position at least half that distance behind to the first one at
+    least half of it ahead, both within ten seconds. Otherwise the previous course is held; at the
+    start the first course is used. NaN throughout if nothing moves.
 
     Args:
-        time_s: Of the positions, not decreasing [s], shape (n,).
+        time_s: Times of the positions, not decreasing [s], shape (n,).
         xy_m: Positions [m], shape (n, 2).
     """
     second_m = np.hypot(*np.diff(xy_m, n=2, axis=0).T)
@@ -243,7 +247,7 @@ def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
             continue
         first, last = row - 1 - behind, row + 1 + ahead
         x_m, y_m = xy_m[last] - xy_m[first]
-        # Of a turn on the spot both ends are at one place, and tell nothing.
+        # During a turn on the spot both ends are at one position and give no course.
         is_far = np.hypot(x_m, y_m) >= way_m / 2.0
         if is_far and time_s[last] - time_s[first] <= _LONGEST_S:
             courses_rad[row] = np.arctan2(y_m, x_m)
@@ -256,7 +260,7 @@ def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
 
 
 def _find_far(offsets_m: Values, least_m: float) -> int | None:
-    """Return the first of some offsets that is long enough; None: none is."""
+    """Return the index of the first offset that is long enough; None if there is none."""
     far = np.flatnonzero(np.hypot(*offsets_m.T) >= least_m)
     return int(far[0]) if len(far) else None
 
@@ -267,11 +271,11 @@ _JOINT_FIELDS = ("name", "position", "velocity")
 def integrate_wheels(
     found: Sequence[TopicColumns], joints: tuple[str, str], wheels_m: tuple[float, float]
 ) -> tuple[TopicColumns, str]:
-    """Return the poses that two wheels of sensor_msgs/JointState tell, and how, in words.
+    """Return the poses computed from two wheels in sensor_msgs/JointState, and the method in words.
 
-    The robot starts at the origin, along x. From message to message it drives the arc of both
-    wheels, which is exact where they turn evenly in between. Where positions are absent their
-    velocities are integrated, the mean of two messages over the time between their stamps.
+    The robot starts at the origin, along x. Between messages it drives the arc given by both
+    wheels, which is exact if they turn evenly. Without positions, velocities are integrated: the
+    mean of two messages times the time between their stamps.
 
     Args:
         found: Messages of JointState, by file.
@@ -279,7 +283,7 @@ def integrate_wheels(
         wheels_m: Radius of the wheels, and the track between them [m].
 
     Raises:
-        LogError: If no message holds both joints, or one has neither position nor velocity.
+        LogError: If no message contains both joints, or a joint has neither position nor velocity.
     """
     messages = _join_messages(found, _JOINT_FIELDS)
     places = _find_joints(messages, joints)
@@ -306,7 +310,7 @@ def integrate_wheels(
         )
     columns = _drive_arcs(wheels_m[0] * steps_rad, wheels_m[1])
     if not has_positions:
-        # Beside positions the velocities are left out: of many robots they have another unit.
+        # If there are positions, velocities are ignored: many robots publish them in another unit.
         left_m_s, right_m_s = wheels_m[0] * rates_rad_s.T
         columns |= {
             "measured_speed": (left_m_s + right_m_s) / 2.0,
@@ -319,12 +323,12 @@ def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
     """Return x, y [m] and heading `theta` [rad] of a differential drive from the origin.
 
     Args:
-        steps_m: Ways of the left and the right wheel from pose to pose [m], shape (n - 1, 2).
-        track_m: Distance of the wheels [m].
+        steps_m: Distances of the left and the right wheel from pose to pose [m], shape (n - 1, 2).
+        track_m: Distance between the wheels [m].
     """
     turned_rad = (steps_m[:, 1] - steps_m[:, 0]) / track_m
     heading_rad = np.concatenate([[0.0], np.cumsum(turned_rad)])
-    # The chord of an arc: sin(a) / a of half the turn; np.sinc is sin(pi x) / (pi x).
+    # Chord of an arc: sin(a) / a of half the rotation; np.sinc is sin(pi x) / (pi x).
     chord_m = steps_m.mean(axis=1) * np.sinc(turned_rad / 2.0 / np.pi)
     middle_rad = heading_rad[:-1] + turned_rad / 2.0
     ways = {"x": chord_m * np.cos(middle_rad), "y": chord_m * np.sin(middle_rad)}
@@ -335,7 +339,7 @@ def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
 
 
 def _find_joints(messages: JoinedMessages, joints: tuple[str, str]) -> NDArray[np.int64]:
-    """Return where the joints stand in each message, shape (n, 2); -1: nowhere."""
+    """Return the indices of the joints in each message, shape (n, 2); -1 if missing."""
     places = np.full((len(messages), 2), -1)
     known: Mapping[tuple[str, ...], tuple[int, ...]] = {}
     for row, names in enumerate(messages.fields["name"]):
@@ -350,7 +354,7 @@ def _find_joints(messages: JoinedMessages, joints: tuple[str, str]) -> NDArray[n
 def _pick(
     column: NDArray[np.object_], places: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> Values:
-    """Return two numbers of each message; NaN if it has none of a joint."""
+    """Return two numbers of each message; NaN for a missing joint."""
     picked = np.full((len(rows), 2), np.nan)
     for number, row in enumerate(rows.tolist()):
         values = column[row]
@@ -361,8 +365,8 @@ def _pick(
 
 
 def _unwrap(turned_rad: Values) -> tuple[Values, int]:
-    """Return angles without wraps of joints that stay within one turn, and how many there were."""
-    # From -180 to 180 deg or from 0 to 360 deg: what an encoder of one turn tells.
+    """Return unwrapped angles of joints that stay within one turn, and the number of wraps."""
+    # An encoder of one turn counts from -180 to 180 deg or from 0 to 360 deg.
     low_rad, high_rad = (float(end) for end in (turned_rad.min(), turned_rad.max()))
     most_rad = np.pi * (1.0 + 1e-6)  # positions may have 32 bits
     is_wrapped = max(-low_rad, high_rad) <= most_rad or (

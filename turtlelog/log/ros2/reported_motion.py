@@ -1,4 +1,4 @@
-"""Comparison of the path lengths and rates reported by odometry with those of its poses."""
+"""Comparison of path lengths and rates reported by odometry with those of its poses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,33 +13,35 @@ Values = NDArray[np.float64]
 _TimesNs = NDArray[np.int64]
 
 PATH_NOTE: Final = "path_by_speed"
-"""Note on poses and reported speeds that tell different paths."""
+"""Name of the note on poses and reported speeds with different path lengths."""
 
 _APART: Final = 0.2
-"""Share by which two paths differ: wheel odometry integrates its own speed and is within 5 %; one
-of a camera or a filter, and its speed, are within 10 %."""
+"""Share by which two path lengths differ. Wheel odometry integrates its own speed and is within 5
+%; those of a camera or a filter are within 10 %."""
 
 _LEAST_M: Final = 0.5
-"""A shorter way [m] may be noise: 5 mm from pose to pose are as much in 100 poses."""
+"""Shortest path that is compared [m]: noise of 5 mm from pose to pose adds up to it in 100
+poses."""
 
 _STILL_M: Final = 1e-3
-"""Poses within this extent [m] never move: an encoder's tick is less, and noise is more."""
+"""Largest extent of poses that never move [m]: an encoder's tick is less, and noise is more."""
 
 _LONGEST_NS: Final = 1_000_000_000
-"""Steps in time that are longer [ns] count for neither: what was driven in between is not known."""
+"""Longest step in time that counts [ns]: the motion during longer steps is unknown."""
 
 _STRIDE_NS: Final = 200_000_000
-"""Time over which poses are differenced [ns]: 1 mm of noise is 7 mm/s then."""
+"""Time over which poses are differenced [ns], for which 1 mm of noise is 7 mm/s."""
 
 _JUMP_M: Final = 0.05
-"""From this way beyond the reported speed on [m] a step is a jump: one of 20 Hz at 1 m/s is as
-long."""
+"""Excess of a step over the reported speed from which it is a jump [m]: the length of a step at 20
+Hz and 1 m/s."""
 
 _MOST_JUMPS: Final = 0.1
-"""Share of the steps that jumps are; more are how the poses go on."""
+"""Largest share of jumps among the steps; if there are more, they are the usual motion."""
 
 _NEARER: Final = 2.0
-"""How many times nearer one path is to that of the commands for the other to be likely wrong."""
+"""Ratio of two distances from the path of the commands beyond which the farther path is likely
+wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,9 +73,9 @@ def measure_paths(
     """Return the path lengths of a drive by poses, speeds and commands.
 
     Args:
-        time_ns: When each pose was [ns], shape (n,), not decreasing.
-        columns: x, y [m] and what is reported [m/s], each shape (n,).
-        commands: When each was published [ns], and the magnitude of its velocity [m/s].
+        time_ns: Time of each pose [ns], shape (n,), not decreasing.
+        columns: x, y [m] and reported velocities [m/s], each shape (n,).
+        commands: Publication time [ns] and magnitude of the velocity [m/s] of each command.
     """
     xy_m = np.column_stack([columns["x"], columns["y"]])
     step_ns = np.diff(time_ns)
@@ -81,7 +83,7 @@ def measure_paths(
     way_m = np.hypot(*np.diff(xy_m, axis=0).T)[is_known]
     rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
     strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
-    # Poses that all have one time tell no rate: not the way, but the times are wrong.
+    # Poses with one common time give no rate: their times are wrong, not their path.
     lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
     driven_m = _integrate(step_ns, columns) if lasts else None
     jumps_m = np.zeros(0)
@@ -101,7 +103,7 @@ def measure_paths(
 
 
 def _integrate(step_ns: _TimesNs, columns: Mapping[str, Values]) -> Values | None:
-    """Return the way that is reported from pose to pose [m], None if no speed is."""
+    """Return the reported distances from pose to pose [m]; None if no speed is reported."""
     speed = columns.get(SPEED)
     if speed is None:
         return None
@@ -113,13 +115,13 @@ def _integrate(step_ns: _TimesNs, columns: Mapping[str, Values]) -> Values | Non
 
 
 def _hold(time_ns: _TimesNs, speed_m_s: Values) -> float:
-    """Return the way of commands, each held until the next, at most for a second [m]."""
+    """Return the path length of commands, each held until the next but at most for a second [m]."""
     held_s = np.minimum(np.diff(time_ns), _LONGEST_NS) / 1e9
     return float((np.abs(speed_m_s[:-1]) * held_s).sum())
 
 
 def describe_paths(paths: Paths) -> str | None:
-    """Return one sentence on paths that differ, with what is more likely wrong; None otherwise."""
+    """Return a sentence on paths that differ and on the likely error; None if they agree."""
     if paths.is_still:
         return _describe_still(paths)
     if paths.by_speed is None or max(paths.by_poses, paths.by_speed) < _LEAST_M:
@@ -132,7 +134,7 @@ def describe_paths(paths: Paths) -> str | None:
 
 
 def _describe_still(paths: Paths) -> str | None:
-    """Return one sentence on poses that never move though something says that the robot does."""
+    """Return a sentence on poses that never move although speeds or commands do; None otherwise."""
     if paths.by_speed is not None and paths.by_speed >= _LEAST_M:
         way = format_short(paths.by_speed, "m")
         return f"the poses never move, and are likely wrong: the reported speed drives {way}"
@@ -146,7 +148,7 @@ def _describe_still(paths: Paths) -> str | None:
 
 
 def _blame(paths: Paths, by_speed: float) -> str:
-    """Return which of two paths is more likely wrong, and why."""
+    """Return which of two paths is more likely wrong, with the reason."""
     if paths.in_jumps and not _differ(paths.by_poses - paths.in_jumps, by_speed):
         jumps = format_short(paths.in_jumps, "m")
         return f"the poses are more likely wrong, whose jumps add {jumps}"
@@ -161,7 +163,7 @@ def _blame(paths: Paths, by_speed: float) -> str:
         if max(off_m) > _NEARER * min(off_m):
             asked = format_short(paths.by_commands, "m")
             if off_m[0] > off_m[1]:
-                # Wheels that slip turn as commands ask, and report that.
+                # Slipping wheels turn as commanded, and the odometry reports that.
                 return f"the poses are wrong or the wheels slip, as commands ask for {asked}"
             return f"the reported speed is more likely wrong, as commands ask for {asked}"
     return "nothing tells which is wrong"
@@ -172,28 +174,30 @@ def _differ(one_m: float, other_m: float) -> bool:
 
 
 _LEAST_LEAP_M: Final = 0.01
-"""Least leap to and fro of a robot that drives [m]: positions are rounded to a centimetre at
-most, and noise of a filter is less."""
+"""Smallest leap of a driving robot [m]: positions are rounded to a centimetre at most, and the
+noise of a filter is less."""
 
 _ROWS: Final = 4
-"""Poses on either side that tell how the robot drives: to and fro cancel out in them."""
+"""Number of poses on either side that give the robot's motion; leaps cancel out in them."""
 
 _SHARE: Final = 0.2
-"""Share of the steps that leap where two programs publish, one as seldom as every fourth pose."""
+"""Smallest share of steps that leap if two programs publish, one as rarely as every fourth pose."""
 
 _OPPOSITE: Final = 0.9
-"""Cosine between a leap and the reverse of the next one from which they are opposite: 26 deg."""
+"""Cosine of the angle between a leap and the reverse of the next leap (26 deg), from which they are
+opposite."""
 
 _MOST_LEAPS: Final = 0.8
-"""Share of leaps that the next one takes back: of noise in any direction it is below 0.5."""
+"""Smallest share of leaps that the next leap reverses; for noise in any direction it is below
+0.5."""
 
 _FAR: Final = 5.0
-"""The robot drives this many times as far as a leap: one that stands may flip between two values
-that its position is rounded to."""
+"""Smallest motion as a multiple of the leap: a robot at rest may alternate between two rounded
+positions."""
 
 
 def describe_small_leaps(xy_m: Values) -> str | None:
-    """Return one sentence on poses of two programs that lie a few centimetres apart; None of one.
+    """Return a sentence on poses of two programs that are a few centimetres apart; None otherwise.
 
     Args:
         xy_m: Positions in the order of reception [m], shape (n, 2).
@@ -222,40 +226,40 @@ def describe_small_leaps(xy_m: Values) -> str | None:
 
 
 REPORTED_RATES: Final = "reported_rates"
-"""Note on rates of odometry that are left out or turned."""
+"""Name of the note on odometry rates that are left out or turned."""
 
 SPEED: Final = "measured_speed"
 LATERAL: Final = "measured_lateral_speed"
 TURN_RATE: Final = "measured_turn_rate"
 
 MOVED_M: Final = 0.1
-"""A robot that moves as far [m] without a jump was under way: noise of standing robots is less."""
+"""Extent of a robot that moved, jumps excluded [m]: noise of robots at rest is less."""
 
 TURNED_RAD: Final = 0.2
-"""Likewise of its heading [rad]."""
+"""The same for its heading [rad]."""
 
 _JUMPS: Final = 0.99
-"""Steps above this quantile may be jumps, which corrections make of a robot that stands."""
+"""Quantile of steps above which they may be jumps, as from corrections of a robot at rest."""
 
 _SLOWEST_M_S: Final = 0.05
-"""Differences of twist and way below this rms [m/s] may be noise."""
+"""Difference of twists and path below which it may be noise (rms) [m/s]."""
 
 _MUCH_BETTER: Final = 3.0
-"""How many times better twists have to fit the world's axes than the robot's to be taken as such;
-those of a robot that never turns away from the x axis fit both."""
+"""Ratio of fits from which twists count as along the world's axes. The twists of a robot that never
+turns away from the x axis fit both."""
 
 
 def judge_rates(
     time_ns: NDArray[np.int64], columns: Mapping[str, Values]
 ) -> tuple[dict[str, Values], dict[str, str]]:
-    """Return the columns of poses with rates that are the robot's own, and a note on what changed.
+    """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
-    Twists that were never set are all zeros; such rates are left out where the poses move. Twists
+    Twists that were never set are all zeros; such rates are left out if the poses move. Twists
     along the axes of the world, a common fault, are turned into the robot's.
 
     Args:
-        time_ns: When each pose was [ns], shape (n,), not decreasing.
-        columns: x, y [m], heading [rad] and what is reported [m/s or rad/s], each shape (n,).
+        time_ns: Time of each pose [ns], shape (n,), not decreasing.
+        columns: x, y [m], heading [rad] and reported rates [m/s or rad/s], each shape (n,).
     """
     left = {name: column for name, column in columns.items() if name != LATERAL}
     lateral = columns.get(LATERAL)
@@ -293,7 +297,7 @@ def _find_unset(columns: Mapping[str, Values], lateral: Values | None) -> list[s
 
 
 def _measure_range(values: Values) -> float:
-    """Return the largest extent of a way along any axis, without its few longest steps."""
+    """Return the largest extent of a path along any axis, without its few longest steps."""
     steps = np.diff(values, axis=0)
     length = np.hypot.reduce(steps, axis=1)
     steps[length > np.quantile(length, _JUMPS)] = 0.0
@@ -304,7 +308,7 @@ def _measure_range(values: Values) -> float:
 def _turn_twists(
     time_ns: NDArray[np.int64], columns: Mapping[str, Values], lateral: Values
 ) -> Values | None:
-    """Return the forward speed of twists along the world's axes, None of any others."""
+    """Return the forward speed of twists along the world's axes; None for other twists."""
     rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
     if len(rows) < 3:
         return None

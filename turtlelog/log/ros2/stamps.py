@@ -1,4 +1,4 @@
-"""What the stamps of a topic tell: whether they are usable, of which clock, and how it goes."""
+"""Analysis of a topic's stamps: whether they are usable, their clock, and its rate."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -19,56 +19,57 @@ _FIELDS: Final = tuple(
     for place in ("header.stamp", "stamp", "timestamp")
     for rest in ("nanosec", "nsec")
 )
-"""Where stamps stand: in headers of ROS 2, in types of one's own, in messages of Foxglove."""
+"""Fields of stamps: in ROS 2 headers, in other types, in Foxglove's messages."""
 
 _MOST_DRIFT: Final = 2e-3
-"""Two clocks of computers differ by less: quartz by some 1e-4, set straight by at most 5e-4 each
-way. Stamps that go faster or slower are those of a simulation."""
+"""Largest drift between two computer clocks: quartz has about 1e-4, and correction at most 5e-4
+each way. Stamps that are faster or slower come from a simulation."""
 
 FIRST_WALL_NS: Final = 1_000_000_000_000_000_000
-"""Stamps before this [ns], in 2001, are of no clock on a wall: a simulation's begin at 0. Later
-ones that go at another pace may be a simulation's, or of a recorder that falls behind."""
+"""Smallest stamp of a wall clock [ns], in 2001: a simulation's stamps begin at 0. Later stamps at
+another rate may come from a simulation, or from a recorder that falls behind."""
 
 _MOST_FREE_DRIFT: Final = 5e-4
-"""A clock that was never set is not set straight either: two of quartz differ by 2e-4 at most.
-Stamps of no wall clock that go faster or slower are those of a simulation."""
+"""Largest drift of a clock that was never set: two quartz clocks differ by at most 2e-4. Stamps of
+no wall clock that are faster or slower come from a simulation."""
 
 _PARTED_NS: Final = 100_000_000
-"""Two clocks that part by less [ns] over a recording may be one, with a transport that changes."""
+"""Drift over a recording up to which two clocks may be one with a changing transport delay [ns]."""
 
 _LATE_SPREADS: Final = 3.0
-"""So may clocks that part by less than this many times what the transport usually varies by."""
+"""The same as a multiple of the usual variation of the transport delay."""
 
 _LATE_NS: Final = 1_000_000_000
-"""Clocks that part by more [ns] are two, however the transport varies."""
+"""Drift beyond which clocks are always two [ns]."""
 
 _JUMP_NS: Final = 500_000_000
-"""From this step between the clocks on [ns], one was set forward: the transport changes by less."""
+"""Step between the clocks from which one was set forward [ns]: transport delays change by less."""
 
 _JUMP_STEPS: Final = 3.0
-"""And this many usual steps: of a pose every second, some can have been lost."""
+"""Smallest step in usual steps: if there is one pose per second, some may be lost."""
 
 _JUMP_ROWS: Final = 5
-"""Messages that say that a clock was set: fewer are late, or badly stamped."""
+"""Messages that show that a clock was set: fewer are late, or wrongly stamped."""
 
 _NEAR_ROWS: Final = 3
-"""Messages on either side that say which stamps belong here."""
+"""Messages on either side that show which stamps are valid."""
 
 _LEAST_STAMPED: Final = 0.5
-"""Of messages need a stamp, or else most times would be guessed between them."""
+"""Smallest share of messages with a stamp; otherwise most times would be interpolated."""
 
 _LEAST_ADVANCES: Final = 0.25
-"""Of messages need a stamp of their own. Some programs publish each pose several times, others
-never set the time again."""
+"""Smallest share of messages with a stamp of their own. Some programs publish each pose several
+times, others never update the time."""
 
 _STRETCH_ROWS: Final = 20
-"""Messages between two jumps on average; a clock that is set more often tells no time."""
+"""Smallest mean number of messages between two jumps; a clock that is set more often is not
+usable."""
 
 _BINS: Final = 512
-"""Pieces of the time whose fastest messages say how two clocks drift."""
+"""Number of time intervals whose fastest messages give the drift of two clocks."""
 
 _QUARTERS: Final = 4
-"""Pieces each of which has a message that was transported about as fast as any."""
+"""Number of intervals that must each contain a message with nearly the shortest delay."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,9 +77,8 @@ class Stamps:
     """The times of a topic's messages, in order of log time.
 
     Attributes:
-        log_ns: When each was received, by the recorder's clock [ns], shape (n,).
-        stamp_ns: When each was stamped, by the clock of who did [ns], shape (n,); None if the type
-            has no stamps.
+        log_ns: Time of reception on the recorder's clock [ns], shape (n,).
+        stamp_ns: Stamp, on the publisher's clock [ns], shape (n,); None if the type has no stamps.
     """
 
     log_ns: TimesNs
@@ -91,16 +91,16 @@ class StampClock:
 
     Attributes:
         reason: Why the stamps are not usable; empty if they are.
-        time_ns: When each message was stamped, on the timeline of the recorder's clock or, at
-            another pace, on one of the stamps' seconds from the first log time [ns], shape (n,).
-            Log times where nothing better is known.
+        time_ns: Time of each message's stamp [ns], shape (n,), on the recorder's clock. At another
+            rate, stamp seconds are counted from the first log time. Messages without a usable stamp
+            have log times.
         pace: Stamp seconds per second of the recorder's clock; None if unknown.
         is_other_pace: Whether the rate differs by more than the drift of computer clocks.
         offset_ns: Recorder's time minus stamp at the first stamp, for the shortest transport delay
             [ns].
-        jitter_ns: Median transport delay minus the shortest [ns]; None at another pace.
-        stamps_span_ns: From first to last stamp, jumps aside [ns].
-        log_span_ns: Of the same messages by the recorder's clock [ns].
+        jitter_ns: Median transport delay minus the shortest [ns]; None at another rate.
+        stamps_span_ns: Time from first to last stamp, without jumps [ns].
+        log_span_ns: The same on the recorder's clock [ns].
         jumps: Number of jumps of the stamps' clock.
         odd: Number of messages whose stamp is 0 or far from those of their neighbours.
         disordered: Number of messages whose stamp is before that of an earlier message.
@@ -132,7 +132,7 @@ def read_stamps(columns: TopicColumns) -> TimesNs | None:
 
 
 def read_stamp_clock(stamps: Stamps) -> StampClock:
-    """Return what the stamps of a topic tell, with the times at which its messages were stamped."""
+    """Return the properties of a topic's stamps, with the times of its messages."""
     log_ns, stamp_ns = stamps.log_ns, stamps.stamp_ns
     if stamp_ns is None or not len(log_ns):
         return StampClock(reason="there are no stamps", time_ns=log_ns)
@@ -149,12 +149,12 @@ def read_stamp_clock(stamps: Stamps) -> StampClock:
 
 
 def _take(values: TimesNs, rows: Rows) -> TimesNs:
-    """Return values of rows in rising order; all of them are not copied."""
+    """Return the values at increasing indices; if these are all rows, nothing is copied."""
     return values if len(rows) == len(values) else values[rows]
 
 
 def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
-    """Return why stamps are not usable, empty if they are."""
+    """Return the reason why stamps are not usable; empty if they are."""
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
         return "all stamps are 0 or before 1970" if stamp_ns.any() else "all stamps are 0"
@@ -174,16 +174,16 @@ _ROWS_AT_ONCE: Final = 65_536
 
 
 def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
-    """Return which stamps are of another time than those of the messages on either side."""
+    """Return which stamps differ from those of the messages on either side."""
     late_ns = log_ns - stamp_ns
     if len(late_ns) <= 2 * _NEAR_ROWS:
         return np.zeros(len(late_ns), dtype=bool)
     usual_ns = np.empty(len(late_ns))
     windows = sliding_window_view(late_ns, 2 * _NEAR_ROWS + 1)
-    for first in range(0, len(windows), _ROWS_AT_ONCE):  # of all at once the median copies 7 times
+    for first in range(0, len(windows), _ROWS_AT_ONCE):  # the median copies its input 7 times
         part = windows[first : first + _ROWS_AT_ONCE]
         usual_ns[first + _NEAR_ROWS :][: len(part)] = np.median(part, axis=1)
-    # At either end the median goes on at its own pace, whatever the first and the last stamp are.
+    # At both ends the median continues at its own rate, whatever the first and last stamps are.
     ends = late_ns[: 2 * _NEAR_ROWS + 1], late_ns[-2 * _NEAR_ROWS - 1 :]
     first_ns, last_ns = (float(np.median(np.diff(end))) for end in ends)
     rows = np.arange(_NEAR_ROWS)
@@ -198,7 +198,7 @@ def _find_least_jump(stamp_ns: TimesNs) -> float:
 
 
 def _find_jumps(log_ns: TimesNs, stamp_ns: TimesNs) -> list[int]:
-    """Return the rows from which on the stamps' clock is another one, in order."""
+    """Return the rows where the stamps' clock jumps, in order."""
     starts = [0]
     while len(starts) - 1 <= len(log_ns) / _STRETCH_ROWS:
         jump = _find_jump(log_ns[starts[-1] :], stamp_ns[starts[-1] :])
@@ -209,13 +209,13 @@ def _find_jumps(log_ns: TimesNs, stamp_ns: TimesNs) -> list[int]:
 
 
 def _find_jump(log_ns: TimesNs, stamp_ns: TimesNs) -> int | None:
-    """Return the first row from which on the stamps' clock is another one."""
+    """Return the first row after a jump of the stamps' clock; None without a jump."""
     if len(stamp_ns) < 2 * _JUMP_ROWS:
         return None
-    # Set back: the messages after it are stamped before one that came earlier.
+    # Set back: later messages have stamps before that of an earlier message.
     highest = np.maximum.accumulate(stamp_ns)[:-_JUMP_ROWS]
     is_jump = sliding_window_view(stamp_ns[1:], _JUMP_ROWS).max(axis=1) < highest
-    # Set forward: they seem to be transported faster than the fastest so far.
+    # Set forward: later messages seem to be transported faster than the fastest before.
     late_ns = log_ns - stamp_ns
     fastest = np.minimum.accumulate(late_ns)[:-_JUMP_ROWS]
     least_ns = _find_least_jump(stamp_ns)
@@ -225,7 +225,7 @@ def _find_jump(log_ns: TimesNs, stamp_ns: TimesNs) -> int | None:
 
 
 def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: str) -> StampClock:
-    """Return the times of all messages, of a clock whose jumps are known."""
+    """Return the times of all messages for a clock with known jumps."""
     rows = np.concatenate(stretches)
     spans = [(np.ptp(stamp_ns[stretch]), np.ptp(log_ns[stretch])) for stretch in stretches]
     stamps_ns, passed_ns = (int(sum(span)) for span in zip(*spans, strict=True))
@@ -268,23 +268,24 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
 
 
 def _is_other_pace(late_ns: Values, parted_ns: float, slope: float, *, is_wall: bool) -> bool:
-    """Return whether stamps have seconds of their own; `late_ns` is what a line leaves."""
-    # A simulation that paused: from then on every message is late.
+    """Return whether stamps have another rate; `late_ns` are the residuals of the fitted line."""
+    # A simulation that paused: all messages after the pause are late.
     quarters = [float(part.min()) for part in np.array_split(late_ns, _QUARTERS) if len(part)]
     if max(quarters) > _LATE_NS:
         return True
     if abs(slope - 1.0) <= (_MOST_DRIFT if is_wall else _MOST_FREE_DRIFT):
         return False
     spread_ns = _LATE_SPREADS * float(np.quantile(late_ns, 0.9))
-    # What is no wall clock is another clock in any case: of one, the transport may change.
+    # A clock that is not a wall clock is always another clock; a wall clock may have changing
+    # delays.
     return parted_ns > min(max(spread_ns, _PARTED_NS if is_wall else 0.0), _LATE_NS)
 
 
 def _fit_slope(log_ns: TimesNs, stamp_ns: TimesNs) -> float:
-    """Return the seconds of the recorder per second of the stamps, by the fastest messages.
+    """Return recorder seconds per stamp second, from the fastest messages.
 
-    Of all lines below which no message lies, that which is nearest to all of them: the edge of the
-    lower hull at their mean (Moon, Skelly and Towsley, 1999).
+    The line is the closest one below all messages: the edge of the lower hull at their mean (Moon,
+    Skelly and Towsley, 1999).
     """
     passed = (stamp_ns - stamp_ns[0]).astype(np.float64)
     late = (log_ns - log_ns[0]) - passed
@@ -310,21 +311,21 @@ def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float,
 
 
 def _measure_late(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> Values:
-    """Return by how much later than the fastest each message was transported [ns]."""
+    """Return the delay of each message relative to the fastest [ns]."""
     late = (log_ns - log_ns[0]) - slope * (stamp_ns - stamp_ns[0])
     return np.asarray(late - late.min())
 
 
 def _map(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> TimesNs:
-    """Return where stamps lie on the recorder's clock, were the fastest transported in no time."""
+    """Return stamps mapped to the recorder's clock, with zero delay for the fastest message."""
     passed = stamp_ns - stamp_ns[0]
-    # What the clocks drift by is small: so nothing is lost to floats.
+    # The drift is small, so that floats lose no digits.
     mapped = log_ns[0] + passed + np.rint((slope - 1.0) * passed).astype(np.int64)
     return np.asarray(mapped + (log_ns - mapped).min())
 
 
 def _chain(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], pace: float) -> TimesNs:
-    """Return stretches of stamps in their own seconds, one behind the other."""
+    """Return segments of stamps in their own seconds, one after another."""
     times: list[TimesNs] = []
     start, last = int(log_ns[stretches[0][0]]), stretches[0][0]
     for rows in stretches:
@@ -336,12 +337,12 @@ def _chain(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], pace: floa
 
 
 def place_log_times(clock: StampClock, of_ns: TimesNs, log_ns: TimesNs) -> TimesNs:
-    """Return where times of the recorder lie on the timeline of stamps at another pace.
+    """Return recorder times mapped to the timeline of stamps at another rate.
 
     Args:
-        clock: Of the stamps.
-        of_ns: Log times of their messages [ns].
-        log_ns: What is looked for [ns], beyond the messages at the mean pace.
+        clock: Clock of the stamps.
+        of_ns: Log times of the stamped messages [ns].
+        log_ns: Recorder times to map [ns]; beyond the messages the mean rate is used.
     """
     known, at_ns = of_ns[clock.known], np.maximum.accumulate(clock.time_ns[clock.known])
     start_ns, inside = int(known[0]), np.clip(log_ns, known[0], known[-1])
@@ -351,7 +352,7 @@ def place_log_times(clock: StampClock, of_ns: TimesNs, log_ns: TimesNs) -> Times
 
 
 def _count_backward(stamp_ns: TimesNs) -> int:
-    """Return how many stamps lie far before one that came earlier: of another clock, in turn."""
+    """Return the number of stamps far before an earlier stamp: those of a second clock."""
     if len(stamp_ns) < 2:
         return 0
     back_ns = np.maximum.accumulate(stamp_ns) - stamp_ns

@@ -16,7 +16,7 @@ from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
 
 @dataclass(frozen=True, slots=True)
 class PackedItems:
-    """The items of a sequence, encoded one after the other, starting at a multiple of 8 bytes."""
+    """Items of a sequence, encoded one after another; the first starts at a multiple of 8 bytes."""
 
     count: int
     data: bytes
@@ -57,7 +57,7 @@ class AlikeLayout:
 
 
 def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
-    """Return the layout of messages; None if they differ in more than numbers.
+    """Return the layout of messages; None if more than numbers differs.
 
     Args:
         fields: Fields of the type.
@@ -105,7 +105,7 @@ def _place(
 
 
 def _require_numbers(column: Column | None, length: int | None) -> None:
-    # Objects are checked value by value, where they are encoded one by one.
+    # Objects are checked one by one where they are encoded.
     shape = () if length is None else (length,)
     if column is not None and (column.dtype == object or column.shape[1:] != shape):
         raise _UnlikeError

@@ -48,7 +48,7 @@ from turtlelog.log.writing.records import ChannelRecords, ChunkRows, cut_chunks,
 from turtlelog.version import __version__
 
 LIBRARY: Final = f"turtlelog/{__version__}"
-"""What wrote a file, as its header names it."""
+"""Name of the program, written to the header of each file."""
 
 _NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})
 _NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
@@ -58,7 +58,7 @@ _INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries
 _MEDIA_TYPES: Final = {".toml": "application/toml"}
 _THREADS: Final = min(os.cpu_count() or 1, 4)
 _AHEAD: Final = 2 * _THREADS
-"""Chunks that wait for their turn to be written: of 1 MiB each, unless one record is larger."""
+"""Number of chunks that may wait to be written; each has 1 MiB unless one record is larger."""
 _FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
 
 
@@ -103,7 +103,7 @@ def name_write_error(path: str | Path, err: Exception) -> LogError:
     """Return a write error with the file's name."""
     if isinstance(err, UnicodeEncodeError):
         return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
-    # What cannot be written is named already.
+    # An error of an unwritable file names the file already.
     text = str(err)
     return LogError(text if text.startswith(f"{path}: ") else f"{path}: {text}")
 
@@ -128,7 +128,7 @@ class _Summary:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
-    chunks: list[bytes] = field(default_factory=list)  # records: their tables are large
+    chunks: list[bytes] = field(default_factory=list)  # of the records, whose tables are large
     spans_ns: list[tuple[int, int]] = field(default_factory=list)
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
@@ -137,8 +137,8 @@ class _Summary:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _PackedChunk:
     rows: ChunkRows
-    record: bytes  # the chunk's
-    indexes: Sequence[bytes]  # records of its message indexes
+    record: bytes  # record of the chunk
+    indexes: Sequence[bytes]  # records of the chunk's message indexes
     compressed_size: int
     uncompressed_size: int
 
@@ -234,7 +234,7 @@ class McapFile:
         """Write the end of the data, the summary and the footer."""
         data_end = _join_records([DataEnd(data_section_crc=self._checksum)])
         start = self.end + len(data_end)
-        # A group without records is an error to strict checkers.
+        # Strict checkers reject a group without records.
         groups = [group for group in self._join_groups() if group]
         ends = np.cumsum([start, *map(len, groups)]).tolist()
         offsets = [
@@ -264,7 +264,7 @@ class McapFile:
     def _write(self, data: bytes) -> None:
         rest = memoryview(data)
         while rest:
-            # A stream without a buffer may take less than it is given.
+            # A stream without a buffer may write fewer bytes than it is given.
             rest = rest[self._stream.write(rest) :]
         self.end += len(data)
         self._checksum = zlib.crc32(data, self._checksum)
@@ -295,7 +295,7 @@ def _pack_ahead(chunks: Iterator[ChunkRows]) -> Iterator[_PackedChunk]:
 
 def _pack_chunk(rows: ChunkRows) -> _PackedChunk:
     described = [record for pair in rows.channels for record in pair if record is not None]
-    # Each is built once: ten thousand channels may share a schema.
+    # Each record is built once: ten thousand channels may share a schema.
     built = {id(record): record for record in described}
     records = {number: _join_records([record]) for number, record in built.items()}
     front = b"".join([records[id(record)] for record in described])

@@ -23,15 +23,15 @@ from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_meta
 from turtlelog.run import TABLES, Run, tabulate_run
 from turtlelog.run.tables import iterate_arrow
 
-_LONGEST_NAME: Final = 255  # bytes; what file systems take
+_LONGEST_NAME: Final = 255  # bytes; the limit of file systems
 
 _DEFAULT_TABLE: Final = "poses"
 
 _ROWS: Final = 4096
-"""Rows that are values of Python at once: as those they take five times their bytes."""
+"""Rows converted to Python values at once, which take five times as many bytes."""
 
 _ROWS_GROUPED: Final = 2**16
-"""Rows of a Parquet file that are encoded at once: a row takes 160 bytes meanwhile."""
+"""Rows of a Parquet file encoded at once; each takes 160 bytes during encoding."""
 
 _Write = Callable[[Run, str, Path], None]
 
@@ -55,13 +55,13 @@ def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) ->
     if len(name.encode(errors="replace")) > _LONGEST_NAME:
         raise LogError(f"{path}: expected a shorter name")
     if not name.isprintable():
-        # Its metadata.yaml holds the name, in UTF-8 and on one line.
+        # The bag's metadata.yaml contains the name, in UTF-8 and on one line.
         raise LogError(f"{path}: expected a name of printable characters, found {name!a}")
     with create_folder(path) as folder:
         try:
             write_recording(run, folder / name, shares_poses=shares_poses)
         except LogError as err:
-            # The temporary folder's name would mean nothing to anybody.
+            # The name of the temporary folder is removed: users do not know it.
             raise LogError(f"{path}: {str(err).removeprefix(f'{folder / name}: ')}") from err
         text = describe_bag([folder / name])
         (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
@@ -189,7 +189,7 @@ def _name_place(path: Path) -> Iterator[None]:
 def _write_csv(run: Run, table: str, path: Path) -> None:
     columns = tabulate_run(run, table)
     with path.open("w", encoding="utf-8", newline="") as stream:
-        # One line end on every platform: the same run gives the same bytes.
+        # One line end on every platform: equal runs give identical files.
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(map(guard_cell, row) for row in _list_rows([*columns.values()]))
@@ -199,7 +199,7 @@ def _write_parquet(run: Run, table: str, path: Path) -> None:
     parquet = load_library("pyarrow.parquet")
     parts = iterate_arrow(run, table, _ROWS_GROUPED)
     first = next(parts)
-    # A reader believes a table of more rows only where the file has the bytes for them.
+    # Readers accept a larger table only if the file has enough bytes, so it is not compressed.
     is_packed = len(tabulate_run(run, table)["time_ns"]) <= MOST_ROWS
     compression = "zstd" if is_packed else "none"
     with (

@@ -1,4 +1,4 @@
-"""The columns of topics -> message records, those of one size all at once -> chunks by time."""
+"""Encoding of topic columns as message records, and division into chunks by time."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,7 +27,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.writing.alike_messages import AlikeLayout, PackedItems, lay_out_alike
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
-"""Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""
+"""Front of a record: opcode, length, channel, sequence, log and publish time, encapsulation."""
 
 _HEAD: Final = np.dtype(
     [
@@ -35,23 +35,23 @@ _HEAD: Final = np.dtype(
         *(("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "u1", (4,))),
     ]
 )
-"""The same as rows of an array."""
+"""The same bytes as a row of an array."""
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
-"""Plain CDR, little-endian."""
+"""Encapsulation of plain CDR, little-endian."""
 
 CODES: Final = MappingProxyType(
     {"?": "?", "f4": "f", "f8": "d"}
     | {"i1": "b", "i2": "h", "i4": "i", "i8": "q"}
     | {"u1": "B", "u2": "H", "u4": "I", "u8": "Q"}
 )
-"""How `struct` names the numbers that a field may hold, little-endian."""
+"""`struct` codes of little-endian numbers in fields."""
 
 _PACKERS: Final = MappingProxyType({kind: Struct(f"<{code}") for kind, code in CODES.items()})
 
 
 CHUNK_BYTES: Final = 2**20
-"""What a chunk of a file that is written at once may hold, schemas and channels not counted."""
+"""Largest chunk in a file that is written at once, without schemas and channels [bytes]."""
 
 Numbers = NDArray[np.int64]
 
@@ -82,7 +82,7 @@ class ChunkRows:
     Attributes:
         channels: Channels of the messages, with their schemas if they have any.
         records: Message records, one after the other.
-        index: By channel number: log time [ns] and place in `records` of each of its messages,
+        index: By channel number: log time [ns] and offset in `records` of each of its messages,
             shape (n, 2).
         start_ns: Least log time [ns].
         end_ns: Greatest log time [ns].
@@ -96,7 +96,7 @@ class ChunkRows:
 
 
 def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
-    """Return chunks as one; a channel's number means the same in each."""
+    """Merge chunks into one; a channel number has the same meaning in all of them."""
     if len(chunks) == 1:
         return chunks[0]
     channels: dict[int, tuple[Schema | None, Channel]] = {}
@@ -126,7 +126,8 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
         channel: Channel of the topic.
 
     Raises:
-        LogError: If a column is not one of the type, has another length, or does not fit.
+        LogError: If a column is not a field of the type, has another length, or does not fit its
+            field.
     """
     kind = read_type(columns.type, schema.data.decode())
     fields, layout = kind.fields, kind.layout
@@ -182,7 +183,7 @@ def _encode_fixed(
 def _encode_alike(
     layout: AlikeLayout, columns: Mapping[str, Column], stamps: Mapping[str, Column], channel: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Encode messages that differ in numbers alone."""
+    """Encode messages that differ only in numbers."""
     rows = len(stamps["log_time"])
     numbers = {
         name: _fit(name, columns[name], f"<{kind.replace('?', 'u1')}")
@@ -207,7 +208,7 @@ def _encode_varied(
     stamps: Mapping[str, Column],
     channel: int,
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Encode message by message; texts are rarely many."""
+    """Encode messages one by one; there are rarely many with texts."""
     data, sizes = bytearray(), []
     times = zip(*(values.tolist() for values in stamps.values()), strict=True)
     for row, (log_time, publish_time, sequence) in enumerate(times):
@@ -224,7 +225,7 @@ def _encode_varied(
 
 
 def _fit(name: str, values: Column, kind: str) -> Column:
-    """Return numbers of a kind; whole ones must fit, what 32 bits cannot hold becomes inf."""
+    """Return numbers of a kind; integers must fit, floats beyond 32 bits become inf."""
     target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
     if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
         expected = "numbers" if target.kind == "f" else "whole numbers"
@@ -260,11 +261,11 @@ def encode_message(
     Args:
         fields: Fields of the message type.
         values: Values by dotted name, as a row of `TopicColumns`; missing values are 0 or empty.
-        channel: The number that the record carries.
+        channel: Channel number of the record.
         stamp: Sequence, log time and publish time [ns].
 
     Raises:
-        struct.error, TypeError, ValueError: Where a value is not of its field's kind.
+        struct.error, TypeError, ValueError: If a value does not have the kind of its field.
     """
     body = bytearray()
     _append_fields(body, fields, values, "")
@@ -320,10 +321,10 @@ def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> 
 def cut_chunks(
     channels: Sequence[ChannelRecords], *, chunk_bytes: int = CHUNK_BYTES
 ) -> Iterator[ChunkRows]:
-    """Yield the chunks of all records in order of log time; those of one time channel by channel.
+    """Yield chunks of all records in order of log time; equal times channel by channel.
 
     Args:
-        channels: With their records in order of log time.
+        channels: Channels with records in order of log time.
         chunk_bytes: Largest size of a chunk [bytes]; a larger record gets its own chunk.
     """
     filled = [content for content in channels if len(content.sizes)]
@@ -343,7 +344,7 @@ def cut_chunks(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Placed:
-    """The records of a channel, and where each goes in the stream of all channels [bytes]."""
+    """The records of a channel, with their offsets in the stream of all channels [bytes]."""
 
     content: ChannelRecords
     starts: Numbers
@@ -360,7 +361,7 @@ def _split(channels: Sequence[ChannelRecords], starts: Numbers) -> Iterator[_Pla
 
 
 def _find_borders(ends: Numbers, chunk_bytes: int) -> Iterator[tuple[int, int]]:
-    """Yield the first and the last row of every chunk."""
+    """Yield the first row of every chunk, and the row after its last."""
     first, start = 0, 0
     while first < len(ends):
         after = int(np.searchsorted(ends, start + chunk_bytes, side="right"))
@@ -390,13 +391,13 @@ def _fill_chunk(
 
 
 def _scatter(buffer: bytearray, places: Numbers, channel: _Placed, first: int, after: int) -> None:
-    """Copy rows [first, after) of a channel to their places."""
+    """Copy rows [first, after) of a channel to their offsets."""
     sizes = channel.content.sizes[first:after]
     begin = int(channel.ends_in_data[first] - sizes[0])
     data = channel.content.data[begin : int(channel.ends_in_data[after - 1])]
     size = int(sizes[0])
     if (sizes == size).all():
-        # The view lets every byte of the buffer start a row: all rows go in one step.
+        # A view makes a row start at every byte of the buffer, so all rows are copied in one step.
         rows = len(buffer) - size + 1
         view = np.ndarray((rows,), f"V{size}", buffer=buffer, strides=(1,))
         view[places] = data.view(f"V{size}")

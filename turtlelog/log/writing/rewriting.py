@@ -1,4 +1,4 @@
-"""The messages of one file written to another, whoever described their channels, and where."""
+"""Copying of messages from one MCAP file to another, with new channel ids if necessary."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -20,31 +20,32 @@ from turtlelog.log.engine.parsing import RecordStretch, parse_body
 from turtlelog.log.writing.container import LIBRARY, McapFile
 from turtlelog.log.writing.records import ChunkRows, merge_chunks
 
-_CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
-_MOST_FAULTS: Final = 100  # that are told of one stretch
+_CHANNEL: Final = 9  # offset of the channel number in a message record, u16
+_MOST_FAULTS: Final = 100  # errors reported for one segment
 _SMALL_CHUNK: Final = 2**16  # bytes of records
 _MOST_NOTES: Final = 2000
-"""Metadata records and attachments: with the entries that name them a file of any size may have
-twice as many."""
+"""Largest number of metadata records and attachments.
+
+Together with their index entries, a file of any size may have twice as many."""
 
 Numbers = NDArray[np.int64]
 
 _MOST_IDS: Final = 2**16 - 1
 
 Pair = tuple[Schema | None, Channel]
-"""A channel, and its schema if it has one."""
+"""A channel, with its schema if it has one."""
 
 Described = TypeVar("Described", Header, Schema, Channel, Metadata, Attachment)
 
 
 class Numbering:
-    """Ids of one file -> ids of another. They stay as they are, unless one means two things.
+    """Mapping from the ids of a file to those of another; only ids with two meanings change.
 
     Attributes:
-        schemas: By id there, as it is meant at this place of the file; with the id here.
-        channels: By id there: the channel with its schema, both with the ids here.
-        first_schemas: By id there, the first of each as it stands there.
-        first_channels: The same.
+        schemas: Schemas by source id, as valid at this place of the source, with their target ids.
+        channels: Channels with their schemas by source id, with their target ids.
+        first_schemas: First schema of each source id, unchanged.
+        first_channels: First channel of each source id, unchanged.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class Numbering:
             self.add_channel(channel)
 
     def add_schema(self, schema: Schema) -> None:
-        """Let an id mean a schema from here on."""
+        """Set the schema of a source id from here on."""
         key = (schema.id, schema.name, schema.encoding, schema.data)
         if key not in self._known_schemas:
             self._allowance.spend_description(schema)
@@ -80,14 +81,14 @@ class Numbering:
         self.schemas[schema.id] = self._known_schemas[key]
 
     def add_channel(self, channel: Channel) -> None:
-        """Let an id mean a channel from here on."""
+        """Set the channel of a source id from here on."""
         if channel.schema_id and channel.schema_id not in self.schemas:
             self._awaited.add(channel.schema_id)
         self.channels[channel.id] = self._number(channel)
         self.first_channels.setdefault(channel.id, channel)
 
     def is_news(self, channel: Channel) -> bool:
-        """Return whether an id that has a meaning would get another."""
+        """Return whether a known id would get another meaning."""
         known = self.channels.get(channel.id)
         return known is not None and known != self._number(channel)
 
@@ -111,14 +112,14 @@ class Numbering:
 
 
 class _Ids:
-    """Ids that are taken."""
+    """Ids in use."""
 
     def __init__(self, *, least: int) -> None:
         self._least, self._greatest = least, _MOST_IDS
         self._taken: set[int] = set()
 
     def choose(self, wanted: int) -> int:
-        """Take the id as it is, or the greatest free one: the least may be wanted later."""
+        """Return the wanted id, or the largest free one: small ids may be wanted later."""
         number = wanted
         if wanted < self._least or wanted in self._taken:
             while self._greatest in self._taken:
@@ -131,15 +132,15 @@ class _Ids:
 
 
 class Rewriter:
-    """Writes the records of a file to another, a stretch as a chunk, and counts.
+    """Writer of a file's records to another file, one segment as one chunk, with counts.
 
     Attributes:
         recovered: Number of recovered messages by topic.
-        unchecked: Those of them that no checksum of their own stretch vouches for.
-        unknown: Messages by the number of a channel that nothing before them describes.
-        first_unknown: By the same, the byte of the stretch with the first of them.
+        unchecked: Recovered messages by topic in segments without a checksum of their own.
+        unknown: Number of messages by channel id, for channels that no earlier record describes.
+        first_unknown: Offset of the segment with the first such message, by channel id.
         span_ns: Earliest and latest log time [ns]; None before the first message.
-        numbering: What the ids of the source mean.
+        numbering: Meaning of the source's ids.
     """
 
     def __init__(self, output: BinaryIO, numbering: Numbering, allowance: Allowance) -> None:
@@ -150,16 +151,16 @@ class Rewriter:
         self.span_ns: tuple[int, int] | None = None
         self.numbering = numbering
         self._file, self._is_begun, self._allowance = McapFile(output), False, allowance
-        # What each id meant last, by kind: some writers say it again in every chunk.
+        # Last meaning of each id, by kind: some writers repeat it in every chunk.
         self._last: dict[int, dict[bytes, bytes]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         self._notes = 0
         self._small: list[ChunkRows] = []
-        self._small_size = 0  # bytes of their records
+        self._small_size = 0  # bytes of the small chunks' records
 
     def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
-        """Write records that stand at a byte of the source; return what is wrong with them.
+        """Write records at an offset of the source; return their errors.
 
-        A later description of an id holds from there on.
+        A later description of an id is valid from there on.
         """
         faults = [] if stretch.fault is None else [stretch.fault]
         first = 0
@@ -188,10 +189,10 @@ class Rewriter:
         return faults
 
     def finish(self, notes: Mapping[str, Mapping[str, str]]) -> None:
-        """Write metadata records of our own, and the summary."""
+        """Write turtlelog's metadata records and the summary."""
         self._begin()
         self._write_small()
-        # Those without a message stand in no chunk.
+        # Channels without a message are in no chunk.
         pairs = self.numbering.channels.values()
         self._file.describe(self.numbering.schemas.values(), [channel for _, channel in pairs])
         for name, entries in notes.items():
@@ -199,13 +200,13 @@ class Rewriter:
         self._file.finish()
 
     def _take_description(self, opcode: int, body: bytes, flush: Callable[[], None]) -> None:
-        """Take a schema or channel; where its id has another meaning, `flush` what came before."""
+        """Add a schema or channel; `flush` earlier records first if its id had another meaning."""
         known, digest = self._last[opcode], blake2b(body, digest_size=16).digest()
         if known.get(body[:2]) == digest:
             return
         if opcode == Opcode.SCHEMA:
             self.numbering.add_schema(parse_exact_record(Schema, body))
-            self._last[Opcode.CHANNEL].clear()  # they may mean something else now
+            self._last[Opcode.CHANNEL].clear()  # their ids may have another meaning now
         else:
             channel = parse_exact_record(Channel, body)
             if self.numbering.is_news(channel):
@@ -238,7 +239,7 @@ class Rewriter:
             )
 
     def _begin(self, header: Header | None = None) -> None:
-        """Write the header before anything else; where it is lost, one of our own."""
+        """Write the header first; if it is lost, write a header by turtlelog."""
         if not self._is_begun:
             header = header or Header(profile="", library=LIBRARY)
             self._file.begin(profile=header.profile, library=header.library)
@@ -261,26 +262,26 @@ class Rewriter:
             self._count(chunk, is_checked=is_checked)
 
     def _add_chunk(self, chunk: ChunkRows) -> None:
-        """Write a chunk; small ones become one, for a reader refuses a file of very many."""
+        """Write a chunk; small chunks are merged, because readers refuse very many."""
         self._begin()
         if len(chunk.records) >= _SMALL_CHUNK:
             self._write_small()
             self._file.add_chunk(chunk)
             return
-        # As a view the records would keep in memory all that their own chunk unpacked to.
+        # A view would keep the complete unpacked chunk in memory.
         self._small.append(replace(chunk, records=bytes(chunk.records)))
         self._small_size += len(chunk.records)
         if self._small_size >= _SMALL_CHUNK:
             self._write_small()
 
     def _write_small(self) -> None:
-        """Write the small chunks that wait."""
+        """Write the collected small chunks."""
         if self._small:
             self._file.add_chunk(merge_chunks(self._small))
         self._small, self._small_size = [], 0
 
     def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> list[int]:
-        """Count messages of channels that nobody describes; return these."""
+        """Count messages of channels without a description; return the ids of these channels."""
         present, counts = np.unique(numbers, return_counts=True)
         known, unknown = self.numbering.channels, []
         for number, count in zip(present.tolist(), counts.tolist(), strict=True):
@@ -327,7 +328,7 @@ class Rewriter:
 
 
 def _join(data: bytes, starts: Numbers, ends: Numbers) -> bytearray | memoryview:
-    """Return records without what stands between them."""
+    """Return records without the bytes between them."""
     breaks = np.flatnonzero(starts[1:] != ends[:-1])
     firsts = starts[np.concatenate(([0], breaks + 1))].tolist()
     lasts = ends[np.concatenate((breaks, [len(ends) - 1]))].tolist()
@@ -347,10 +348,10 @@ def _rename(records: bytearray, places: Numbers, numbers: Numbers) -> None:
 
 
 def parse_exact_record(kind: type[Described], body: bytes) -> Described:
-    """Return a record whose lengths agree; bytes that a later version appended are ignored.
+    """Return a record with consistent lengths; bytes that a later version appended are ignored.
 
     Raises:
-        LogError: One clause, if they do not.
+        LogError: If the lengths are inconsistent; one clause.
     """
     record, size = parse_body(kind, body)
     if isinstance(record, Channel | Schema):
@@ -359,7 +360,7 @@ def parse_exact_record(kind: type[Described], body: bytes) -> Described:
         return record
     builder = RecordBuilder()
     record.write(builder)
-    # A table that claims to be shorter than it is would lose entries without a word.
+    # A table that claims to be too short would lose entries silently.
     written: bytes = builder.end()[RECORD.size :]  # type: ignore[no-untyped-call]
     if kind is not Attachment and not body.startswith(written):
         raise LogError(f"expected a sound {kind.__name__} record, found lengths that disagree")
@@ -367,7 +368,7 @@ def parse_exact_record(kind: type[Described], body: bytes) -> Described:
 
 
 def _measure(record: Channel | Schema) -> int:
-    """Return the bytes that it takes if its entries are all."""
+    """Return the size of a record, computed from its entries [bytes]."""
     if isinstance(record, Schema):
         texts = [record.name.encode(), record.encoding.encode(), record.data]
         return 2 + sum(4 + len(found) for found in texts)

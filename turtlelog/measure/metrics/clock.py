@@ -85,7 +85,7 @@ def _count_missing(context: RunContext) -> Result:
 
 
 def _read_note(name: str) -> Callable[[RunContext], Result]:
-    """Return the metric that an importer has counted; nothing if no importer had to."""
+    """Return the metric that an importer has counted; empty if no importer counted it."""
 
     def read(context: RunContext) -> Result:
         note = context.run.notes.get(name, "0")
@@ -105,7 +105,7 @@ def compute_rate(periods_s: Values) -> float | None:
 
 def compute_spread(periods_s: Values) -> float:
     """Return the standard deviation of the periods around their mean [s]."""
-    # From the first period on, so that equal ones leave exactly 0.
+    # From the first period on, so that equal periods give exactly 0.
     return float((periods_s - periods_s[0]).std())
 
 
@@ -159,15 +159,18 @@ run_metric(
     needs_poses=False,
 )(_on_periods("sample", lambda periods_s: float(periods_s.mean())))
 
-run_metric("run.sample_period_std", "s", "Standard deviation of that time.", needs_poses=False)(
-    _on_periods("sample", compute_spread)
-)
+run_metric(
+    "run.sample_period_std",
+    "s",
+    "Standard deviation of the time from one sample to the next.",
+    needs_poses=False,
+)(_on_periods("sample", compute_spread))
 
 for _percent in _PERCENTS:
     run_metric(
         f"run.sample_period_p{_percent}",
         "s",
-        f"{_percent} % of these times are no longer.",
+        f"{_percent} % of the times between samples are no longer than this.",
         better=None if _percent == 50 else "lower",
         needs_poses=False,
     )(_pick(_percent))
@@ -175,7 +178,7 @@ for _percent in _PERCENTS:
 run_metric(
     "run.sample_jitter",
     "s",
-    "Root mean square of the change from one such time to the next.",
+    "Root of the mean square of the change from one time between samples to the next.",
     needs_poses=False,
 )(_on_periods("sample", compute_jitter, fewest=2))
 
@@ -253,7 +256,7 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
 run_metric(
     "run.duplicates",
     "1",
-    "Rows that stood twice in the imported file and were dropped.",
+    "Duplicate rows of the imported file, which were dropped.",
     grows=True,
     needs_poses=False,
 )(_read_note("dropped_duplicates"))
@@ -261,7 +264,7 @@ run_metric(
 run_metric(
     "run.disorder",
     "1",
-    "Rows that stood late in the imported file and were put in order.",
+    "Rows of the imported file that were out of order and were sorted.",
     grows=True,
     needs_poses=False,
 )(_read_note("sorted_rows"))

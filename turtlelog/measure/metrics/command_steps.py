@@ -25,43 +25,45 @@ Values = NDArray[np.float64]
 
 HELD_BEFORE_S: Final = 0.5
 HELD_AFTER_S: Final = 1.0
-"""How long a command holds before and after a step [s]: five and ten time constants of 0.1 s, which
-wheeled robots of this size have (a TurtleBot3: 0.07 to 0.09 s), and longer than ramps take from
-message to message, 0.1 s."""
+"""Time for which a command is held before and after a step [s]. It is five and ten time constants
+of 0.1 s, usual for small wheeled robots (a TurtleBot3: 0.07 to 0.09 s), and longer than the 0.1 s
+between messages of a ramp."""
 
 LEAST_STEP: Final = 0.1
-"""The least step, as a share of the largest command of the run: smaller ones drown in noise."""
+"""Smallest step as a share of the run's largest command: smaller ones are hidden by noise."""
 
 _LONGEST_S: Final = 5.0
-"""As much of a response as is looked at [s]: what has not been answered by then is answered by
-something else."""
+"""Longest time of a response that is evaluated [s]: later motion has another cause."""
 
 _ANSWERED: Final = 0.5
-"""Share of a step that the robot does at least: else something holds it, or nobody listens."""
+"""Smallest share of a step that the robot must perform: otherwise it is blocked, or does not
+listen."""
 
 _FEWEST: Final = 5
-"""Measured rates in the second after a step that it takes to see its response."""
+"""Measured rates that are needed in the second after a step."""
 
 _BAND: Final = 0.05
-"""Half-width of the settling band at least, as a share of the response: odometry is noisier than
-the 2 % to which a simulated loop settles."""
+"""Smallest half-width of the settling band as a share of the response: odometry is noisier than the
+2 % of a simulated loop."""
 
 _WIDEST: Final = 0.2
-"""Scatter, as a share of the response, above which neither settling nor overshoot can be seen, and
-twice which no rise: from 10 % to 90 % is found by the first values beyond."""
+"""Scatter as a share of the response above which settling and overshoot are not visible. Above
+twice this, the rise is not visible either, because it is found by the first values beyond 10 % and
+90 %."""
 
 _LONGEST_GAP_S: Final = 1.5 / _FEWEST
-"""Longest time without a measured rate in the second after a step [s]: the usual one, and half."""
+"""Longest time without a measured rate in the second after a step [s]: 1.5 times the usual one."""
 
 _MARK: Final = 0.1
-"""Largest quantum of a rate, as a share of the response, with which its rise can be seen: the rise
-begins at a mark of 10 %. Settling needs one within its band."""
+"""Largest quantisation step of a rate, as a share of the response, at which its rise is visible:
+the rise begins at 10 %. For settling, it must be within the band."""
 
 _ROUNDING: Final = 1e-6
-"""Share of a response below which two values count as one: differences of positions round."""
+"""Share of a response below which two values are equal, because differences of positions are
+rounded."""
 
 _SCATTER: Final = 3.0
-"""Standard deviations of the end of a response within which its values count as there."""
+"""Width of the scatter at the end of a response, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +126,7 @@ def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> 
 
 
 _GRAIN_S: Final = 1e-6
-"""Rounding of times [s]: a command that holds for half a second holds for 499,999,999 ns, too."""
+"""Rounding of times [s]: a command held for 499,999,999 ns is held for half a second."""
 
 
 def measure_command_steps(
@@ -152,7 +154,7 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
     size = final - initial
     if size / (step.after - step.before) < _ANSWERED:
         return None
-    # From the moment of the command on, at which the robot still is where it was.
+    # From the publication of the command on, when the robot has not reacted yet.
     time_s = np.concatenate([[step.time_s], time_s])
     inside = np.concatenate([[initial], inside])
     share, quantum = scatter / abs(size), _find_quantum(inside, initial, final) / abs(size)
@@ -256,7 +258,7 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.{_axis}_rise_time",
         "s",
-        "Time from 10 % to 90 % of the answer to such a step, their median.",
+        "Time from 10 % to 90 % of the answer to a step of the command; median of the steps.",
     )(_take_median(_name, "rise_time_s"))
     run_metric(
         f"run.{_axis}_settling_time",

@@ -1,7 +1,7 @@
 """Metrics of a command that is held from one row to the next, and their algorithms.
 
 `time_s` and `values` have shape (n,), n >= 1, times not decreasing; the last value is held until
-`end_s`. Commands of a burst share one time: all but the last have no duration. They count in
+`end_s`. Commands of a burst share one time: all but the last have no duration. These count in
 numbers of commands (variation, jumps, reversals) but not in durations (effort, saturation, slew
 rate).
 """
@@ -58,7 +58,7 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="all commands share o
 
 
 @_command_metric(
-    "effort", "{command}^2/s", "Integral of the square of the {command} as it holds.", grows=True
+    "effort", "{command}^2/s", "Integral of the square of the {command} over time.", grows=True
 )
 def measure_effort(commands: CommandStretch) -> Result:
     """See `compute_effort`."""
@@ -91,7 +91,7 @@ def measure_largest_jump(commands: CommandStretch) -> Result:
 @_command_metric(
     "largest_slew_rate",
     "{command}/s^2",
-    "Largest such change over the time that it took, bursts as one.",
+    "Largest change of the {command} per time; samples with one time count as one.",
     grows=True,
 )
 def measure_largest_slew_rate(commands: CommandStretch) -> Result:

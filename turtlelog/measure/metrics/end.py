@@ -25,7 +25,7 @@ from turtlelog.measure.metric_kinds import course_metric, run_metric
 from turtlelog.run.angles import subtract_headings, wrap_angle
 
 PAPER_WINDOW_S: Final = 15.0
-"""The paper's Table 1 reads its errors at this time after the first sample [s]."""
+"""Time after the first sample at which the paper's Table 1 reads its errors [s]."""
 
 Values = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def measure_position_error(course: RunContext) -> Outcome:
 @course_metric(
     "final.cross_track",
     "m",
-    "Where the turtle ends, to the left of the line from start to goal.",
+    "Distance of the last pose from the line from start to goal, positive to the left.",
     better=None,
 )
 def measure_last_cross_track(course: RunContext) -> Outcome:
@@ -167,7 +167,7 @@ def _tell_time(context: RunContext) -> float:
 
 
 def _find_cut(context: RunContext) -> Missing | None:
-    """A run that ended by itself keeps its last value; a run that was cut does not."""
+    """Return None for a run that ended by itself, which keeps its last value, else the reason."""
     run = context.run
     length_s = (run.end_ns - run.start_ns) / 1e9
     if run.is_complete or length_s >= PAPER_WINDOW_S:

@@ -18,27 +18,27 @@ from turtlelog.measure.reductions import sum_products
 
 EARLIEST_S: Final = -0.5
 LATEST_S: Final = 2.0
-"""Lags that are looked for [s]: a robot that answers two seconds late is not driven by hand, and
-one that answers before it is asked has clocks that differ."""
+"""Largest lag that is searched [s]: nobody drives by hand a robot that answers two seconds late. A
+robot that answers before its command has other clocks."""
 
 _FEWEST: Final = 20
-"""Intervals between poses that tell a lag."""
+"""Smallest number of intervals between poses that shows a lag."""
 
 _FOLLOWS: Final = 0.5
-"""Correlation of shifted commands and measured rate from which on the robot follows [1]: a quarter
-of its motion is explained by them. Of 100 unrelated values 0.3 is reached once in 400 times."""
+"""Correlation of shifted commands and measured rate from which the robot follows [1]: they explain
+a quarter of its motion. For 100 unrelated values, 0.3 is reached once in 400 times."""
 
 _ALIKE: Final = 0.95
 _VALLEY: Final = 0.9
-"""A second shift fits alike where its correlation is the first share of the best, and in between
-falls below the second: commands repeat themselves."""
+"""A second shift fits equally if its correlation is the first share of the best and falls below the
+second share in between: commands repeat."""
 
 _MOST_INTERVALS: Final = 20_000
-"""As much of a run as its lag is looked for in: a quarter of an hour at 20 Hz."""
+"""Largest number of intervals in which the lag is searched: a quarter of an hour at 20 Hz."""
 
 _INSIDE_S: Final = 0.5
-"""How far from the ends of what is looked at a command changes that shows a lag [s]: as far as the
-earliest lag that is looked for."""
+"""Smallest distance of a change of command from the ends of the data [s]: the earliest lag that is
+searched."""
 
 _STEADY: Final = Missing(
     status=Status.UNDETERMINED,
@@ -47,7 +47,7 @@ _STEADY: Final = Missing(
 
 _FINE_S: Final = 1e-5
 _FINE_COUNT: Final = 9
-"""How finely a lag is found [s], and how many shifts are tried at a time on the way there."""
+"""Resolution of a lag [s], and number of shifts that are tried at a time."""
 
 
 def _on_axis(

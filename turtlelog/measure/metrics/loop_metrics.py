@@ -134,7 +134,7 @@ def find_peak_time(curve: Response) -> Outcome:
 @curve_metric(
     "overshoot",
     "%",
-    "Furthest {signal} beyond the {goal}, of the step; negative where it stays short.",
+    "Furthest {signal} beyond the {goal}, as a share of the step; negative if it stays short.",
     needs_step=True,
     floor=0.0,
     grows=True,
@@ -150,7 +150,7 @@ def measure_overshoot(curve: Response) -> Outcome:
 @curve_metric(
     "undershoot",
     "%",
-    "Furthest {signal} behind its initial value, of the step; negative where it is never.",
+    "Furthest {signal} behind its initial value, as a share of the step; negative if never.",
     needs_step=True,
     applies=has_step,
     floor=0.0,
@@ -186,7 +186,7 @@ def measure_settling_time(curve: Response) -> Outcome:
 
 
 def find_needed_hold(time_s: Values, values: Values, reference: float, half_width: float) -> float:
-    """Return how long a response ended from outside must stay in the band to have settled [s].
+    """Return the time that a response ended from outside must stay in the band to have settled [s].
 
     At least `step_response.SHORTEST_HOLD_S` and one period of the remaining oscillation.
     """
@@ -222,7 +222,7 @@ def measure_decay_ratio(curve: Response) -> Outcome:
 @curve_metric(
     "stable",
     "1",
-    "1 if the oscillation of the {signal} around the {goal} dies out, 0 if it goes on or grows.",
+    "1 if the oscillation of the {signal} around the {goal} dies out, 0 if it continues or grows.",
     better="higher",
     needs_step=True,
     needs_whole=False,
@@ -270,7 +270,7 @@ def find_largest_error(curve: Response) -> Outcome:
     return largest, curve.start_s + curve.time_s[row], FOUND
 
 
-@curve_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
+@curve_metric("rms_error", "{value}", "Root of the mean square of the error over time.")
 def compute_rms_error(curve: Response) -> Outcome:
     """See `compute_rms`."""
     return compute_rms(curve.step_s, curve.error, curve.memory), math.nan, FOUND

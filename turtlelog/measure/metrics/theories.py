@@ -1,10 +1,10 @@
 """Metrics of the deviation of a response from theory: ideal, sampled, sampled with dead time.
 
-All three are an integrator under proportional feedback with the gain of the run, from the
-response's own initial value to its reference, without a limit on the command:
+All three are an integrator under proportional feedback with the gain of the run and without a limit
+on the command. They lead from the response's own initial value to its reference:
 
 - ideal: dy/dt = Kp (r - y), so y = r + (y0 - r) exp(-Kp t);
-- sampled: the command holds for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
+- sampled: the command is held for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
 - delayed: it is answered d samples late: y[k+1] = y[k] + Kp T (r - y[k-d]), at rest before.
 
 Between samples a sampled loop moves along a line, because the command is held. The deviation is the
@@ -38,7 +38,7 @@ THEORIES: Final[Mapping[str, str]] = MappingProxyType(
         "delayed": "the ideal loop with sampling and dead time",
     }
 )
-"""What measured responses are held against, and how it is called."""
+"""Theories with their names in texts."""
 
 _MOST_SAMPLES: Final = 20_000_000
 
@@ -51,14 +51,15 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share on
 
 
 def has_theory(loop: ControlLoop) -> bool:
-    """Whether a loop is of the kind that theory covers: an integrator under u = Kp e."""
+    """Return whether theory covers a loop: an integrator under u = Kp e."""
     return not loop.moves and loop.has_theory
 
 
 @loop_metric(
     "dead_time",
     "s",
-    "Time from reading a pose until its {command} moves the turtle, least of the plant aside.",
+    "Time from reading a pose until its {command} moves the turtle, less the plant's smallest"
+    " delay.",
     needs_whole=False,
 )
 def compute_dead_time(context: RunContext, response: Response) -> Result:
@@ -136,7 +137,7 @@ for _theory, _described in THEORIES.items():
         loop_metric(
             f"{_theory}_deviation_{_figure}",
             "{value}",
-            f"{_start} of the {{signal}} from {_described} of the same gain.",
+            f"{_start} of the {{signal}} from {_described}, at the same gain.",
             # The dead time of the third theory is estimated from all rows.
             grows=_figure == "max" and _theory != "delayed",
             needs_whole=False,

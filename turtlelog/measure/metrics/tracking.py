@@ -19,22 +19,23 @@ _NO_CORNER: Final = Missing(status=Status.NO_STEP, reason="the path has no corne
 _NOT_PASSED: Final = Missing(status=Status.NOT_REACHED, reason="no corner of the path was passed")
 
 _COARSE_ROWS: Final = 400
-"""Rows on which a lag is looked for first: of more, every n-th. A tenth of a second of a path that
-takes 40 s, over which a path hardly bends."""
+"""Largest number of rows in the first search of a lag; of more, every n-th is used. It is a tenth
+of a second of a path of 40 s, in which a path hardly bends."""
 
 _FINE_STEPS: Final = 40
-"""Halvings of the search for the lag: each leaves 0.62 of the interval, all of them 5e-9."""
+"""Steps of the golden-section search for the lag: each leaves 0.62 of the interval, all together
+5e-9."""
 
 _LEAST_MOVED: Final = 1e-6
-"""A reference that moves by less stands still [rad or m]: poses are rounded to 32 bits."""
+"""Motion below which a reference is at rest [rad or m]: poses are rounded to 32 bits."""
 
 _BEYOND_M: Final = 0.1
-"""How far a run goes on from a corner of a later lap for it to count [m]: a run that ends with its
-lap goes a sample beyond the first corner of the next, 16 mm at 1 m/s."""
+"""Distance beyond a corner of a later lap from which it counts [m]: a run that ends with its lap
+goes one sample beyond the next lap's first corner, 16 mm at 1 m/s."""
 
 
 def _has_lag(loop: ControlLoop) -> bool:
-    """Whether the reference is a signal of time; for a distance or cross-track error it is not."""
+    """Return whether the reference depends on time, unlike a distance or cross-track error."""
     is_error = loop.signal == "distance" or (loop.signal, loop.reference) == ("cross_track", "path")
     return loop.moves and not is_error
 
@@ -81,7 +82,7 @@ def find_shift(time_s: Values, reference: Values, signal: Values) -> float:
 
 
 def _find_least(compute: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function with one minimum in an interval has it, by golden section."""
+    """Return the place of a function's only minimum in an interval, by golden-section search."""
     golden = (5.0**0.5 - 1.0) / 2.0
     inner = [high - golden * (high - low), low + golden * (high - low)]
     values = [compute(at) for at in inner]

@@ -29,7 +29,7 @@ _IN_PLANE: Final = Missing(
 def _on_space(
     column: str, compute: Callable[[Values, Values], Result]
 ) -> Callable[[RunContext], Result]:
-    """Compute on finite heights or tilts, with the positions of their poses."""
+    """Return a metric computed from finite heights or tilts and the positions of their poses."""
 
     def compute_on_space(context: RunContext) -> Result:
         values = getattr(context.run.poses, column)
@@ -52,7 +52,7 @@ run_metric(
     "Length of the line through all poses with their heights.",
     grows=True,
 )(_on_space("height_m", _compute_way))
-run_metric("run.height_range", "m", "Greatest height less the least.", better=None, grows=True)(
+run_metric("run.height_range", "m", "Greatest height minus least height.", better=None, grows=True)(
     _on_space("height_m", lambda _, height_m: Found(float(np.ptp(height_m))))
 )
 run_metric(
@@ -106,18 +106,19 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.measured_{_axis}_mean",
         _unit,
-        "Mean of that magnitude over time.",
+        f"Mean magnitude of the measured {_words} over time.",
         better=None,
     )(_on_rates(_name, _compute_mean))
 
 
 _AT_REST_M_S: Final = 0.01
 _AT_REST_RAD_S: Final = 0.02
-"""Slower than both a robot is at rest [m/s, rad/s]: a tenth of the 0.1 m/s and 0.2 rad/s at which
-small robots creep, and over the noise of poses, of which 1 mm and 2 mrad make a third of it."""
+"""Rates below which a robot is at rest [m/s, rad/s]: a tenth of the 0.1 m/s and 0.2 rad/s of slow
+small robots, and above noise of poses, of which 1 mm and 2 mrad give a third."""
 
 _REST_S: Final = 0.5
-"""Over how long that is looked at [s]: 5 mm and 0.6 deg, so that noise of poses is no motion."""
+"""Time over which rest is judged [s]: 5 mm and 0.6 deg at these rates, so that noise of poses is
+not motion."""
 
 _STEPS_AT_ONCE: Final = 65_536
 
@@ -125,9 +126,8 @@ _STEPS_AT_ONCE: Final = 65_536
 def _find_rest(context: RunContext) -> tuple[float, float] | None:
     """Return how long the robot is at rest, and the time observed [s]; None for a single pose.
 
-    The time between two poses is at rest if the robot moves by less than the threshold in the half
-    second that ends with it or in the half second that begins with it, so that rest includes its
-    edges.
+    The time between two poses counts as rest if the robot moves by less than the threshold in the
+    half second before or after it. Rest therefore includes its edges.
     """
     poses = context.run.poses
     if len(poses) < 2:
@@ -196,17 +196,16 @@ _PADDING: Final = 4
 """Cut-off frequency [Hz], amplitude threshold [1] and zero padding [powers of 2] of the source."""
 
 _LEAST_HZ: Final = 5.0
-"""Poses that come less often than this do not show how smoothly a robot moves [Hz]: one that takes
-a second to start is seen in five of them."""
+"""Smallest rate of poses that shows smoothness [Hz]: a start of one second has five poses."""
 
 _MOST_ROWS: Final = 20_000
-"""As much of a run as its smoothness is computed of: a quarter of an hour at 20 Hz."""
+"""Largest number of rows for computing smoothness: a quarter of an hour at 20 Hz."""
 
 
 @run_metric(
     "run.spectral_arc_length",
     "1",
-    "Smoothness of the measured speed (SPARC): -1.4 is a single smooth movement, less is jerkier.",
+    "Smoothness of the measured speed (SPARC): -1.4 is a single smooth movement, lower is jerkier.",
     better="higher",
 )
 def _compute_arc_length(context: RunContext) -> Result:
@@ -228,8 +227,8 @@ def _compute_arc_length(context: RunContext) -> Result:
 
 
 _FLOOR: Final = 3.0
-"""Times the median amplitude above half the cut-off frequency: of noise, 1 amplitude in 500 is
-larger. Where that reaches the threshold, noise decides where the spectrum ends."""
+"""Noise level as a multiple of the median amplitude above half the cut-off frequency; 1 amplitude
+of noise in 500 is larger. If it reaches the threshold, noise decides where the spectrum ends."""
 
 _NOISY: Final = Missing(
     status=Status.UNDETERMINED,
@@ -257,7 +256,7 @@ def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
     if _FLOOR * compute_median(spectrum[len(spectrum) // 2 :]) >= _LEAST_AMPLITUDE:
         return None
     high = np.flatnonzero(spectrum >= _LEAST_AMPLITUDE)
-    if not len(high):  # all of it lies above the highest frequency
+    if not len(high):  # the whole spectrum is above the highest frequency
         return None
     last = int(high[-1])
     if last == 0:

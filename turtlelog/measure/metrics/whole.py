@@ -51,7 +51,7 @@ NO_LINE: Final = REASONS[_LINE_UNKNOWN]
 @course_metric(
     "run.duration",
     "s",
-    "From the first sample, or without samples the first pose, to the last row of the run.",
+    "Time from the first sample (without samples: the first pose) to the last row.",
     is_awaited=True,
     needs_poses=False,
 )
@@ -175,7 +175,11 @@ def measure_largest_cross_track(course: RunContext) -> Outcome:
     return largest_m, tell_pose(course, first + row), FOUND
 
 
-@run_metric("run.cross_track_rms", "m", "Root of the mean square of that distance over time.")
+@run_metric(
+    "run.cross_track_rms",
+    "m",
+    "RMS distance from the line from start to goal, or from the path given.",
+)
 def _compute_rms_of_run(context: RunContext) -> Result:
     return compute_rms_cross_track(context, slice(context.first_row, None))
 
@@ -229,7 +233,7 @@ def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> No
             "effort",
             square,
             measure_effort,
-            "Integral of the square of the published {} as it holds.",
+            "Integral of the square of the published {} over time.",
         ),
         (
             "total_variation",
@@ -247,7 +251,7 @@ def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> No
             "largest_slew_rate",
             f"{unit}^2",
             measure_largest_slew_rate,
-            "Largest change of the published {} over the time that it took.",
+            "Largest change of the published {} per time.",
         ),
         ("reversals", "1", measure_reversals, "How often the published {} changes its sign."),
     ):
@@ -265,7 +269,7 @@ _enter_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s")
 
 
 def _moves_along(loop: ControlLoop) -> bool:
-    """Whether a loop moves the robot along the line: one that turns it does not."""
+    """Return whether a loop moves the robot along the line; one that turns the robot does not."""
     return loop.command == "speed"
 
 
@@ -283,7 +287,7 @@ def _compute_cross_track_max(context: RunContext, response: Response) -> Result:
 @loop_metric(
     "cross_track_rms",
     "m",
-    "Root of the mean square of that distance over time.",
+    "RMS distance from the line from start to goal, or from the path given.",
     applies=_moves_along,
 )
 def _compute_cross_track_rms(context: RunContext, response: Response) -> Result:

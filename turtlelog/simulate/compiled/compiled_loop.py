@@ -63,10 +63,11 @@ class Rows(NamedTuple):
 
 
 PIECE: Final = np.dtype([(name, np.float64) for name in PathPiece._fields if name != "number"])
-"""A `PathPiece`."""
+"""Record type of a `PathPiece`."""
 
 EVENTS_PERTICK: Final = 7
-"""At most: one of each kind, and two of dropped commands, which are told with or without a time."""
+"""Largest number of events in a tick: one of each kind, and a second one of dropped commands, which
+are reported with or without a time."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ class Kinds:
 
 @dataclass(slots=True)
 class _Nothing:
-    """A row of anything that a loop lacks."""
+    """A row for a kind that a loop lacks."""
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
@@ -119,7 +120,7 @@ _STEPS: Final[dict[str, Function]] = {
     "ANSWER": loop.answer,
     "FINISH_TICK": loop.finish_tick,
 }
-"""What the outermost function calls."""
+"""Steps that the outermost function calls."""
 
 
 @lru_cache(maxsize=64)
@@ -265,6 +266,6 @@ def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
         TwinError: If the law uses something that cannot be compiled.
     """
     stamp = _bind(law, plant, states)[2]
-    # A law of the user's own may have the name of a built-in one, whose loop stays in the cache.
+    # A user law may have the name of a built-in one, whose loop must stay in the cache.
     owner = "" if is_built_in(law) else "own_"
     return f"{owner}{law.name}_{plant.name}_{stamp}".replace("-", "_")

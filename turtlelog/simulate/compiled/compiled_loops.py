@@ -13,16 +13,16 @@ from threading import Event, Lock
 from typing import Any, Final
 
 COMPILING: Final = Event()
-"""Set while loops compile, which takes seconds once: a bar that stands still may say why."""
+"""Set during compilation, which takes seconds once, so that a progress bar can show it."""
 
 
 class CompiledLoops:
-    """Compiled code, loaded as soon as it would have saved its cost.
+    """Compiled code, loaded as soon as the expected work justifies its cost.
 
     Therefore no process takes more than twice as long as with perfect knowledge of its work.
 
     Attributes:
-        problem: Why it could not be compiled, or is no longer used; None if neither is true.
+        problem: Reason why it could not be compiled or is no longer used; None if it can be used.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class CompiledLoops:
         first_s: float | None = None,
         beside: Sequence[str] = (),
     ) -> None:
-        """Take the loader of the code and its cost.
+        """Store the loader of the code and its cost.
 
         Args:
             load: Function that returns the code. It may raise ImportError or RuntimeError, and
@@ -42,8 +42,8 @@ class CompiledLoops:
             is_kept: Function that returns whether numba's cache contains it.
             cost_s: Time to import numba and load the code from its cache [s].
             first_s: Time if it is not in the cache [s]; None: hardly more.
-            beside: Modules that compile its requirements when they are imported, each in a process;
-                `load` imports them by `import_beside`.
+            beside: Modules that compile the required code when they are imported, each in a
+                process; `load` imports them by `import_beside`.
         """
         self._load, self._is_kept, self._cached_s = load, is_kept, cost_s
         self._first_s = cost_s if first_s is None else first_s
@@ -61,7 +61,7 @@ class CompiledLoops:
         """
         with self._loading:
             before, self._saved_s = self._saved_s, self._saved_s + count * saving_s
-            is_little = self._saved_s < self._cached_s  # nobody looks for a cache then
+            is_little = self._saved_s < self._cached_s  # the cache is not searched then
             if not is_little and before < self.cost_s <= self._saved_s:
                 self._loops = self.load()
         return self._loops
@@ -95,7 +95,7 @@ class CompiledLoops:
                     processes.enter_context(_pause_garbage_collection())
                     _start(self._beside, processes)
                 return self._load()
-        # A numba for another numpy raises ImportError, a cache that cannot be written RuntimeError.
+        # numba for another numpy raises ImportError, a read-only cache RuntimeError.
         except (ImportError, RuntimeError, OSError):
             return None
         except Exception as err:
@@ -119,17 +119,17 @@ def _pause_garbage_collection() -> Iterator[None]:
 
 
 _BESIDE: Final[dict[str, Any]] = {}
-"""The processes that compile a module, by its name."""
+"""Processes that compile a module, by its name."""
 
 _IMPORT: Final = "import sys; sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"
 
 
 def _start(modules: Sequence[str], processes: ExitStack) -> None:
     """Compile the contents of modules into numba's cache, each in a process, and wait for them."""
-    import subprocess  # most commands never come here
+    import subprocess  # most commands do not need it
 
     for module in modules:
-        # Where no process starts, or one fails, the module compiles where it is imported.
+        # If a process does not start or fails, the module compiles when it is imported.
         with suppress(OSError, ValueError):
             command = [sys.executable, "-c", _IMPORT, module, *sys.path]
             nowhere = subprocess.DEVNULL
@@ -192,7 +192,7 @@ def _list_cache_folders(source: Path) -> list[Path]:
     NUMBA_CACHE_DIR if it is set; otherwise the module's folder, or if that is not writable, the
     user's cache, which is known here except on Windows and macOS.
     """
-    from hashlib import sha1  # most commands never come here
+    from hashlib import sha1  # most commands do not need it
 
     hashed = sha1(str(source.parent).encode(), usedforsecurity=False).hexdigest()
     name = f"{source.parent.name}_{hashed}"

@@ -25,7 +25,7 @@ from turtlelog.simulate.versions import find_software
 
 
 class CompiledRunner:
-    """Simulates with compiled loops, one scenario after the other in the same arrays."""
+    """Simulations with compiled loops, one scenario after another in the same arrays."""
 
     def __init__(self, step_budget_s: float | None = None) -> None:
         """Start without arrays.
@@ -39,8 +39,8 @@ class CompiledRunner:
     def simulate(self, loop: CompiledLoop, scenario: Scenario, plant: Plant) -> Run | None:
         """Return the run of a scenario by a loop that supports it.
 
-        Its law is resolved. None if the law fails or answers no pose; the loop in Python then says
-        why.
+        Its law is resolved. None if the law fails or answers no pose; the loop in Python then gives
+        the reason.
 
         Raises:
             StepBudgetError: If a step of a user law does not return within its budget.
@@ -58,7 +58,7 @@ class CompiledRunner:
         if self._watched is None or is_built_in(law):
             run()
         else:
-            del self._rows[loop]  # they are its own where it never returns
+            del self._rows[loop]  # code that never returns keeps its arrays
             self._watched.call(run, lambda: int(now["samples"]))
             self._rows[loop] = rows
         if now["failure"] or not now["samples"]:

@@ -1,11 +1,11 @@
 """Compiled twins of Python functions: numba compiles the same source, inlined, without markers.
 
-A function is rebuilt with the functions that it calls replaced by their twins. It may call named
-functions of a module, those of `math`, and Python's own; objects that numba would freeze silently
-(other modules, objects, closures, defaults) are rejected.
+A function is rebuilt with the functions that it calls replaced by their twins. The function may
+call named functions of a module, those of `math`, and Python's own. Objects that numba would freeze
+silently (other modules, objects, closures, defaults) are rejected.
 
-Some functions of `arithmetic` have different compiled code with the same values. It is compiled
-into the loops that call them; ordinary Python never uses it.
+Some functions of `arithmetic` have different compiled code with the same values. This code is
+compiled into the loops that call them; ordinary Python never uses it.
 """
 
 import builtins
@@ -140,7 +140,7 @@ class Twins:
     """Compiles functions and those that they call."""
 
     def __init__(self, *, inline: bool = True, wide: frozenset[str] = frozenset()) -> None:
-        """Start. This loads numba.
+        """Load numba and store the options.
 
         Args:
             inline: Whether functions are inlined where they are called; otherwise LLVM decides.
@@ -149,9 +149,9 @@ class Twins:
         """
         from numba import njit
 
-        # No Python calls these functions, which would crash: that would take a third longer.
-        # Without `_nrt` numba counts nobody's references to the arrays, and refuses what would
-        # allocate memory, as a set does: counting took two thirds of the loop's time.
+        # Python never calls these functions, so wrappers, which take a third of the time, are left
+        # out. Without `_nrt`, numba does not count references to arrays, and refuses code that
+        # allocates memory, as a set does. Counting took two thirds of the loop's time.
         options: dict[str, Any] = {
             "error_model": "numpy",
             "no_cpython_wrapper": True,
@@ -174,7 +174,8 @@ class Twins:
             if not isinstance(source, FunctionType):
                 raise TwinError(f"expected a function of Python, found {source!r:.60}")
             scope = {name: self._take(thing) for name, thing in _find_globals(source).items()}
-            # Code from the cache asks for its module: a law's own may be another one by then.
+            # Code from the cache looks up its module, and a law's own module may have changed by
+            # then.
             scope |= {"__name__": __name__, "__builtins__": builtins}
             bound = FunctionType(source.__code__, scope, source.__name__)
             self._known[function] = self._choose(source)(bound)
@@ -229,10 +230,10 @@ _PLACES: Final = (
     re.compile(r'File "([^"]+)", line (\d+)'),
     re.compile(r" at (\S.*) \((\d+)\)$", re.M),
 )
-"""Where a function is wrong; failing that, what numba was at."""
+"""Patterns of the place of an error; otherwise of numba's context."""
 
 _MEMORY: Final = "NRT required"
-"""What numba says of code that allocates memory."""
+"""Text of numba's error for code that allocates memory."""
 
 _HEADS: Final = ("Failed in", "During", "File", "[", "-", "^", "<", "There are", "Overload")
 
@@ -251,7 +252,7 @@ def describe_numba_error(text: str) -> str:
 
 
 _SPLIT: Final = 134217729.0  # 2**27 + 1: halves the digits of a double
-_TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose digits
+_TINY_M, _HUGE_M = 1e-100, 1e100  # far from values whose squares lose digits
 
 
 def _nearest(value: float) -> float:
@@ -317,7 +318,7 @@ def _find_hypot(x: float, y: float) -> float:
         large, small = small, large
     if small == 0.0 or not math.isfinite(large):
         return large
-    # By a power of two, which changes no digit: no square overflows or loses digits.
+    # Scaled by a power of two, which keeps all digits: no square overflows or loses digits.
     scale = 1.0
     if not _TINY_M < large < _HUGE_M:
         scale = math.ldexp(1.0, -max(math.frexp(large)[1], -1000))
@@ -347,4 +348,4 @@ _TWINS: Final[Mapping[Callable[..., Any], Callable[..., Any]]] = MappingProxyTyp
         angles.wrap_angle: arithmetic.wrap_angle,
     }
 )
-"""What compiled code calls in place of a function."""
+"""Functions of compiled code that replace Python functions."""

@@ -22,16 +22,16 @@ from turtlelog.sweep.batch import batch_kernel
 from turtlelog.sweep.batch.batch_kernel import REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
-"""The metrics of a curve by name, in the order of their columns."""
+"""Metrics of a loop's curve by name, in the order of their columns."""
 
 COURSES: Final = {name: kind for name, kind in RUN_METRICS.items() if kind.numbers is not None}
-"""The metrics of a course by id, in the order of their columns, behind those of all loops."""
+"""Metrics of the whole run by id, in the order of their columns, after those of all loops."""
 
 STATUSES: Final = tuple(Status)
-"""Statuses by number."""
+"""Statuses in the order of their numbers."""
 
 STATUS_OF: Final = np.array([STATUSES.index(one.status) for one in REASONS], np.int8)
-"""The number of the status of each reason."""
+"""Status number of each reason."""
 
 OK: Final = STATUSES.index(Status.OK)
 TOO_LARGE: Final = STATUSES.index(Status.TOO_LARGE)
@@ -45,7 +45,7 @@ LINE: Final = np.dtype(
         )
     ]
 )
-"""The line from start to goal, and what else of a scenario only measuring needs."""
+"""The line from start to goal, and other values of a scenario that only the measurement needs."""
 
 FACTS: Final = np.dtype(
     [(name, np.int64) for name in ("period_ns", "ticks", "samples", "published")]
@@ -53,23 +53,25 @@ FACTS: Final = np.dtype(
     + [("speed_limit", np.float64), ("turn_limit", np.float64)],
     align=True,
 )
-"""What measuring reads of a run beside its rows: the clock [ns], how many rows there are, whether
-`max_duration_s` or the law's timeout ended it, and the limits."""
+"""Values of a run for its measurement, besides its rows.
+
+The values are the clock [ns], the numbers of rows, whether `max_duration_s` or the law's timeout
+ended the run, and the limits."""
 
 LOOP: Final = np.dtype(
     [(name, np.int64) for name in ("phases", "pause", "signal", "reference")]
     + [("turns", np.bool_)],
     align=True,
 )
-"""A loop: in which phases it acts, one bit each; the phase that is a pause; places in `SIGNALS` and
-`REFERENCES`; whether its command is the turn rate."""
+"""A loop for the measurement: the phases in which it acts, one bit each; the phase of its pause;
+indices in `SIGNALS` and `REFERENCES`; whether its command is the turn rate."""
 
 SPAN: Final = np.dtype([(name, np.int64) for name in ("first", "after", "end", "last")])
-"""Samples: the first of a loop and the one after those of its phases, where its first stretch ends,
-pauses included, and the last of all that are its own."""
+"""Sample indices of a loop: its first, the one after its phases, the end of its first segment with
+pauses, and its last."""
 
 FIRST_POSE: Final = slice(-2, None)
-"""The last columns: the pose that was read first, x and y [m]."""
+"""Last columns: x and y of the first pose that was read [m]."""
 
 
 def is_covered(name: str) -> bool:

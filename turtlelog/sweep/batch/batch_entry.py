@@ -37,4 +37,4 @@ def measure_row(facts, ticks, samples, line, loops, memory, entry):
 
 
 MEASURE = compile_measurement(measure_row)
-"""What measures a row."""
+"""The compiled function that measures a row."""

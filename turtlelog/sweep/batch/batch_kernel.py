@@ -21,7 +21,7 @@ _NO_SAMPLES: Final = -1
 
 SIGNALS: Final = ("heading", "along_track", "cross_track", "distance")
 REFERENCES: Final = ("zero", "goal_bearing", "goal_distance", "goal_heading", "bearing_now")
-"""What loops may control and follow, by number."""
+"""References and signals of loops, by number."""
 _HEADING, _ALONG, _CROSS, _DISTANCE = range(4)
 _ZERO, _GOAL_BEARING, _GOAL_DISTANCE, _GOAL_HEADING, _BEARING_NOW = range(5)
 

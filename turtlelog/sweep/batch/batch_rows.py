@@ -40,13 +40,13 @@ _OF_PLANT: Final = (
 )
 
 FREE_KEYS: Final = frozenset({*_OF_LAW, *_OF_PLANT, "seed"})
-"""Keys whose values may be judged one by one: no rule names them together with another key, each
-may be any number between two bounds, and is a number of the loop by itself. Of all other keys the
-combinations are judged."""
+"""Keys whose values can be validated one by one. No rule combines them with another key, each may
+be any number between two bounds, and each is a number of the loop by itself. Other keys are
+validated in combination."""
 
 
 _NOT_COMPARED: Final = (dict, list, tuple)
-"""Kinds of values of which hardly two are alike: rows with a schedule, or points, of their own."""
+"""Types of values that are rarely equal: rows with a schedule, or points, of their own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,7 +90,7 @@ class PreparedRows:
 
 
 Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
-"""What a loop is compiled for: a law, a plant, and the states that the law declares."""
+"""Key of a compiled loop: a law, a plant, and the declared states of the law."""
 
 
 def find_column_kind(scenario: Scenario) -> Kind | None:
@@ -109,12 +109,12 @@ def find_column_kind(scenario: Scenario) -> Kind | None:
 
 
 def is_free(law: LawPart) -> bool:
-    """Whether the values of `FREE_KEYS` may be judged one by one."""
+    """Return whether the values of `FREE_KEYS` can be validated one by one."""
     return law.Numbers is SequentialNumbers and is_built_in(law)
 
 
 class _Case:
-    """A combination of the keys that are judged together."""
+    """A combination of the keys that are validated together."""
 
     def __init__(self, scenario: Scenario, plant: Plant, kind: Kind) -> None:
         law, part, _ = kind
@@ -177,7 +177,7 @@ def prepare_rows(
 
 
 def same_table(case: _Case, other: _Case) -> bool:
-    """Whether the law of two cases has the same table."""
+    """Return whether the laws of two cases have the same table."""
     return case is other or np.array_equal(case.table, other.table, equal_nan=True)
 
 
@@ -232,7 +232,7 @@ def _judge_case(
 
 
 def is_batched(scenario: Scenario, plant: Plant) -> bool:
-    """Whether the batch covers a scenario."""
+    """Return whether the batch covers a scenario."""
     return find_column_kind(scenario) is not None and find_loop(scenario, plant) is not None
 
 
@@ -241,7 +241,7 @@ def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[A
     if {*map(type, column)} in ({int}, {float}):
         least, most = min(column), max(column)
         found = _judge_value(base, key, least), _judge_value(base, key, most)
-        # What a free key may be is an interval: what lies between two of its values is one, too.
+        # The valid values of a free key form an interval, so values between valid ones are valid.
         if None not in found and all(least <= value <= most for value in column):
             return [*map(type(found[0]), column)]
     known: dict[Any, Any] = {}

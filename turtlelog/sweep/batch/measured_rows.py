@@ -55,16 +55,16 @@ from turtlelog.sweep.plan import build_row_scenario
 
 _MEASURING: Final = "turtlelog.sweep.batch.batch_entry"
 _MEASURING_S: Final = 5.0
-"""What compiling the measurement takes, beside the loop, longer than the loop alone [s]."""
+"""Additional time for compiling the measurement with the loop instead of the loop alone [s]."""
 
 _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
-"""Rows in one call: long enough to cost nothing, short enough that all cores end together."""
+"""Rows in one call: enough for a negligible overhead, few enough that all cores finish together."""
 
 
 _COMPARED: Final[set[CompiledLoops]] = set()
-"""Code of laws of the user's own that this process has compared with plain runs."""
+"""Compiled loops of user laws that this process has compared with plain runs."""
 
 
 class Batch(NamedTuple):
@@ -98,7 +98,7 @@ def _is_kept(kind: Kind) -> bool:
 
     try:
         name = name_loop(*kind)
-    except TypeError:  # it cannot be compiled, which is said where that is tried
+    except TypeError:  # not compilable; the compilation reports it
         return False
     is_measured = is_kept(_MEASURING, name_measurement())
     return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
@@ -108,7 +108,7 @@ def find_batch(base: Scenario) -> CompiledLoops | None:
     """Return the compiled code for rows that vary keys of a scenario; None if its law has none."""
     try:
         kind = find_column_kind(resolve_scenario(base))
-    except TurtlelogError:  # of its own it lacks what the rows give it
+    except TurtlelogError:  # the rows may supply missing values
         return None
     return None if kind is None else _find_batch(kind)
 
@@ -283,7 +283,7 @@ class _Work:
         try:
             scenario = self._build_scenario(row)
             plain = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
-        except TurtlelogError:  # the row says so
+        except TurtlelogError:  # the row has the reason
             return
         plant = scenario.plant.facts if self._plant is None else self._plant
         runner = CompiledRunner(self._step_budget_s)
@@ -297,7 +297,8 @@ class _Work:
         self._places = {name: find_column(name, self._declaration) for name in self._metrics}
         prepared = prepare_rows(base, self._columns, rows, self._plant)
         cells = self._run_all(kernel, prepared, threads)
-        # The line from start to goal is known before, unless the robot is pushed as it waits.
+        # The line from start to goal is known in advance, unless a disturbance moves the waiting
+        # robot.
         moved = self._correct_lines(prepared, cells)
         if len(moved):
             again = prepared.take(moved)
@@ -311,7 +312,7 @@ class _Work:
         return sorted([*prepared.others, *prepared.rows[~good].tolist()])
 
     def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
-        """Simulate and measure prepared rows from their start states; `states` is overwritten."""
+        """Simulate and measure prepared rows from their start states, which overwrite `states`."""
         loops = build_loops(self._declaration)
         assert loops is not None
         shape = len(prepared.rows), count_columns(len(loops))

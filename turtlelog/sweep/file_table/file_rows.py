@@ -86,7 +86,7 @@ class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
 
 _ERRORS_KEPT: Final = 10
 _COLUMNS_LOOKED: Final = 512
-"""For how many columns of rows there is memory: of all metrics there are some 450."""
+"""Number of row columns that fit in memory; all metrics have about 450."""
 
 
 class FileRows:
@@ -114,7 +114,7 @@ class FileRows:
         for label, size, mtime_ns, sha256 in zip(*heads, strict=True):
             known = self._files.get(label)
             first, count = (row, 0) if known is None else (known.first, known.count)
-            is_next = first + count == row  # in a table that somebody has put in another order not
+            is_next = first + count == row  # False in a table that was reordered
             known_hash = sha256 if is_next else None
             self._files[label] = FileState(size, mtime_ns, known_hash, first, count + 1)
             row += 1

@@ -16,19 +16,18 @@ from turtlelog.log.ros2.bag import list_bag_files
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
-"""How files end that count as recordings. Not .txt, which may be read where it is named: most are
-prose."""
+"""Suffixes of recordings. .txt files are read only if they are named, because most are prose."""
 
 _BAG_MARK: Final = b"rosbag2_bagfile_information"
 _TABLE_MARK: Final = b"turtlelog.kind"
 _MOST_FOOTER: Final = 2**24
-"""Bytes of what a Parquet file says about itself: the tables of all metrics have 0.1 MB."""
+"""Largest footer of a Parquet file that is read [bytes]: tables of all metrics have 0.1 MB."""
 
 _HEAD_BYTES: Final = 4096
-"""Of metadata.yaml, whose first key is the mark."""
+"""Bytes of metadata.yaml that are read; its first key marks a bag."""
 
 _TABLE_HEADS: Final = (b"run,Kp [", b"file,run,", b"verdict,file,check,")
-"""How tables of runs begin that `demo`, `compare`, `metrics` and `check` write as CSV."""
+"""Beginnings of the CSV tables of `demo`, `compare`, `metrics` and `check`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +96,7 @@ class _Walk:
     def list_below(self, root: Path) -> Iterator[Path]:
         """Yield the paths of recordings; for a file or bag its own path."""
         self._seen.clear()
-        # A stack of its own: folders may be nested deeper than Python calls.
+        # An explicit stack, because folders may be nested deeper than Python's calls.
         waiting = [root]
         while waiting:
             path = waiting.pop()
@@ -145,14 +144,14 @@ def _rank(path: Path) -> tuple[object, ...]:
 def _is_folder(path: Path) -> bool:
     try:
         return path.is_dir()
-    except OSError:  # in a folder whose names can be listed, and nothing else
+    except OSError:  # in a folder that can be listed but not entered
         return False
 
 
 def _is_table_of_runs(path: Path) -> bool:
     try:
         return _read_start(path).startswith(_TABLE_HEADS)
-    except OSError:  # whoever reads it says what is wrong
+    except OSError:  # its reader reports the error
         return False
 
 
@@ -164,7 +163,7 @@ def _is_result_table(path: Path) -> bool:
             length = int.from_bytes(stream.read(4), "little")
             stream.seek(-8 - min(length, _MOST_FOOTER), os.SEEK_END)
             return _TABLE_MARK in stream.read(_MOST_FOOTER)
-    except (OSError, LogError):  # whoever reads it says what is wrong
+    except (OSError, LogError):  # its reader reports the error
         return False
 
 
@@ -175,7 +174,7 @@ def is_one_recording(path: Path) -> bool:
     place = path / METADATA_FILE
     try:
         files = [one for one in path.iterdir() if one.name.lower().endswith(BAG_SUFFIXES)]
-        # A description that is cut, empty or not fetched stands beside what it describes.
+        # A truncated, empty or missing metadata file is beside the files that it describes.
         if place.is_file() and (files or _BAG_MARK in _read_start(place)):
             return True
         if len(files) > 1 and len(list_bag_files(path)) > 1:

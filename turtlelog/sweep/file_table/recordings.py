@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 _CHUNK_FILES: Final = 16
 _CHUNK_BYTES: Final = 2**24
-"""Of a chunk: as much as is read in a tenth of a second or so, which an interruption costs."""
+"""Size of a chunk of files [bytes]: read in about a tenth of a second, which an interruption
+loses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +77,7 @@ class TabulatedFiles:
 
 
 def describe_former(output: Path, table: RecordingTable) -> str | None:
-    """Return why an existing table cannot be reused; None if it can or does not exist.
+    """Return the reason why an existing table cannot be reused; None if it can or does not exist.
 
     Raises:
         LogError: If the file is no such table and must not be replaced.
@@ -148,7 +149,7 @@ def tabulate_recordings(
 
 
 _Task = tuple[FoundRecording, str | None]
-"""A recording, and the hash of what is known of it."""
+"""A recording, and the known hash of its content."""
 
 
 def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Task]:
@@ -194,18 +195,18 @@ def _read_one(
     one: FoundRecording, known: str | None, work: Callable[[str], Sequence[Row]]
 ) -> tuple[str | None, Sequence[Row]]:
     """Return the hash and the rows of a file; no rows if its content is known."""
-    # The hash comes first: of a file that changes meanwhile it is that of the former content, and
-    # the next call finds another.
+    # The hash is computed first: if a file changes during reading, the hash is that of the former
+    # content, and the next call reads the file again.
     try:
         sha256 = hash_recording(Path(one.path))
     except (OSError, LogError):
-        sha256 = None  # what cannot be opened now may be later, unchanged
+        sha256 = None  # the file may become readable without a change
     if sha256 is not None and sha256 == known:
         return sha256, []
     try:
         rows = work(one.path)
     except LibraryError as err:
-        return None, [{ERROR: str(err)}]  # it may be installed meanwhile
+        return None, [{ERROR: str(err)}]  # the library may be installed later
     return sha256, rows or [{}]
 
 

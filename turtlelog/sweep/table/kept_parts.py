@@ -1,7 +1,7 @@
 """The partial file next to a table: the results of an interrupted command, locked by one process.
 
-It begins with the facts of the table and grows part by part. Each part has a length and a checksum:
-an incomplete last part is ignored.
+The file begins with the facts of the table and grows part by part. Each part has a length and a
+checksum: an incomplete last part is ignored.
 """
 
 import hashlib
@@ -24,15 +24,15 @@ U = TypeVar("U")
 
 _MAGIC: Final = b"turtlelog sweep 1\n"
 _FRAME: Final = struct.Struct("<II")
-"""Length and checksum of what follows, which is compressed."""
+"""Length and checksum of the compressed data that follow."""
 
 _MOST_BYTES: Final = 2**30
-"""Of one part: a length beyond is damage."""
+"""Largest length of a part [bytes]; a larger one is damage."""
 
 _SMALL_PART: Final = 2**23
 _MOST_PACKED: Final = 2
-"""What a larger part unpacks to at most, in its own bytes. A list takes eight bytes for each byte:
-a file of 10 MB takes 160 MB. What would pack better is not packed."""
+"""Largest ratio of unpacked to packed size of a large part. A list takes eight bytes for each byte:
+a file of 10 MB takes 160 MB. Data with a larger ratio are not packed."""
 
 
 def name_partial(output: Path) -> Path:
@@ -118,7 +118,8 @@ class KeptParts(Generic[T]):
             output: Path of the table.
             facts: Facts of the table.
             kind: Type of a part.
-            require: Called with other facts in the file, and raises; None: such a file is replaced.
+            require: Function called with the file's facts if they differ, which raises an error;
+                None: such a file is replaced.
 
         Raises:
             SweepError: If another process writes to it, or it cannot be written.
@@ -155,7 +156,7 @@ class KeptParts(Generic[T]):
         self, facts: dict[str, str], require: Callable[[Path, Mapping[str, str]], None] | None
     ) -> None:
         head = self._stream.read(len(_MAGIC))
-        # A head that was cut holds nothing of anybody; anything else is not ours to replace.
+        # A truncated head belongs to nobody; a file with other content must not be replaced.
         if not _MAGIC.startswith(head):
             raise SweepError(
                 f"{self.path}: is in the way, and not left by an interrupted command;"
@@ -195,7 +196,7 @@ class KeptParts(Generic[T]):
         """Return the part that begins at a place.
 
         Raises:
-            SweepError: If the part can no longer be read, or is no part of this table.
+            SweepError: If the part can no longer be read, or is not a part of this table.
         """
         try:
             self._stream.seek(place)
@@ -246,7 +247,8 @@ class KeptParts(Generic[T]):
 
     def close(self, *, is_complete: bool = False) -> None:
         """Close the file; remove it if the table is complete."""
-        # Under the lock where the system allows it: once it is released the name may be another's.
+        # Under the lock if the system allows it: after its release the name may belong to another
+        # file.
         if is_complete and sys.platform != "win32":
             self.path.unlink(missing_ok=True)
         self._stream.close()
@@ -272,10 +274,10 @@ if sys.platform == "win32":
     import msvcrt
 
     _FAR: Final = 2**40
-    """A place that no file reaches: a lock there hinders nobody who reads."""
+    """Offset of the lock, beyond any file, so that it does not hinder readers."""
 
     def _lock(stream: BinaryIO) -> bool:
-        """Return whether nobody else has locked the file."""
+        """Lock the file; return False if another process has locked it."""
         stream.seek(_FAR)
         try:
             msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
@@ -289,7 +291,7 @@ else:
     import fcntl
 
     def _lock(stream: BinaryIO) -> bool:
-        """Return whether nobody else has locked the file; True where it cannot be locked."""
+        """Lock the file; return False if another process has locked it. Without locks: True."""
         try:
             fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -15,23 +15,22 @@ from turtlelog.log.parquet.parquet_file import ParquetFile, list_cells
 from turtlelog.version import __version__
 
 ColumnType = Literal["whole", "real", "text", "truth"]
-"""What the cells of a column are, beside null: int64, float64, strings, or true and false."""
+"""Type of the cells of a column, besides null: int64, float64, text or boolean."""
 
 FORMAT: Final = "1"
-"""Version of the file metadata; a reader refuses newer ones."""
+"""Version of the file metadata; readers refuse newer versions."""
 
 ROW: Final = "row"
-"""The column of the rows' numbers."""
+"""Name of the column with row numbers."""
 
 _PREFIX: Final = "turtlelog."
-"""Begins the names of what a file says about itself, among those of Arrow and pandas."""
+"""Prefix of turtlelog's names in the file metadata, beside those of Arrow and pandas."""
 
 _MOST_GROUPED: Final = 131_072
 _CELLS_GROUPED: Final = 2**19
-"""Rows and cells of a group: 1 MB of a column of numbers and 4 MB of all columns, which is about
-what writing and reading need of memory; a million files with all metrics have 500 groups, of which
-the end of the file tells in 20 MB. However rows come to the writer, groups are cut here, so that
-bytes do not depend on it."""
+"""Number of cells in a row group: 1 MB of a number column and 4 MB of all columns, about the memory
+for writing and reading. A million files with all metrics have 500 groups, whose footer has 20 MB.
+Groups do not depend on how rows reach the writer, so equal tables are equal files."""
 
 _WHOLE: Final = range(-(2**63), 2**63)
 
@@ -75,7 +74,7 @@ class ResultTable:
         return len(self.columns[0].cells) if self.columns else 0
 
     def find(self, name: str) -> ResultColumn | None:
-        """Return the column of a name, None if there is none."""
+        """Return the column with a name; None if there is none."""
         return next((column for column in self.columns if column.name == name), None)
 
 
@@ -173,10 +172,10 @@ def has_result_file(path: Path) -> bool:
 def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
     """Return the `kind`, the `version` and the facts of the table in a file.
 
-    None if the Parquet file is no table of results by turtlelog.
+    None if the Parquet file is not a result table of turtlelog.
 
     Raises:
-        LogError: If the file is no Parquet file, is truncated, or is from a newer turtlelog.
+        LogError: If the file is not a Parquet file, is truncated, or is from a newer turtlelog.
         LibraryError: If pyarrow is not installed.
     """
     with _name_table(path):
@@ -194,8 +193,8 @@ def read_result_table(
         columns: Names of the columns to read; None: all.
 
     Raises:
-        LogError: If the file cannot be read, is no Parquet file, is truncated, or contains another
-            table.
+        LogError: If the file cannot be read, is not a Parquet file, is truncated, or contains
+            another table.
         LibraryError: If pyarrow is not installed.
     """
     return open_result_table(path, kind=kind).load(columns)
@@ -367,7 +366,7 @@ _TYPES: Final[Mapping[str, ColumnType]] = {
     "bool": "truth",
     **dict.fromkeys(("string", "large_string", "string_view", "null"), "text"),
 }
-"""What columns are by Arrow's names of their types, among them those that others write."""
+"""Column types by Arrow's names of types, including types that other programs write."""
 
 
 def _iterate_columns(table: Any) -> Iterator[ResultColumn]:

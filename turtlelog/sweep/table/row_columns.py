@@ -92,7 +92,7 @@ class StoredCells(Sequence[Any]):
 
     @property
     def has_value(self) -> NDArray[np.bool_]:
-        """Whether the cell of each row is not None."""
+        """Return for each row whether its cell is not None."""
         has: NDArray[np.bool_] = self._numbers != _NONES[self._kind]
         return has & ~np.isnan(self._numbers) if self._kind == "real" else has
 

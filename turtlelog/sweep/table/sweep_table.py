@@ -31,7 +31,7 @@ from turtlelog.sweep.table.row_columns import (
 )
 
 STATUS: Final = ".status"
-"""Ends the name of the column beside a metric that says why it has no value."""
+"""Suffix of the column beside a metric with the reasons for missing values."""
 
 
 _STOP_REASON: Final = Key("stop_reason")
@@ -44,8 +44,8 @@ class SweptRows:
     def __init__(self, kept: KeptParts[RowResults]) -> None:
         """Load the results of an interrupted sweep."""
         self._kept = kept
-        self._parts: list[tuple[int, int, int]] = []  # first row, how many, and where they are
-        self._metrics: dict[str, tuple[int, int]] = {}  # the first row and place of each
+        self._parts: list[tuple[int, int, int]] = []  # first row, number of rows, and place
+        self._metrics: dict[str, tuple[int, int]] = {}  # first row and place of each metric
         self._units: dict[tuple[str, str], tuple[int, int]] = {}
         self.count = self.samples = self.recorded = 0
         for place in kept.places:
@@ -155,7 +155,7 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
 
 
 def find_key_unit(key: str) -> str | None:
-    """Return the unit at the end of a key's name, None if there is none."""
+    """Return the unit at the end of a key's name; None if there is none."""
     found = _UNIT.search(key)
     if found is None:
         return None
@@ -190,16 +190,16 @@ def find_failure(table: StoredTable) -> str:
 
 
 def load_row_scenario(path: str | Path, row: int) -> Scenario:
-    """Return the scenario of a row in a table of results. Loads no code; its law is not trusted.
+    """Return the scenario of a row in a result table; no code is loaded, its law is not trusted.
 
     Args:
         path: Path of the table.
         row: Row number, as in the column `row`.
 
     Raises:
-        LogError: If the file is no table of a sweep.
+        LogError: If the file is not a table of a sweep.
         SweepError: If the table has no such row.
-        ScenarioError: If the row forms no valid scenario; the row then failed for this reason.
+        ScenarioError: If the row's values are not a valid scenario, which is why the row failed.
     """
     table = open_result_table(path, kind="sweep")
     place = table.find_row(row)

@@ -32,21 +32,21 @@ from turtlelog.sweep.table.sweep_table import STATUS
 Values = NDArray[np.float64]
 
 SEED: Final = "seed"
-"""The key over whose values runs are repeated, not compared."""
+"""Key whose values are repetitions of runs, not compared."""
 
 _FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
-"""What maps are asked for most, by the last part of an id, in this order."""
+"""Most requested metrics of maps, by the last part of their id, in this order."""
 
 _LARGEST: Final = 1e150
-"""Values beyond it have no place on an axis: squares of their differences overflow."""
+"""Largest value on an axis: squares of differences of larger values overflow."""
 
 _BEYOND: Final = "beyond 1e150"
 
 _USUAL_METRICS: Final = 4
-"""Panels where nobody chooses: two rows of two, each as wide as a column of a paper."""
+"""Default number of panels: two rows of two, each as wide as a column of a paper."""
 
 MOST_METRICS: Final = 12
-"""Panels of one picture: of more, the lettering would be higher than the cells."""
+"""Largest number of panels in one picture: with more, text would be higher than the cells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,9 +104,9 @@ class SweptMetric:
     """A metric of every row.
 
     Attributes:
-        name: Its id.
+        name: Id of the metric.
         unit: Unit of its values.
-        values: NaN if there is none, shape (n,).
+        values: Value of each row, NaN if there is none, shape (n,).
         reasons: Reason for a missing value, per row; None if there is a value.
     """
 
@@ -117,7 +117,7 @@ class SweptMetric:
 
     @property
     def is_verdict(self) -> bool:
-        """Whether its values are 0 and 1 by definition: a verdict, not a quantity."""
+        """Whether its values are verdicts, 0 or 1 by definition, instead of quantities."""
         return self.name.rpartition(".")[2] == _FIRST[0]
 
     @property
@@ -154,20 +154,20 @@ class SweptResults:
     _known: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def find_axis(self, key: str) -> SweptAxis | None:
-        """Return the axis of a key, None if the key does not vary."""
+        """Return the axis of a key; None if the key does not vary."""
         return next((axis for axis in self.axes if key in axis.keys), None)
 
     def find_base_value(self, key: str) -> Any:
-        """Return the value of a key in the base scenario, None if it has no value."""
+        """Return the value of a key in the base scenario; None if it has no value."""
         if not self._known:
             self._known.update(flatten_scenario(self.base))
         return self._known.get(key)
 
     def build_scenario(self, row: int) -> Scenario:
-        """Return the scenario of a row. Loads no code; its law is not trusted.
+        """Return the scenario of a row; no code is loaded, and its law is not trusted.
 
         Raises:
-            ScenarioError: If its values form no valid scenario.
+            ScenarioError: If its values are not a valid scenario.
         """
         changes = [
             (key, value)
@@ -197,7 +197,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         patterns: Metric ids or patterns; None: up to four metrics, common ones first.
 
     Raises:
-        LogError: If the file is no table of a sweep, or has no rows.
+        LogError: If the file is not a table of a sweep, or has no rows.
         SweepError: If a metric does not exist, or the patterns match too many metrics.
         LibraryError: If pyarrow is not installed.
     """
@@ -237,7 +237,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
 
 
 def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
-    """Return the loops that the law of the first row declares; () if its code is not loaded."""
+    """Return the loops that the first row's law declares; empty if its code is not loaded."""
     try:
         return declare_scenario(resolve_scenario(results.build_scenario(0))).loops
     except TurtlelogError:

@@ -183,7 +183,7 @@ def _choose_axes(
     if not free and not given:
         free = [axis for axis in results.axes if axis not in held] or [results.axes[0]]
     most = 2 if second is not None else most
-    # Words have few places: they are held rather than a range of numbers.
+    # Texts have few places: they are fixed rather than a range of numbers.
     ranked = sorted(free, key=lambda axis: not axis.is_number)
     added = ranked[: max(most - len(given), 0)]
     if second is not None:

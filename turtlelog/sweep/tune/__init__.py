@@ -1,4 +1,7 @@
-"""The best values of a scenario's keys. The names are in `__init__.pyi` and load on first use."""
+"""Search for the best values of a scenario's keys.
+
+The names are in `__init__.pyi` and load on first use.
+"""
 
 from turtlelog.libraries import attach_names
 

@@ -21,14 +21,13 @@ from turtlelog.sweep.tune.goal import ConstraintFinding, TuningGoal
 Point = tuple[float | int, ...]
 
 _CUTS: Final = 8
-"""Parts of a generation, at least: some for each of a few processes."""
+"""Smallest number of parts of a generation: several for each of a few processes."""
 
 _ROWS: Final = "grid: "
-"""Begins what is wrong with the values of a row."""
+"""Prefix of errors about the values of a row."""
 
 _CHUNK_S: Final = 0.5
-"""Work handed out at a time [s], about: long against handing it out, short beside what a user
-waits for."""
+"""Duration of a unit of work [s]: long compared with its distribution, short for a waiting user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +56,7 @@ class Candidate:
     @property
     def violation(self) -> float:
         """Sum of the violations of all constraints."""
-        # Not by `sum`, which rounds otherwise from Python 3.12 on.
+        # Not `sum`, which rounds differently from Python 3.12 on.
         total = 0.0
         for one in self.constraints:
             total += 0.0 if one.holds else max(-one.margin, 0.0)
@@ -90,18 +89,18 @@ class Candidates:
 
         Args:
             base: Base scenario; its law may run.
-            keys: Dotted.
+            keys: Dotted scenario keys.
             goal: Objective and constraints.
             jobs: Number of processes, or an executor; None: one per core if that is faster.
             expected: Approximate number of candidates.
             watch: Called with the number of evaluated candidates.
             trust_law: Whether a law named in a recording may run, too.
             step_budget_s: Longest computing time of the law per step [s].
-            tell: Called once, with the first candidate whose law exceeds it.
+            tell: Called once, with the first candidate whose law exceeds that time.
             source: Prefix of error messages about the values of a candidate.
 
         Raises:
-            ScenarioError: If the base is no valid scenario, or its law may not run.
+            ScenarioError: If the base is not a valid scenario, or its law may not run.
             ExpressionError: If the goal contains an unknown name.
             TuneError: If the goal is invalid.
         """
@@ -188,7 +187,8 @@ class Candidates:
         if isinstance(jobs, int) and self._is_batch:
             jobs, threads, size = 1, jobs, len(points)
         else:
-            # A generation is cut for all who work, and for those who are done sooner.
+            # A generation is divided among all processes, in parts so that early ones get more
+            # work.
             threads, size = 1, -(-len(points) // _CUTS)
             size = max(1, min(size, int(_CHUNK_S / self._row_s)))
         law = self._scenario.law.kind
@@ -208,7 +208,7 @@ class Candidates:
             rest_s = (self._expected - self.evaluations) * (self._row_s or 0.0)
             self._jobs = count_cores() if rest_s > LONG_S else 1
         if is_given(self._scenario.law.kind):
-            # Processes of a pool are spawned, and would not find a law of this session.
+            # Pool processes are spawned, and would not find a law of this session.
             return self._jobs if CAN_FORK or not isinstance(self._jobs, int) else 1
         if isinstance(self._jobs, int) and self._jobs > 1 and not self._is_batch:
             self._jobs = start_pool(self._jobs)

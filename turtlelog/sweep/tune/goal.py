@@ -178,7 +178,7 @@ def _compare(left: Any, operator: str, right: Any) -> float:
     if not (_is_number(left) and _is_number(right)):
         return math.inf if (left == right) == (operator == "==") else -math.inf
     if operator in _ORDER:
-        # Infinite sides that are equal are no distance apart.
+        # Equal infinite sides have distance 0.
         return 0.0 if left == right else _ORDER[operator] * (right - left)
     distance = 0.0 if left == right else abs(left - right)
     return 0.0 - distance if operator == "==" else distance

@@ -19,24 +19,24 @@ from turtlelog.sweep.tune.goal import TuningGoal
 from turtlelog.sweep.tune.search import SearchedKey, Tuned, sum_up
 
 _WORSE: Final = 0.1
-"""Share of the best objective by which it may become worse: what one rounds a gain for."""
+"""Largest loss of the objective, as a share of the best: the rounding of a gain."""
 
 _OF_SPREAD: Final = 0.01
-"""Share of the way from the best to the middle candidate by which it may, where that is more: of a
-best of 0 every share is 0."""
+"""The same as a share of the distance from the best to the median candidate, if that is larger: a
+share of a best value of 0 is always 0."""
 
 _POINTS: Final = 16
-"""Looked at between the best and each bound, closer to the best at first."""
+"""Candidates between the best value and each bound, denser near the best."""
 
 _ROUNDS: Final = 5
-"""Neighbourhoods that are looked at: of a metric that hangs on single samples each may hold a
-better one."""
+"""Largest number of neighbourhoods: if a metric depends on single samples, each may contain a
+better value."""
 
 _HALVINGS: Final = 8
-"""Of the step in which it ends: to 1/256 of it."""
+"""Number of halvings of the step, down to 1/256."""
 
 NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS)
-"""Candidates that a neighbourhood takes for each key, at most."""
+"""Largest number of candidates of a neighbourhood for each key."""
 
 End = Literal["objective", "constraint", "no value", "bound"]
 
@@ -184,7 +184,7 @@ def _find_slack(candidates: Candidates, best: float) -> float:
 
 
 def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
-    """Return why a candidate is not good, None if it is good."""
+    """Return the reason why a candidate is not good; None if it is good."""
     broken = [found for found in one.constraints if not found.holds]
     if broken:
         return "constraint", broken[0].expression
@@ -204,7 +204,7 @@ _PARTS: Final = {
 }
 _AXES: Final = {"speed": "speed", "turn_rate": "turn"}
 _MOST_BYTES: Final = 2**24
-"""Of what `identify --json` printed: of one robot it prints some kB."""
+"""Largest output of `identify --json` that is read [bytes]: for one robot it has some kB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,9 +254,9 @@ def choose_variations(
 ) -> tuple[Variation, ...]:
     """Return the keys to sample at random in variants of a scenario.
 
-    These are the seed, if the scenario has random effects; the transport delay, by one tick up and
-    down, because a program that runs on ticks is not closer than that to its model; and the keys in
-    `more`, for example intervals of an identified robot.
+    The seed varies if the scenario has random effects. The transport delay varies by one tick up
+    and down, because a program that runs on ticks differs from its model by as much. The keys in
+    `more` vary, for example those of an identified robot's intervals.
 
     Args:
         scenario: The best scenario; its law may run.
@@ -311,7 +311,7 @@ def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
             "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
         )
         raise TuneError(f"{path}: has no {expected}")
-    # A dead time of 0 is as likely as the interval around it; below 0 there is none.
+    # The interval around a dead time of 0 is cut at 0, because a dead time is never negative.
     return tuple(
         Variation(key=key, low=max(low, 0.0), high=max(high, 0.0))
         for key, (low, high) in known.items()

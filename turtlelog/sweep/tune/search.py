@@ -1,12 +1,12 @@
 """The search for the best values of keys between bounds, in three steps.
 
 First a scrambled Sobol sequence covers the range evenly. Differential evolution (R. Storn and K.
-Price, J. Global Optimization 11, 1997; as scipy has it) goes on from its best points, whole
+Price, J. Global Optimization 11, 1997; as scipy has it) continues from its best points, whole
 generations at a time. A compass search (T. G. Kolda, R. M. Lewis and V. Torczon, SIAM Review 45,
-2003) then halves its steps around the best. Of two candidates the better one fulfils the
-constraints; where both do, has the better objective; where none does, violates them less
-(K. Deb, "An efficient constraint handling method for genetic algorithms", Computer Methods in
-Applied Mechanics and Engineering 186, 2000).
+2003) then halves its steps around the best. A candidate that satisfies the constraints is better
+than one that does not. If both do, the better objective decides; if none does, the smaller
+violation decides (K. Deb, "An efficient constraint handling method for genetic algorithms",
+Computer Methods in Applied Mechanics and Engineering 186, 2000).
 """
 
 import math
@@ -23,25 +23,26 @@ from turtlelog.sweep.plan import EqualSteps, parse_key_values
 from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
 
 _SPREAD: Final = 32
-"""Points for each key that cover the range: one key in steps of 3 % of it. A power of two, as the
-sequence wants."""
+"""Points per key of the initial cover: one key has steps of 3 % of its range. The number is a power
+of two, as the Sobol sequence requires."""
 
 _POPULATION: Final = 12
-"""Of the evolution, for each key: its authors advise 10, scipy takes 15."""
+"""Population of the evolution per key: its authors advise 10, scipy uses 15."""
 
 _FEWEST: Final = 16
-"""Of the evolution with one key."""
+"""Smallest population of the evolution."""
 
 _FIRST_STEP: Final = 1.0 / 16.0
 _LAST_STEP: Final = 1e-5
-"""Of the compass search, as shares of the range: from the distance of two points of the cover to
-less than anybody types."""
+"""Last step of the compass search as a share of the range; the first is the distance of two points
+of the cover. The last is finer than typed values."""
 
 _CORNERS: Final = 6
-"""With so many keys or fewer the corners of the range are candidates, too: 64 at most."""
+"""Largest number of keys for which the corners of the range are candidates, 64 at most."""
 
 _FAR: Final = 1e100
-"""Added to the violation of a candidate, so that it comes after all that violate nothing."""
+"""Added to the score of a candidate that violates constraints, so that it comes after all
+others."""
 
 Order = tuple[int, float]
 
@@ -182,7 +183,7 @@ class _Search:
     def _place(self, shares: NDArray[np.float64]) -> list[Point]:
         """Return the points at fractions of the range, shape (n, number of keys)."""
         values = self._low + shares * self._width
-        # What is added up may fall short of a bound by its last digit.
+        # Rounding errors of sums may miss a bound by the last digit.
         values = np.where(shares >= 1.0, [key.high for key in self._keys], values)
         return [
             tuple(key.round(value) for key, value in zip(self._keys, row, strict=True))
@@ -223,7 +224,7 @@ class _Search:
         size = max(_FEWEST, _POPULATION * count)
         known = sorted(self._candidates.list_known(), key=self._order)[:size]
         generations = int(0.75 * self._left) // size
-        if generations < 1 or len(known) < 5:  # scipy wants five
+        if generations < 1 or len(known) < 5:  # scipy requires five
             return
         shares = (np.array([one.point for one in known], float) - self._low) / self._width
         differential_evolution(
@@ -261,7 +262,7 @@ def _number(order: Order) -> float:
 
 
 _MOST_STEPS: Final = 10_000
-"""Values of a key with a step: each candidate looks for the nearest of them."""
+"""Largest number of values of a key with a step: each candidate searches the nearest of them."""
 
 
 def parse_searched_keys(

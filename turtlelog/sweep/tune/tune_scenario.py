@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 FOR_EACH_KEY: Final = 300
-"""Candidates for each key: the cover takes 32, and a generation of the evolution 12."""
+"""Default candidates per key: the cover takes 32, and a generation of the evolution 12."""
 
 FEWEST: Final = 8
-"""Candidates of a search."""
+"""Smallest number of candidates of a search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -41,7 +41,7 @@ class TunedScenario:
     """The best values that a search found.
 
     Attributes:
-        scenario: With the best values.
+        scenario: Scenario with the best values.
         keys: Keys with their search ranges.
         goal: Goal of the search.
         tuned: Result of the search.
@@ -123,8 +123,8 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     Raises:
         TuneError: If arguments are inconsistent, or the objective has no value for any candidate.
         ExpressionError: If a formula cannot be parsed, or contains an unknown name.
-        LawError: Where `law` is no law.
-        ScenarioError: If the scenario does not exist, or the ranges form no valid scenario.
+        LawError: If `law` is not a law.
+        ScenarioError: If the scenario does not exist, or the ranges contain no valid scenario.
     """
     goal = _read_goal(minimise, maximise, subject_to)
     texts = [*_list_ranges(ranges)]
