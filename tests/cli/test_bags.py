@@ -202,3 +202,4 @@ def test_a_cut_bag_says_that_it_is_cut_whatever_topic_is_asked_for(
         answer = call("metrics", cut, *words)
         assert answer.code == 2
         assert ": truncated or unfinished (no end of an MCAP file" in answer.err
+        assert answer.err.rstrip().endswith("; turtlelog convert --recover reads what is left")

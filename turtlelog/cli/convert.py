@@ -140,7 +140,9 @@ def convert(
         raise
     from turtlelog.log.recording.run_writer import list_unshared
 
-    kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
+    kept = {
+        name: text for name, text in run.notes.items() if name not in {tl.log.CHOSEN, tl.log.UNUSED}
+    }
     # A count of 0 changes nothing.
     notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items() if text != "0"]
     notes += [

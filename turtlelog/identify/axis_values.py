@@ -28,8 +28,11 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     counted = ~fit.is_outlier
     moved, white = fit.model.moved[counted], fit.white[counted]
+    took_s = fit.model.duration_s[counted]
     left = float(np.sum(fit.residual[counted] ** 2))
-    spread = float(np.sum((moved - moved.mean()) ** 2))
+    # Steps over lost poses are longer at any speed, and a model must do better than one speed.
+    spread = float(np.sum((moved - moved.sum() / took_s.sum() * took_s) ** 2))
+    spread = spread if spread > _ROUNDING * float(np.sum(moved**2)) else 0.0
     structure = fit.model.structure
     names = {name: place for place, name in enumerate(structure.names, EXTRA)}
     total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), float(errors[TOTAL]))
@@ -61,6 +64,10 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         steps=len(fit.residual),
         changes=changes,
     )
+
+
+_ROUNDING: Final = 1e-18
+"""Below this share of their squares [1], steps differ by rounding alone."""
 
 
 def _measure_dead_time_error(fit: AxisFit) -> float:

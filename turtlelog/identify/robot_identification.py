@@ -60,11 +60,14 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
     used, and nothing is fitted.
 
     Raises:
-        IdentifyError: If there is no run.
+        IdentifyError: If there is no run, or a run has no poses.
     """
     runs = [runs] if isinstance(runs, Run) else [*runs]
     if not runs:
         raise IdentifyError("runs: must not be empty")
+    for run in runs:
+        if not len(run.poses):
+            raise IdentifyError(f"{run.name}: the recording holds no poses, only commands")
     files = tuple(run.name for run in runs)
     exact = _identify_ticks(runs)
     if exact is not None:

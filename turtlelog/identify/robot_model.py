@@ -94,7 +94,8 @@ class AxisModel:
         reverse_gain: Gain of negative commands, if it differs [1].
         friction: Part of the magnitude of every command that has no effect [m/s] or [rad/s], if the
             motion shows it; the gain is that of the rest.
-        explained: Fraction of the variance of the steps between poses that the model explains.
+        explained: Fraction of the variance of the steps about one constant speed that the model
+            explains.
         whiteness: Mean square of the changes of the residuals divided by twice their mean square, 1
             for noise, near 0 for a curve; without the noise of poses.
         outliers: Number of steps left out because their residual exceeds the noise.
