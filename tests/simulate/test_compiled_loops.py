@@ -95,7 +95,6 @@ def test_older_versions_of_a_function_are_removed(module: Path) -> None:
     assert {path.name.partition(".")[2] for path in cache.iterdir()} == {*names[2:]}
 
 
-@pytest.mark.thorough
 def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path) -> None:
     pytest.importorskip("numba")
     (tmp_path / "small.py").write_text("def small(value):\n    return value + STAMP\n", "utf-8")
