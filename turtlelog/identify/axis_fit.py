@@ -35,6 +35,9 @@ _OUTLIER: Final = 8.0
 """Robust standard deviations beyond which a step is an outlier and does not count: normal noise
 makes one in 1e15, stamp jitter at the highest speed five times the usual residual."""
 
+_LONGEST_JUMP: Final = 5
+"""Steps that a jump takes at most: a wrong pose makes two, a filter of the odometry some more."""
+
 _LAG_STEP_S: Final = 1e-4
 """For differences with respect to the lag [s]."""
 
@@ -75,7 +78,10 @@ class StepModel:
 
     def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
         """Return the response of each run's commands for a time constant and further parameters."""
-        return [self.structure.respond(motion.commands, lag_s, extras) for motion in self.motions]
+        return [
+            self.structure.respond(motion.commands, lag_s, extras, motion.beside)
+            for motion in self.motions
+        ]
 
     def predict(
         self, dead_time_s: float, *lags: Sequence[LaggedResponse]
@@ -213,16 +219,22 @@ def measure_badness(fit: AxisFit) -> float:
     return fit.cost + fit.whitening.log_size
 
 
-def measure_gain(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
+def measure_reductions(
+    fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
+) -> list[float]:
     """Return by how much further parameters could reduce the sum of squares, to first order."""
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     other = StepModel(fit.model.motions, structure)
-    bent = gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
-    columns = fit.whitening.apply(np.column_stack([slopes, bent]))
+    bent = [
+        gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
+        for extras in starts
+    ]
+    slopes = fit.whitening.apply(slopes)
     white = np.clip(fit.white, -_SOFT, _SOFT)
-    left = [white - part @ np.linalg.lstsq(part, white)[0] for part in (columns[:, :-1], columns)]
-    return float(left[0] @ left[0] - left[1] @ left[1])
+    columns = np.column_stack([white, fit.whitening.apply(np.column_stack(bent))])
+    white, *bent = (columns - slopes @ np.linalg.lstsq(slopes, columns)[0]).T
+    return [float(white @ one) ** 2 / max(float(one @ one), LEAST_STEP) for one in bent]
 
 
 def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
@@ -285,7 +297,13 @@ def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
     """Return which residuals are outliers."""
     size = np.abs(residual)
     scale = NORMAL_MAD * float(np.median(size))
-    return np.asarray(size > _OUTLIER * scale) if scale > 0.0 else np.zeros(len(size), dtype=bool)
+    if scale <= 0.0:
+        return np.zeros(len(size), dtype=bool)
+    # Steps that are off for long, and in one direction, are a motion that the model lacks.
+    signs = np.where(size > _OUTLIER * scale, np.sign(residual), 0.0)
+    begins = np.flatnonzero(np.diff(signs, prepend=np.nan) != 0.0)
+    lengths = np.diff(np.append(begins, len(signs)))
+    return np.asarray((signs != 0.0) & (np.repeat(lengths, lengths) <= _LONGEST_JUMP))
 
 
 def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:

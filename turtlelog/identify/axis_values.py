@@ -52,6 +52,9 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
         bound=_divide(fit, names.get("tightness"), UNITS[axis]),
         bound_acts=structure.bound,
+        bound_beside=_invert_parameter(
+            fit, names.get("coupling"), UNITS["turn_rate" if axis == "speed" else "speed"]
+        ),
         reverse_gain=_multiply(fit, names.get("reverse")),
         friction=_take(fit, names.get("friction"), UNITS[axis]),
         deadband=_estimate_deadband(fit, UNITS[axis]),
@@ -109,6 +112,15 @@ def _divide(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
     if by <= 0.0:
         return None
     return _estimate(gain / by, _find_error(fit, place, [1.0 / by, -gain / by**2]), unit)
+
+
+def _invert_parameter(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
+    """Return the reciprocal of a further parameter."""
+    found = _take(fit, place, unit)
+    if found is None or found.value <= 0.0:
+        return None
+    error = (found.high - found.value) / NORMAL_95
+    return _estimate(1.0 / found.value, error / found.value**2, unit)
 
 
 def _multiply(fit: AxisFit, place: int | None) -> Estimate | None:

@@ -88,8 +88,13 @@ class AxisModel:
         limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
             its loop, so that the rate itself is a ramp; empty if there is none.
         bound: Largest rate [m/s] or [rad/s], where commands go beyond it.
-        bound_acts: Quantity that ends there: the command, which the low-pass then follows, or the
-            rate, which until then follows larger commands; empty if there is none.
+        bound_acts: Quantity that ends there: the command, which the low-pass then follows; the
+            rate, which until then follows larger commands; or the wheels, which both axes share,
+            so that a command beyond is `scaled` on both axes, `clipped` at each wheel or
+            `yielding` to the other axis, or `reduced` by the other axis alone. Empty if there is
+            none.
+        bound_beside: Command of the other axis that alone reaches the limit of the wheels [m/s] or
+            [rad/s]; `bound` then is the largest rate without a command of the other axis.
         deadband: Command up to which nothing moves [m/s] or [rad/s], where the motion shows one.
         reverse_gain: Gain of negative commands, if it differs [1].
         friction: Part of the magnitude of every command that has no effect [m/s] or [rad/s], if the
@@ -125,6 +130,7 @@ class AxisModel:
     limit_acts: Literal["", "before_lag", "within_lag"] = ""
     bound: Estimate | None = None
     bound_acts: Bound = ""
+    bound_beside: Estimate | None = None
     deadband: Estimate | None = None
     reverse_gain: Estimate | None = None
     friction: Estimate | None = None
@@ -220,6 +226,7 @@ class AxisModel:
             "product": self.lag_product_s2,
             "slowness": self.rate_limit,
             "tightness": self.bound,
+            "coupling": self.bound_beside,
             "reverse": self.reverse_gain,
             "friction": self.friction,
         }
@@ -239,6 +246,8 @@ class AxisModel:
 
 def _divide(name: str, value: float, gain: float) -> float:
     """Return a further parameter of a structure with a gain of 1."""
+    if name == "coupling":
+        return 1.0 / value
     if name in {"slowness", "tightness"}:
         return gain / value
     return value / gain if name == "reverse" else value

@@ -8,6 +8,7 @@ rivals.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Final, get_args
 
 import numpy as np
@@ -18,14 +19,14 @@ from turtlelog.identify.axis_fit import (
     LAG,
     AxisFit,
     measure_badness,
-    measure_gain,
     measure_near,
+    measure_reductions,
     predict_badness,
     refit_axis,
     restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.held_response import Order, Structure, Values
+from turtlelog.identify.held_response import COUPLED, Order, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FITTED: Final = 2 / 3
@@ -55,6 +56,14 @@ _STARTS_S: Final = (0.1, 0.5)
 
 _BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
 """Shares of the largest command that a bound is looked for from."""
+
+_ALONE: Final = (0.3, 0.6, 0.9, 1.5, 3.0)
+"""The same for a limit of the wheels, which commands may reach only beside those of the other axis.
+"""
+
+_BESIDE: Final = (0.3, 0.5, 0.7, 1.0)
+"""Shares of the largest command of the other axis that the limit of the wheels is looked for from.
+"""
 
 _FRICTIONS: Final = (0.05, 0.15)
 """Shares of the largest command that friction is looked for from."""
@@ -194,7 +203,7 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         replace(structure, has_friction=True),
     )
     largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
-    bounds = [known["tightness"]] if structure.bound else []
+    bounds = [known["tightness"]] if "tightness" in known else []
     bounds += [1.0 / (share * largest) for share in _BOUNDS]
     for other, name, values in (
         (bounded, "tightness", bounds),
@@ -204,10 +213,31 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     ):
         if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
+    couplings = _list_couplings(fit, known)
+    alone = [known["tightness"]] if "tightness" in known else []
+    alone += [1.0 / (share * largest) for share in _ALONE]
+    for bound in COUPLED if couplings else ():
+        coupled = replace(structure, bound=bound)
+        pairs = product(alone if "tightness" in coupled.names else [0.0], couplings)
+        starts = [start(coupled, tightness=one, coupling=two) for one, two in pairs]
+        if bound == COUPLED[0] and not _choose_starts(fit, coupled, starts):
+            break
+        if coupled != structure:
+            yield coupled, starts
     small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
+
+
+def _list_couplings(fit: AxisFit, known: dict[str, float]) -> list[float]:
+    """Return start values of what the other axis needs of the wheels' limit; empty if it rests."""
+    others = [motion.beside.value for motion in fit.model.motions if motion.beside is not None]
+    largest = float(np.abs(np.concatenate([np.zeros(1), *others])).max())
+    if not largest:
+        return []
+    kept = [known["coupling"]] if "coupling" in known else []
+    return [*kept, *(1.0 / (share * largest) for share in _BESIDE)]
 
 
 def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
@@ -239,13 +269,14 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
     if structure.size <= fit.model.structure.size:
         return starts
     asks = {"reverse": 1.1}
-    gains = []
-    for extras in starts:
-        moved = tuple(
+    moved = [
+        tuple(
             asks[name] if name in asks and value == 1.0 else value
             for name, value in zip(structure.names, extras, strict=True)
         )
-        gains.append((measure_gain(fit, structure, moved), extras))
+        for extras in starts
+    ]
+    gains = [*zip(measure_reductions(fit, structure, moved), starts, strict=True)]
     gains.sort(reverse=True)
     return [extras for gain, extras in gains[:_REFINED] if gain >= _ASKS]
 
