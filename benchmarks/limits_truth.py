@@ -24,8 +24,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import turtlelog as tl
-from tests.identify import limited_robots, plant_robots, wheel_robots
-from tests.identify.limited_robots import Limited
+from tests.identify import limited_robots, plant_robots, strange_robots, wheel_robots
 from turtlelog.identify import AxisModel
 
 NAMES = (
@@ -101,8 +100,9 @@ def main() -> None:
     print(f"{asked.robots} robots of each kind, seeds from {asked.seed} on; % of intervals hold")
     heads = f"{'kind':13}{'refused':>8}{'doubted':>8}"
     print(heads, *(f"{name:>13}" for name in NAMES), "  error", "P<=6%")
-    known = wheel_robots.KINDS if asked.wheels else limited_robots.KINDS
-    known = plant_robots.KINDS if asked.plant else known
+    known = [*limited_robots.KINDS, *strange_robots.KINDS]
+    known = [*wheel_robots.KINDS] if asked.wheels else known
+    known = [*plant_robots.KINDS] if asked.plant else known
     for kind in asked.kind or known:
         row = Row()
         for one in identify_robots(kind, asked):
@@ -123,14 +123,15 @@ def identify_robots(kind: str, asked: argparse.Namespace) -> Iterator[Identified
 
 def identify_limited(kind: str, seed: int, noise: float, duration_s: float) -> Identified:
     """Identify a robot of the independent simulation."""
-    truth, log = limited_robots.draw_robot(kind, seed)
+    drawn = limited_robots if kind in limited_robots.KINDS else strange_robots
+    truth, log = drawn.draw_robot(kind, seed)
     log = replace(log, noise_rad=noise * log.noise_rad, duration_s=duration_s)
     run = limited_robots.turn_on_the_spot(truth, log, seed)
     model = tl.identify_robot(run)
     known = model.turn_rate.is_known
     overshoots = limited_robots.turn_as_advised(model, run, truth) if known else []
     return Identified(
-        f"{seed} {truth}", [(model.turn_rate, list_truth(truth))], overshoots, model.notes
+        f"{seed} {truth}", [(model.turn_rate, truth.list_truth())], overshoots, model.notes
     )
 
 
@@ -159,27 +160,17 @@ def identify_wheels(kind: str, seed: int, noise: float, duration_s: float) -> Id
     )
     run = wheel_robots.drive_wheels(truth, log, seed)
     model = tl.identify_robot(run)
-    spot = replace(truth.wheel, gain=truth.turn_gain, bound=truth.list_truth(model.turn_rate)["bound"])
-    spot = replace(spot, acceleration=spot.acceleration * 2 * truth.turn_gain / truth.wheel.gain / truth.track_m)
+    spot = replace(
+        truth.wheel, gain=truth.turn_gain, bound=truth.list_truth(model.turn_rate)["bound"]
+    )
+    spot = replace(
+        spot,
+        acceleration=spot.acceleration * 2 * truth.turn_gain / truth.wheel.gain / truth.track_m,
+    )
     known = all(axis.is_known for axis in model.axes)
     overshoots = limited_robots.turn_as_advised(model, run, spot) if known else []
     axes = [(axis, truth.list_truth(axis)) for axis in model.axes]
     return Identified(f"{seed} {truth}", axes, overshoots, model.notes)
-
-
-def list_truth(truth: Limited) -> dict[str, float]:
-    """Return the true values by name."""
-    return {
-        "gain": truth.gain,
-        "dead_time_s": truth.dead_time_s,
-        "lag_s": truth.lag_s,
-        "total_delay_s": truth.dead_time_s + truth.lag_s,
-        "rate_limit": min(truth.acceleration, truth.ramp),
-        "bound": min(truth.bound, truth.stop),
-        "deadband": truth.deadband,
-        "friction": truth.friction,
-        "reverse_gain": truth.gain * truth.reverse,
-    }
 
 
 def judge(axis: AxisModel, truth: dict[str, float]) -> dict[str, tuple[bool, str]]:

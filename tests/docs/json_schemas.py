@@ -64,7 +64,7 @@ def find_answer(typed: str) -> Any:
 
 
 _OTHERS: Final = (
-    "explain.attribution",
+    "explain.one_run.attribution",
     "cli.theory_gains",
     "cli.theory_loops",
     "cli.replay_answer",

@@ -59,9 +59,13 @@ class Wheeled:
         """Return x [m], y [m] and heading [rad] at some times, shape (n, 3)."""
         ratio = self.turn_gain / self.wheel.gain
         wheels = LimitedRobot(self.wheel), LimitedRobot(self.wheel)
-        changes = np.flatnonzero(np.diff(commands[0], prepend=0) + 1j * np.diff(commands[1], prepend=0))
+        changes = np.flatnonzero(
+            np.diff(commands[0], prepend=0) + 1j * np.diff(commands[1], prepend=0)
+        )
         acts_s = time_s[changes] + self.wheel.dead_time_s
-        asked = iter([self.ask(float(commands[0][row]), float(commands[1][row])) for row in changes])
+        asked = iter(
+            [self.ask(float(commands[0][row]), float(commands[1][row])) for row in changes]
+        )
         bounds = np.unique(np.concatenate([acts_s, at_s, np.arange(0.0, at_s[-1], _PIECE_S)]))
         acts, seen = set(acts_s.tolist()), set(at_s.tolist())
         found, x_m, y_m, heading, now_s = [], 0.0, 0.0, 0.0, 0.0
@@ -116,9 +120,7 @@ def drive_wheels(truth: Wheeled, log: Log, seed: int) -> Run:
 
 
 def _bound(coupling: str) -> Callable[[Wheeled, np.random.Generator], Wheeled]:
-    return lambda truth, rng: replace(
-        truth, most=float(rng.uniform(0.25, 0.5)), coupling=coupling
-    )
+    return lambda truth, rng: replace(truth, most=float(rng.uniform(0.25, 0.5)), coupling=coupling)
 
 
 def _limit(truth: Wheeled, rng: np.random.Generator) -> Wheeled:

@@ -126,7 +126,7 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     is_curve = excess > _CURVE
     covered, said = found, []
     if is_curve:
-        for field in _FIELDS:
+        for field in (*_FIELDS, *_LIMITS):
             covered = _stretch(covered, field, _measure_sharing(fit))
     for pair, is_first in _split_steps(found.axis, fit):
         differing = [*_compare_parts(fit, is_first, _LIKELY if is_curve else _APART)]

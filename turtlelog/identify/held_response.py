@@ -7,7 +7,7 @@ is needed, however irregular commands and poses are.
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -171,45 +171,45 @@ def limit_within(
 
 def _shape_commands(
     commands: HeldInput,
-    *,
-    bound: "Bound",
-    tightness: float,
-    coupling: Values,
-    reverse: float,
-    friction: float,
-    deadband: float,
+    structure: "Structure",
+    values: Mapping[str, float],
+    beside: HeldInput | None,
 ) -> HeldInput:
     """Return commands after the static nonlinearities of a robot.
 
     Args:
         commands: Commands to follow.
-        bound: What the limit acts on.
-        tightness: Reciprocal of the largest effective command [s/m or s/rad]; 0 for no limit.
-        coupling: Part of the wheels' limit that the other axis needs [1].
-        reverse: Gain of negative commands divided by that of positive ones [1].
-        friction: Reduction of each magnitude [m/s or rad/s].
-        deadband: Magnitude up to which there is no motion [m/s or rad/s].
+        structure: Which nonlinearities there are.
+        values: Its further parameters by name.
+        beside: Commands of the other axis; None if they are 0.
     """
-    size = np.maximum(np.abs(commands.value) - friction, 0.0)
-    value = np.where(commands.value < 0.0, -reverse, 1.0) * size
-    value[np.abs(commands.value) <= deadband] = 0.0
-    if bound in COUPLED:
+    coupling: Any = 0.0
+    if beside is not None and "coupling" in values:
+        commands = _join_times(commands, beside)
+        coupling = values["coupling"] * np.abs(beside.place(commands.time_s).value)
+    size = np.maximum(np.abs(commands.value) - values.get("friction", 0.0), 0.0)
+    value = np.where(commands.value < 0.0, -values.get("reverse", 1.0), 1.0) * size
+    value[np.abs(commands.value) <= structure.deadband] = 0.0
+    tightness = values.get("tightness", 0.0)
+    if structure.bound in COUPLED:
         # The gain is that of the smallest command, so without the other axis none is smaller.
         smallest = np.abs(value[value != 0.0]).min(initial=math.inf)
         tightness = min(max(tightness, _LEAST_TIGHTNESS), 1.0 / smallest)
-    if bound != "rate" and tightness > 0.0:
-        value = _bound_wheels(bound, tightness * value, coupling) / tightness
+    if structure.bound != "rate" and tightness > 0.0:
+        value = _bound_wheels(structure.bound, tightness * value, coupling) / tightness
     return _integrate_commands(commands.time_s, value, commands.slope)
 
 
-def _bound_wheels(bound: "Bound", value: Values, beside: Values) -> Values:
+def _bound_wheels(bound: "Bound", value: Values, beside: Any) -> Values:
     """Return bounded commands, each divided by the largest one without the other axis."""
     if bound in {"scaled", "reduced"}:
-        return value / np.maximum(np.abs(value) + beside, 1.0)
+        return np.asarray(value / np.maximum(np.abs(value) + beside, 1.0))
     if bound == "clipped":
-        return 0.5 * (np.clip(value + beside, -1.0, 1.0) + np.clip(value - beside, -1.0, 1.0))
-    most = np.maximum(1.0 - beside, 0.0) if bound == "yielding" else np.ones(len(value))
-    return np.clip(value, -most, most)
+        return np.asarray(
+            0.5 * (np.clip(value + beside, -1.0, 1.0) + np.clip(value - beside, -1.0, 1.0))
+        )
+    most = np.maximum(1.0 - beside, 0.0) if bound == "yielding" else 1.0
+    return np.asarray(np.clip(value, -most, most))
 
 
 def _join_times(commands: HeldInput, beside: HeldInput) -> HeldInput:
@@ -388,20 +388,7 @@ class Structure:
         """
         values = dict(zip(self.names, extras, strict=True))
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
-            coupling = np.zeros(len(commands.value))
-            if beside is not None and self.bound in COUPLED:
-                commands = _join_times(commands, beside)
-                others = beside.place(commands.time_s).value
-                coupling = values["coupling"] * np.abs(others)
-            commands = _shape_commands(
-                commands,
-                bound=self.bound,
-                tightness=values.get("tightness", 0.0),
-                coupling=coupling,
-                reverse=values.get("reverse", 1.0),
-                friction=values.get("friction", 0.0),
-                deadband=self.deadband,
-            )
+            commands = _shape_commands(commands, self, values, beside)
         if self.order == "limited_before":
             commands = _limit_changes(commands, values["slowness"])
         elif self.order == "limited_within" or self.bound == "rate":

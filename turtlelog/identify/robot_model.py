@@ -190,6 +190,19 @@ class AxisModel:
         return total.high if self.doubts else total.value
 
     @property
+    def oscillation_delay_s(self) -> float:
+        """Delay that stands for the oscillation of a second-order model in a first-order one [s].
+
+        P control with 5 % overshoot then has the gain that the second-order model allows, or up to
+        a tenth less: 0.5 product^1.5 / lag^2 fits damping ratios from 0.3 to 1. A dead time makes
+        the gain smaller anyway, so it needs less.
+        """
+        product, lag = self.lag_product_s2, self.lag_s
+        if product is None or lag is None or product.value <= 0.25 * lag.value**2:
+            return 0.0
+        return 0.5 * product.value * math.sqrt(product.value) / lag.value**2
+
+    @property
     def advised_gain(self) -> float | None:
         """The gain for the design of a controller: if in doubt, the largest [1]."""
         return self._take_advised(self.gain)

@@ -213,31 +213,35 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     ):
         if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
-    couplings = _list_couplings(fit, known)
-    alone = [known["tightness"]] if "tightness" in known else []
-    alone += [1.0 / (share * largest) for share in _ALONE]
-    for bound in COUPLED if couplings else ():
-        coupled = replace(structure, bound=bound)
-        pairs = product(alone if "tightness" in coupled.names else [0.0], couplings)
-        starts = [start(coupled, tightness=one, coupling=two) for one, two in pairs]
-        if bound == COUPLED[0] and not _choose_starts(fit, coupled, starts):
-            break
-        if coupled != structure:
-            yield coupled, starts
+    yield from _list_coupled(fit, known, largest)
     small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
 
 
-def _list_couplings(fit: AxisFit, known: dict[str, float]) -> list[float]:
-    """Return start values of what the other axis needs of the wheels' limit; empty if it rests."""
+def _list_coupled(
+    fit: AxisFit, known: dict[str, float], largest: float
+) -> Iterator[tuple[Structure, Starts]]:
+    """Yield limits of the wheels; none if the other axis rests, or the first does not promise."""
     others = [motion.beside.value for motion in fit.model.motions if motion.beside is not None]
-    largest = float(np.abs(np.concatenate([np.zeros(1), *others])).max())
-    if not largest:
-        return []
-    kept = [known["coupling"]] if "coupling" in known else []
-    return [*kept, *(1.0 / (share * largest) for share in _BESIDE)]
+    beside = float(np.abs(np.concatenate([np.zeros(1), *others])).max())
+    if not beside:
+        return
+    alone = [known[name] for name in known if name == "tightness"]
+    alone += [1.0 / (share * largest) for share in _ALONE]
+    couplings = [known[name] for name in known if name == "coupling"]
+    couplings += [1.0 / (share * beside) for share in _BESIDE]
+    for bound in COUPLED:
+        other = replace(fit.model.structure, bound=bound)
+        starts: Starts = [
+            tuple((known | {"tightness": one, "coupling": two})[name] for name in other.names)
+            for one, two in product(alone if "tightness" in other.names else [0.0], couplings)
+        ]
+        if bound == COUPLED[0] and not _choose_starts(fit, other, starts):
+            return
+        if other != fit.model.structure:
+            yield other, starts
 
 
 def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
