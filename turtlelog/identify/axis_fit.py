@@ -25,15 +25,16 @@ _SPIKE_STEPS: Final = 2
 """Neighbours on either side that say where a step is a jump when the grid is searched: one heading
 that is wrong makes two wrong steps, there and back."""
 
-_STARTS: Final = 2
-"""How many of the best are refined."""
-
 _SOFT: Final = 3.0
 """Standard deviations beyond which a residual counts less than its square (soft L1)."""
 
 _OUTLIER: Final = 8.0
 """Robust standard deviations beyond which a step is an outlier and does not count: normal noise
 makes one in 1e15, stamp jitter at the highest speed five times the usual residual."""
+
+_MOST_OUTLIERS: Final = 0.05
+"""Share of the steps that may be outliers: a simulated robot rests exactly and moves by steps that
+all are off by more than rests are, and these are its motion."""
 
 _LONGEST_JUMP: Final = 5
 """Steps that a jump takes at most: a wrong pose makes two, a filter of the odometry some more."""
@@ -153,9 +154,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
-    plainly = _weigh_plainly(model)
-    tried = [_descend(model, start, plainly) for start in _search_grid(motions)]
-    parameters = min(tried, key=lambda found: found[1])[0]
+    parameters = _search_start(motions)
     for _ in range(2):
         whitening, is_outlier = _learn_noise(model, parameters)
         parameters, cost = _descend(model, parameters, whitening.apply)
@@ -300,30 +299,38 @@ def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
     if scale <= 0.0:
         return np.zeros(len(size), dtype=bool)
     # Steps that are off for long, and in one direction, are a motion that the model lacks.
-    signs = np.where(size > _OUTLIER * scale, np.sign(residual), 0.0)
+    least = max(_OUTLIER * scale, float(np.quantile(size, 1.0 - _MOST_OUTLIERS)))
+    signs = np.where(size > least, np.sign(residual), 0.0)
     begins = np.flatnonzero(np.diff(signs, prepend=np.nan) != 0.0)
     lengths = np.diff(np.append(begins, len(signs)))
     return np.asarray((signs != 0.0) & (np.repeat(lengths, lengths) <= _LONGEST_JUMP))
 
 
-def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
-    """Return the best points of a grid, the best first, each with its gain."""
+def _search_start(motions: Sequence[AxisMotion]) -> Values:
+    """Return the best parameters by plain least squares.
+
+    Descents begin at the best point of a grid for each time constant: commands of a controller
+    leave local minima, of which neighbours share one.
+    """
     share = min(1.0, _GRID_STEPS / count_steps(motions))
     model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
     moved = _drop_spikes(model.moved)
     responses = [model.prepare(lag_s) for lag_s in _GRID_LAGS_S]
-    tried = []
+    tried: dict[float, tuple[float, float, float]] = {}
     for dead_time_s in np.arange(0.0, LARGEST_DEAD_TIME_S, _GRID_S).tolist():
         steps = model.predict(dead_time_s, *responses)
         for lag_s, (way, _) in zip(_GRID_LAGS_S, steps, strict=True):
             size, along = float(way @ way), float(way @ moved)
             if size > 0.0 and along > 0.0:
-                tried.append((-along * along / size, along / size, dead_time_s, lag_s))
+                found = -along * along / size, along / size, dead_time_s
+                tried[lag_s] = min(found, tried.get(lag_s, found))
     if not tried:
         where = " in their direction" if model.moved.any() else ""
         raise NoGainError(f"no motion follows the commands{where}")
-    tried.sort()
-    return [np.array(found) for _, *found in tried[:_STARTS]]
+    plainly = _weigh_plainly(model)
+    starts = [np.array([*found, lag_s]) for lag_s, (_, *found) in tried.items()]
+    descents = [_descend(model, start, plainly) for start in starts]
+    return min(descents, key=lambda found: found[1])[0]
 
 
 def _drop_spikes(moved: Values) -> Values:

@@ -65,6 +65,10 @@ _BESIDE: Final = (0.3, 0.5, 0.7, 1.0)
 """Shares of the largest command of the other axis that the limit of the wheels is looked for from.
 """
 
+_BELOW: Final = 0.02
+"""Share of the time with commands in which they must stay below a bound: two messages of a robot
+that otherwise drives at its bound make a gain of four. Of random steps more than a tenth do."""
+
 _FRICTIONS: Final = (0.05, 0.15)
 """Shares of the largest command that friction is looked for from."""
 
@@ -111,7 +115,9 @@ def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
     tried[fit.model.structure] = fit
     for structure, starts in _list_neighbours(fit):
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
-            tried[structure] = refit_axis(fit, structure, chosen)
+            other = refit_axis(fit, structure, chosen)
+            if shows_gain(other):
+                tried[structure] = other
     near = min(tried.values(), key=measure_badness)
     if near is not fit:
         # Where another has escaped from a local minimum, this one may follow.
@@ -154,6 +160,21 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
             return False
     is_clear = measure_badness(fit) - measure_badness(other) >= _CLEARLY
     return is_clear and other.parameters[GAIN] > 0.0 and measure_effect(fit, other) >= _MATTERS
+
+
+def shows_gain(fit: AxisFit) -> bool:
+    """Return whether enough commands stay below the bound of a fit: its gain is theirs."""
+    names = fit.model.structure.names
+    if "tightness" not in names:
+        return True
+    tightness = float(fit.parameters[EXTRA + names.index("tightness")])
+    below_s = moving_s = 0.0
+    for motion in fit.model.motions:
+        held_s = np.diff(motion.commands.time_s, append=motion.time_s[-1])
+        size = tightness * np.abs(motion.commands.value)
+        moving_s += float(held_s[size > 0.0].sum())
+        below_s += float(held_s[(size > 0.0) & (size < 1.0)].sum())
+    return below_s >= _BELOW * moving_s
 
 
 def measure_effect(fit: AxisFit, other: AxisFit) -> float:
