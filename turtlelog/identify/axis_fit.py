@@ -154,11 +154,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
-    parameters = _search_start(motions)
-    for _ in range(2):
-        whitening, is_outlier = _learn_noise(model, parameters)
-        parameters, cost = _descend(model, parameters, whitening.apply)
-    return _conclude(model, parameters, cost, whitening, is_outlier)
+    return _finish(model, _search_start(motions))
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
@@ -179,9 +175,21 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
         starts: Start values of its further parameters.
     """
     model = StepModel(fit.model.motions, structure)
-    near = fit.parameters[: LAG + 1]
-    tried = [_descend(model, np.append(near, start), fit.whitening.apply) for start in starts]
+    tried = [_descend(model, _fit_gain(fit, model, start), fit.whitening.apply) for start in starts]
     return _finish(model, min(tried, key=lambda found: found[1])[0])
+
+
+def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values:
+    """Return the delays of a fit and further parameters, with the gain that is best for these.
+
+    With a gain of its own, a bound that suits would seem worse than none, and be left at once.
+    """
+    _, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    way = model.predict(dead_time_s, model.prepare(lag_s, *extras))[0][0]
+    way, moved = (fit.whitening.apply(one) for one in (way, model.moved))
+    size, along = float(way @ way), float(way @ moved)
+    gain = along / size if along > 0.0 else float(fit.parameters[GAIN])
+    return np.array([gain, dead_time_s, lag_s, *extras])
 
 
 def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
@@ -192,8 +200,9 @@ def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
 
 def _finish(model: StepModel, parameters: Values) -> AxisFit:
     """Return the best fit near the given parameters, with its own noise."""
-    whitening, is_outlier = _learn_noise(model, parameters)
-    parameters, cost = _descend(model, parameters, whitening.apply)
+    for _ in range(2):
+        whitening, is_outlier = _learn_noise(model, parameters)
+        parameters, cost = _descend(model, parameters, whitening.apply)
     return _conclude(model, parameters, cost, whitening, is_outlier)
 
 

@@ -61,7 +61,7 @@ _ALONE: Final = (0.3, 0.6, 0.9, 1.5, 3.0)
 """The same for a limit of the wheels, which commands may reach only beside those of the other axis.
 """
 
-_BESIDE: Final = (0.3, 0.5, 0.7, 1.0)
+_BESIDE: Final = (0.25, 0.4, 0.6, 0.8, 0.95)
 """Shares of the largest command of the other axis that the limit of the wheels is looked for from.
 """
 
