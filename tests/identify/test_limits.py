@@ -239,9 +239,9 @@ def test_in_doubt_advice_has_the_longer_delay_and_says_so() -> None:
 
 
 def test_structures_that_the_log_does_not_tell_apart_are_both_covered() -> None:
-    truth, log = draw_robot("ramp before", 19)
+    truth, log = draw_robot("ramp before", 12)
     log = replace(log, noise_rad=12.0 * log.noise_rad, duration_s=20.0)
-    found: AxisModel = tl.identify_robot(turn_on_the_spot(truth, log, 19)).turn_rate
+    found: AxisModel = tl.identify_robot(turn_on_the_spot(truth, log, 12)).turn_rate
     dead_time_s = known(found.dead_time_s)
     assert dead_time_s.low <= truth.dead_time_s <= dead_time_s.high
     assert "within the velocity loop" in found.doubts[0]

@@ -154,7 +154,8 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
-    return _finish(model, _search_start(motions))
+    whitening, _ = _learn_noise(model, start := _search_start(motions))
+    return _finish(model, _descend(model, start, whitening.apply)[0])
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
@@ -200,9 +201,8 @@ def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
 
 def _finish(model: StepModel, parameters: Values) -> AxisFit:
     """Return the best fit near the given parameters, with its own noise."""
-    for _ in range(2):
-        whitening, is_outlier = _learn_noise(model, parameters)
-        parameters, cost = _descend(model, parameters, whitening.apply)
+    whitening, is_outlier = _learn_noise(model, parameters)
+    parameters, cost = _descend(model, parameters, whitening.apply)
     return _conclude(model, parameters, cost, whitening, is_outlier)
 
 

@@ -17,6 +17,10 @@ NORMAL_95: Final = 1.96
 _SHORT_LAG: Final = 2.0
 """A lag of so many steps between poses or less may as well be none."""
 
+_FINEST: Final = 1e-4
+"""Least standard error of a limit, as a share of it: the change over which its effect on the motion
+is measured. Nothing shows that this effect is the same over less."""
+
 _ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
     {"limited_before": "before_lag", "limited_within": "within_lag"}
 )
@@ -111,7 +115,8 @@ def _divide(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
     gain, by = fit.parameters[[GAIN, place]].tolist()
     if by <= 0.0:
         return None
-    return _estimate(gain / by, _find_error(fit, place, [1.0 / by, -gain / by**2]), unit)
+    error = _find_error(fit, place, [1.0 / by, -gain / by**2])
+    return _estimate(gain / by, max(error, _FINEST * gain / by), unit)
 
 
 def _invert_parameter(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
@@ -119,7 +124,7 @@ def _invert_parameter(fit: AxisFit, place: int | None, unit: str) -> Estimate | 
     found = _take(fit, place, unit)
     if found is None or found.value <= 0.0:
         return None
-    error = (found.high - found.value) / NORMAL_95
+    error = max((found.high - found.value) / NORMAL_95, _FINEST * found.value)
     return _estimate(1.0 / found.value, error / found.value**2, unit)
 
 
