@@ -34,6 +34,16 @@ class Notebook:
     def __init__(self, client: Any, *, is_open: bool) -> None:
         """Take the client; `is_open`: whether the page tells each widget that it is ready."""
         self._client, self._is_open = client, is_open
+        self._subshell = self._open_subshell()
+        self._widgets: list[str] = []
+
+    def _open_subshell(self) -> str:
+        """Open the second thread in which JupyterLab has messages of widgets handled."""
+        client = self._client
+        client.control_channel.send(client.session.msg("create_subshell_request"))
+        reply = client.get_control_msg(timeout=PATIENCE_S)
+        subshell: str = reply["content"]["subshell_id"]
+        return subshell
 
     def run_cell(self, code: str) -> Cell:
         """Run a cell to its end."""
@@ -61,8 +71,10 @@ class Notebook:
             cell.error = f"{content['ename']}: {content['evalue']}"
         elif kind in {"display_data", "execute_result"}:
             cell.shown.append(content["data"])
-        elif kind == "comm_open" and self._is_open and "_esm" in str(content["data"]):
-            self._answer(content["comm_id"])
+            if self._is_open and "Viewer" in content["data"]["text/plain"]:
+                self._answer(self._widgets.pop())
+        elif kind == "comm_open" and "_esm" in content["data"]["state"]:
+            self._widgets.append(content["comm_id"])
         elif kind == "comm_msg" and content["data"].get("method") == "custom":
             buffers = [bytes(one) for one in message["buffers"]]
             cell.sent.append((time.monotonic(), content["data"]["content"], buffers))
@@ -70,7 +82,9 @@ class Notebook:
     def _answer(self, comm: str) -> None:
         data = {"method": "custom", "content": "ready"}
         content = {"comm_id": comm, "data": data}
-        self._client.shell_channel.send(self._client.session.msg("comm_msg", content))
+        message = self._client.session.msg("comm_msg", content)
+        message["header"]["subshell_id"] = self._subshell
+        self._client.shell_channel.send(message)
 
 
 @contextmanager

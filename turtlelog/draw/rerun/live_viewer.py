@@ -28,6 +28,12 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import RunCollector, Tick
 
 _BATCH_S: Final = 0.05
+"""Shortest time between two batches for a viewer of its own [s]: 20 pictures per second."""
+
+_WIDGET_BATCH_S: Final = 0.2
+"""Shortest time between two batches for a notebook [s]. A browser without a graphics card takes two
+to four batches per second, and each costs it the same, however short it is."""
+
 _SHARE: Final = 5
 """Shortest time between two batches, as a multiple of the processor time of the last one."""
 
@@ -73,10 +79,10 @@ class LiveViewer:
             LibraryError: If the extra `notebook` is not installed.
         """
         if url is None:
-            scene = _keep_scene(WidgetStream(size))
+            scene, self._batch_s = _keep_scene(WidgetStream(size)), _WIDGET_BATCH_S
         else:
             require_viewer(url)
-            scene = _connect_scene(url)
+            scene, self._batch_s = _connect_scene(url), _BATCH_S
         self.lost = ""
         self._collector = RunCollector(scenario)
         self._ticks: SimpleQueue[Tick | None] = SimpleQueue()
@@ -105,7 +111,7 @@ class LiveViewer:
             self.lost = " ".join(str(err).split()) or type(err).__name__
 
     def _draw(self, scene: LiveScene) -> None:
-        is_over, wait_s = False, _BATCH_S
+        is_over, wait_s = False, self._batch_s
         while not is_over:
             is_over = self._take(time.monotonic() + wait_s)
             if not self._collector.has_samples:
@@ -116,7 +122,7 @@ class LiveViewer:
                 scene.finish(run)
             else:
                 scene.update(run)
-            wait_s = max(_BATCH_S, _SHARE * (time.thread_time() - start_s))
+            wait_s = max(self._batch_s, _SHARE * (time.thread_time() - start_s))
 
     def _take(self, until_s: float) -> bool:
         """Collect ticks until a time; return whether there are no more."""

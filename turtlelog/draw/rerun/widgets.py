@@ -59,8 +59,7 @@ class WidgetStream(GrowingStream):
         load_library("rerun_notebook")
         _require_notebook()
         self._memory, self._viewer = self.memory_recording(), _build_viewer(size)
-        self._viewer.display()
-        self._viewer._viewer.block_until_ready(_READY_S)
+        _show_page(self._viewer)
 
     def flush(self, *, timeout_sec: float = 0.0) -> None:  # noqa: ARG002
         """Send what was drawn since the last time; a page never delays that."""
@@ -70,6 +69,18 @@ class WidgetStream(GrowingStream):
 def _build_viewer(size: tuple[int, int]) -> Viewer:
     width, height = size
     return Viewer(width=width, height=height, use_global_recording=False)
+
+
+def _show_page(viewer: Viewer) -> None:
+    """Show a widget and wait until its page can receive data, which the page says in a message.
+
+    From its version 7.4 on, ipykernel gives the message to the thread that used the widget last.
+    Here that thread waits. Without a last user, the message stays in the thread in which JupyterLab
+    has the messages of widgets handled.
+    """
+    vars(viewer._viewer.comm).pop("_reply_subshell_id", None)
+    viewer.display()
+    viewer._viewer.block_until_ready(_READY_S)
 
 
 def _require_notebook() -> None:
