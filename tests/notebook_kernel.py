@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from queue import Empty
 from typing import Any, Final
 
@@ -63,6 +64,12 @@ class Notebook:
                 self._receive(cell, message["msg_type"], message)
         raise TimeoutError(f"a cell took more than {PATIENCE_S:g} s: {code}")
 
+    def open_pages(self) -> Cell:
+        """Open the pages of the widgets of earlier cells, and return what they get."""
+        while self._widgets:
+            self._answer(self._widgets.pop())
+        return self.run_cell("")
+
     def _receive(self, cell: Cell, kind: str, message: dict[str, Any]) -> None:
         content = message["content"]
         if kind == "stream":
@@ -88,13 +95,14 @@ class Notebook:
 
 
 @contextmanager
-def start_notebook(*, is_open: bool = True) -> Iterator[Notebook]:
-    """Start a kernel of this Python, and end it with the block."""
+def start_notebook(*, is_open: bool = True, folder: Path | None = None) -> Iterator[Notebook]:
+    """Start a kernel of this Python, in a folder, and end it with the block."""
     from jupyter_client.manager import KernelManager
 
     manager = KernelManager()
-    manager.kernel_spec.argv = [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"]
-    manager.start_kernel()
+    launcher = ["-m", "ipykernel_launcher", "-f", "{connection_file}"]
+    manager.kernel_spec.argv = [sys.executable, *launcher]
+    manager.start_kernel(cwd=None if folder is None else str(folder))
     client = manager.client()
     client.start_channels()
     try:
