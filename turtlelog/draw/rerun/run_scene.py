@@ -56,7 +56,7 @@ from turtlelog.draw.rerun.world import (
 )
 from turtlelog.log.ros2.bag_scans import Surroundings
 from turtlelog.measure import Metric, measure_run
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 
 _RUN: Final = "the run"
 _EVENT_LINES: Final = f"{entities.LINES}/event"
@@ -84,6 +84,7 @@ def write_run_rrd(
     Raises:
         ShowError: If the file cannot be written.
     """
+    require_run(run)
     scene = build_run_scene(run, documents, size, surroundings)
     with open_recording(path, name=run.name, layout=build_run_layout(scene.content)) as stream:
         scene.draw(stream)
