@@ -101,6 +101,7 @@ def start_notebook(*, is_open: bool = True, folder: Path | None = None) -> Itera
 
     manager = KernelManager()
     launcher = ["-m", "ipykernel_launcher", "-f", "{connection_file}"]
+    assert manager.kernel_spec is not None
     manager.kernel_spec.argv = [sys.executable, *launcher]
     manager.start_kernel(cwd=None if folder is None else str(folder))
     client = manager.client()

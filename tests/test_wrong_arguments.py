@@ -138,6 +138,13 @@ def test_one_that_is_no_run_is_named_by_its_number(name: str) -> None:
         assert str(caught.value).startswith(begin)
 
 
+_STAY: Final = (
+    lambda time_ns, pose, goal: (0.0, 0.1),
+    lambda time_ns, pose, goal: [0.0, 0.1],
+    lambda time_ns, pose, goal: np.array([0.0, 0.1]),
+)
+
+
 def test_numbers_and_runs_may_come_from_other_libraries(tmp_path: Path) -> None:
     """Draws, sweeps and simulates a little of each: 3 s."""
     gains = pd.Series({KEY: 3.0, "law.kp_angular": 2.0})
@@ -145,6 +152,8 @@ def test_numbers_and_runs_may_come_from_other_libraries(tmp_path: Path) -> None:
     given = {KEY: np.int64(3), "law.kp_angular": np.float32(2.0)}
     assert TL.simulate_run("paper", changes=gains).equals(expected)
     assert TL.simulate_run("paper", changes=given).equals(expected)
+    stay = [TL.simulate_run("textbook", law=law, changes={"max_duration_s": 1.0}) for law in _STAY]
+    assert [run.poses.heading_rad[-1].round(2) for run in stay] == [0.1, 0.1, 0.1]
     for values in (pd.Series([1.0, 2.0]), pd.Index([1, 2]), range(1, 3), (kp for kp in (1, 2))):
         table = TL.sweep_scenario("paper", {KEY: values}, metrics="run.duration")
         assert len(table) == 2
