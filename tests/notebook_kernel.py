@@ -78,7 +78,7 @@ class Notebook:
             cell.error = f"{content['ename']}: {content['evalue']}"
         elif kind in {"display_data", "execute_result"}:
             cell.shown.append(content["data"])
-            if self._is_open and "Viewer" in content["data"]["text/plain"]:
+            if self._is_open and "rerun_notebook.Viewer" in content["data"]["text/plain"]:
                 self._answer(self._widgets.pop())
         elif kind == "comm_open" and "_esm" in content["data"]["state"]:
             self._widgets.append(content["comm_id"])
