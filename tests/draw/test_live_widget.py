@@ -57,7 +57,7 @@ def test_the_page_gets_the_run_bit_by_bit_while_the_cell_runs(
     assert 5 <= len(times_s) <= 25  # five per second, and fewer on a busy machine
     assert times_s[-1] - times_s[0] > 2.0
     file = tmp_path / "run.rrd"
-    tl.write_run_rrd(run, file)
+    tl.write_run_rrd(run, file, size=(700, 400))
     parts = write_sent(cell, tmp_path)
     found = [list_entities(part) for part in parts]
     assert set().union(*found) == list_entities(file)

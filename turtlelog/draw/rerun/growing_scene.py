@@ -12,7 +12,7 @@ from turtlelog.charts.time_axes import HEADROOM, TIMELINE
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.layout import build_run_layout
+from turtlelog.draw.rerun.layout import build_run_layout, is_small
 from turtlelog.draw.rerun.legends import name_legends
 from turtlelog.draw.rerun.marks import draw_phases, list_events
 from turtlelog.draw.rerun.plane import Look, draw_turtle
@@ -124,8 +124,9 @@ class LiveScene:
     Metrics, their marks, theory and close-ups are known only at the end, and are sent then.
     """
 
-    def __init__(self, stream: GrowingStream) -> None:
-        self._stream = stream
+    def __init__(self, stream: GrowingStream, size: tuple[int, int] | None = None) -> None:
+        """Take a stream; `size` is the size of the window [pixels], if known."""
+        self._stream, self._size = stream, size
         self._shown: list[str] = []
         self._half_size_m = 0.0
 
@@ -145,7 +146,7 @@ class LiveScene:
         Raises:
             ConnectionError: If the viewer accepts no more data.
         """
-        scene = build_run_scene(run)
+        scene = build_run_scene(run, size=self._size)
         with strict_mode():
             self._stream.begin_round(len(run.poses), is_last=True)
             self._arrange(run, scene.content)
@@ -163,6 +164,7 @@ class LiveScene:
         shown = [curves.entity for curves in series]
         if self._shown != shown:
             content = describe_content([run], [""], [series], references, ())
+            content = replace(content, is_small=is_small(self._size))
             self._shown, self._half_size_m = shown, content.plane.half_size_m
             self._arrange(run, _open_up(content, references))
             draw_world(stream, [run])

@@ -79,7 +79,7 @@ class LiveViewer:
             LibraryError: If the extra `notebook` is not installed.
         """
         if url is None:
-            scene, self._batch_s = _keep_scene(WidgetStream(size)), _WIDGET_BATCH_S
+            scene, self._batch_s = _keep_scene(WidgetStream(size), size), _WIDGET_BATCH_S
         else:
             require_viewer(url)
             scene, self._batch_s = _connect_scene(url), _BATCH_S
@@ -233,9 +233,9 @@ def _connect_scene(url: str) -> Iterator[LiveScene]:
 
 
 @contextmanager
-def _keep_scene(stream: GrowingStream) -> Iterator[LiveScene]:
+def _keep_scene(stream: GrowingStream, size: tuple[int, int] | None = None) -> Iterator[LiveScene]:
     """Yield the scene of a stream, which ends with the block."""
     try:
-        yield LiveScene(stream)
+        yield LiveScene(stream, size)
     finally:
         abandon_stream(stream)
