@@ -1,10 +1,11 @@
 """Robots with limits through the identification: do intervals hold, does its advice overshoot?
 
-python benchmarks/limits_truth.py [--plant] [--robots 30] [--seed N] [--kind KIND ...] [--all]
-    [--noise TIMES] [--duration SECONDS]
+python benchmarks/limits_truth.py [--plant | --wheels] [--robots 30] [--seed N] [--kind KIND ...]
+    [--all] [--noise TIMES] [--duration SECONDS]
 
-The robots are those of an independent simulation, which turn on the spot; with --plant those of the
-simulator's own plant, with limits on both axes.
+The robots are those of an independent simulation, which turn on the spot; with --wheels those of
+another, whose wheels limit both axes together; with --plant those of the simulator's own plant,
+with limits on both axes.
 
 Prints per kind of robot how many axes are refused and doubted, the coverage of each interval, the
 median error of the total delay, and how often P control by the recommended gain for 5 % overshoots
@@ -23,13 +24,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import turtlelog as tl
-from tests.identify import limited_robots, plant_robots
-from tests.identify.limited_robots import Limited
+from tests.identify import limited_robots, plant_robots, strange_robots, wheel_robots
 from turtlelog.identify import AxisModel
 
 NAMES = (
     *("gain", "dead_time_s", "lag_s", "total_delay_s"),
-    *("rate_limit", "bound", "deadband", "reverse_gain", "friction"),
+    *("rate_limit", "bound", "bound_beside", "deadband", "reverse_gain", "friction"),
 )
 """Whose intervals are counted."""
 
@@ -88,6 +88,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plant", action="store_true", help="robots of the simulator's own plant")
+    parser.add_argument("--wheels", action="store_true", help="robots with limited wheels")
     parser.add_argument("--robots", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kind", nargs="*")
@@ -99,7 +100,9 @@ def main() -> None:
     print(f"{asked.robots} robots of each kind, seeds from {asked.seed} on; % of intervals hold")
     heads = f"{'kind':13}{'refused':>8}{'doubted':>8}"
     print(heads, *(f"{name:>13}" for name in NAMES), "  error", "P<=6%")
-    known = plant_robots.KINDS if asked.plant else limited_robots.KINDS
+    known = [*limited_robots.KINDS, *strange_robots.KINDS]
+    known = [*wheel_robots.KINDS] if asked.wheels else known
+    known = [*plant_robots.KINDS] if asked.plant else known
     for kind in asked.kind or known:
         row = Row()
         for one in identify_robots(kind, asked):
@@ -112,21 +115,23 @@ def main() -> None:
 
 def identify_robots(kind: str, asked: argparse.Namespace) -> Iterator[Identified]:
     """Yield the robots of a kind."""
-    identify = identify_plant if asked.plant else identify_limited
+    identify = identify_wheels if asked.wheels else identify_limited
+    identify = identify_plant if asked.plant else identify
     for seed in range(asked.seed, asked.seed + asked.robots):
         yield identify(kind, seed, asked.noise, asked.duration)
 
 
 def identify_limited(kind: str, seed: int, noise: float, duration_s: float) -> Identified:
     """Identify a robot of the independent simulation."""
-    truth, log = limited_robots.draw_robot(kind, seed)
+    drawn = limited_robots if kind in limited_robots.KINDS else strange_robots
+    truth, log = drawn.draw_robot(kind, seed)
     log = replace(log, noise_rad=noise * log.noise_rad, duration_s=duration_s)
     run = limited_robots.turn_on_the_spot(truth, log, seed)
     model = tl.identify_robot(run)
     known = model.turn_rate.is_known
     overshoots = limited_robots.turn_as_advised(model, run, truth) if known else []
     return Identified(
-        f"{seed} {truth}", [(model.turn_rate, list_truth(truth))], overshoots, model.notes
+        f"{seed} {truth}", [(model.turn_rate, truth.list_truth())], overshoots, model.notes
     )
 
 
@@ -147,19 +152,25 @@ def identify_plant(kind: str, seed: int, noise: float, duration_s: float) -> Ide
     return Identified(f"{seed} {keys}", axes, overshoots, model.notes)
 
 
-def list_truth(truth: Limited) -> dict[str, float]:
-    """Return the true values by name."""
-    return {
-        "gain": truth.gain,
-        "dead_time_s": truth.dead_time_s,
-        "lag_s": truth.lag_s,
-        "total_delay_s": truth.dead_time_s + truth.lag_s,
-        "rate_limit": min(truth.acceleration, truth.ramp),
-        "bound": min(truth.bound, truth.stop),
-        "deadband": truth.deadband,
-        "friction": truth.friction,
-        "reverse_gain": truth.gain * truth.reverse,
-    }
+def identify_wheels(kind: str, seed: int, noise: float, duration_s: float) -> Identified:
+    """Identify a robot whose wheels limit both axes together."""
+    truth, log = wheel_robots.draw_robot(kind, seed)
+    log = replace(
+        log, noise_rad=noise * log.noise_rad, noise_m=noise * log.noise_m, duration_s=duration_s
+    )
+    run = wheel_robots.drive_wheels(truth, log, seed)
+    model = tl.identify_robot(run)
+    spot = replace(
+        truth.wheel, gain=truth.turn_gain, bound=truth.list_truth(model.turn_rate)["bound"]
+    )
+    spot = replace(
+        spot,
+        acceleration=spot.acceleration * 2 * truth.turn_gain / truth.wheel.gain / truth.track_m,
+    )
+    known = all(axis.is_known for axis in model.axes)
+    overshoots = limited_robots.turn_as_advised(model, run, spot) if known else []
+    axes = [(axis, truth.list_truth(axis)) for axis in model.axes]
+    return Identified(f"{seed} {truth}", axes, overshoots, model.notes)
 
 
 def judge(axis: AxisModel, truth: dict[str, float]) -> dict[str, tuple[bool, str]]:

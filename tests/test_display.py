@@ -44,7 +44,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     "LAWS": (lambda: LAWS, f"<{len(LAWS)} laws: sequential-p"),
     "kind of metric": (
         lambda: tl.METRICS["run.duration"],
-        "<MetricKind [s]: From the first sample",
+        "<MetricKind [s]: Time from the first sample",
     ),
     "kind of signal": (lambda: tl.SIGNALS["x"], "<SignalKind [m]: Position in the world frame.>"),
     "kind of figure": (

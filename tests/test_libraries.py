@@ -17,7 +17,7 @@ from turtlelog.log import read_recording
 RECORDING = str(Path("recordings/paper/kp10.mcap").resolve())
 OTHER = str(Path("recordings/paper/kp4.mcap").resolve())
 MAIN = "from turtlelog.cli.app import main; main()"
-LIBRARIES = ["rerun", "pyarrow", "matplotlib", "control"]
+LIBRARIES = ["rerun", "pyarrow", "matplotlib", "control", "numba"]
 LACKS = f"import sys; sys.modules |= dict.fromkeys({LIBRARIES}); {MAIN}"
 
 
@@ -41,6 +41,7 @@ def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProces
         ("check", "spec.toml", RECORDING),
         ("explain", RECORDING),
         ("compare", RECORDING, OTHER),
+        pytest.param(("compare", RECORDING, OTHER, "--why"), id="why"),
         ("replay", RECORDING, "--law"),
         ("run", "textbook", "-o", "run.mcap"),
         ("theory", "--kp", "4"),

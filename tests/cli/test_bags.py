@@ -201,4 +201,5 @@ def test_a_cut_bag_says_that_it_is_cut_whatever_topic_is_asked_for(
     for words in ([], ["--pose-topic", "/odom"]):
         answer = call("metrics", cut, *words)
         assert answer.code == 2
-        assert ": no end of an MCAP file: truncated or unfinished" in answer.err
+        assert ": truncated or unfinished (no end of an MCAP file" in answer.err
+        assert answer.err.rstrip().endswith("; turtlelog convert --recover reads what is left")

@@ -174,7 +174,10 @@ def test_a_first_spec_is_passed_by_the_run_that_it_was_read_off(
     call: Call, kp4: Path, kp10: Path, tmp_path: Path
 ) -> None:
     target = tmp_path / "first.toml"
-    assert call("check", "--init", kp4, "-o", target).code == 0
+    first = call("check", "--init", kp4, "-o", target)
+    assert first.code == 0
+    assert first.out.startswith(f"first.toml: 13 checks read off {kp4.name}, each with 10 to 20 %")
+    assert f"Then: turtlelog check {target} FILE..." in first.flat
     tables = tomllib.loads(target.read_text("utf-8"))
     assert all(check["observed"] for check in tables["checks"].values())
     assert (target.parent / tables["reference"]).resolve() == kp4.resolve()
@@ -203,11 +206,14 @@ def test_a_truncated_recording_fails_unless_partial_is_asked_for(
 
 def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     """Write files that are no recordings, and return what is said of each."""
-    ended = "no end of an MCAP file: truncated or unfinished"
+    ended = "truncated or unfinished (no end of an MCAP file"
     contents = {
         "empty.mcap": (b"", "byte 0: not an MCAP file: it is empty"),
-        "head.mcap": (whole[:100], f"{ended}: "),
-        "first.mcap": (whole[:5000], f"byte 5000: {ended}; in what it still holds: topic /turtle1"),
+        "head.mcap": (whole[:100], f"{ended}): "),
+        "first.mcap": (
+            whole[:5000],
+            f"{ended} at byte 5000); in what it still holds: topic /turtle1",
+        ),
         "text.mcap": (b"hello", "byte 0: not an MCAP file: it is text"),
         "other.json": (b"{}", "data: expected a JSON object"),
     }

@@ -38,7 +38,6 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_scenario(path, {**PLANT, **NOISE, "name": "robot"})
 
 
-@pytest.mark.thorough
 def test_a_bag_is_compared_with_the_robot_of_a_scenario(
     call: Call, bag: Path, scenario: Path, tmp_path: Path
 ) -> None:

@@ -210,7 +210,6 @@ def test_an_edited_law_is_named_before_where_the_runs_depart(
     assert len(digests) == 2
 
 
-@pytest.mark.thorough
 def test_the_contributions_are_drawn(call: Call, kp4: Path, kp10: Path, tmp_path: Path) -> None:
     """Takes some 2 s: matplotlib is loaded."""
     plot = tmp_path / "why.svg"

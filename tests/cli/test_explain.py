@@ -210,7 +210,7 @@ def test_explain_says_of_a_robot_its_rates_and_nothing_of_a_turtle(call: Call) -
         "A robot, not turtlesim, ",
         "634 commands, usually one every 101.",
         "Largest commands: speed 0.12 m/s at ",
-        "The measured turn rate holds 1 outlier, -143.6 rad/s at ",
+        "The measured turn rate has 1 outlier, -143.6 rad/s at ",
         "1 jump, ",
     ):
         assert sentence in text

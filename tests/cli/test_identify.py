@@ -180,6 +180,11 @@ def test_a_figure_that_cannot_be_drawn_is_one_line(
     assert line in answer.err
 
 
+def test_two_runs_of_turtlesim_are_explained_one_by_one(call: Call, kp4: Path, kp10: Path) -> None:
+    last = call("identify", kp4, kp10).out.splitlines()[-1]
+    assert last == f"Why? turtlelog explain {kp4}"
+
+
 def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
     answer = call("identify", kp10, "--json").json
     delays = answer["tick_delays"]

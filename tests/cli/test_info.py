@@ -265,7 +265,7 @@ def test_columns_and_topics_that_are_asked_for_are_looked_at(call: Call, tmp_pat
     bag = write_mcap(tmp_path / "bag.mcap", [*make_drive(), *make_poses(3)])
     (answer,) = call("info", bag, "--json", "--pose-topic", "/odom", *columns).json
     assert answer["summary"].startswith("a robot: /odom at 20 Hz")
-    assert answer["notes"]["columns"] == "this is no table: --column t, heading is not used"
+    assert answer["notes"]["unused"] == "--column t, heading is not used: this is no table"
     failed = call("info", bag, "--pose-topic", "/odo")
     assert failed.code == 2
     assert "pose_topic: expected a topic with messages, found /odo" in failed.err
@@ -282,7 +282,7 @@ def test_what_a_table_is_taken_for_is_said(call: Call, tmp_path: Path) -> None:
     )
     assert answer.code == 0
     assert "heading from yaw [deg]" in answer.err
-    assert "; this is no table: --column heading is not used" in answer.err
+    assert "bag.mcap: --column heading is not used: this is no table" in answer.err
 
 
 @pytest.mark.parametrize("name", ["kp10", "tb3", "cut"])

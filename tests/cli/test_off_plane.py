@@ -76,6 +76,16 @@ def test_a_robot_in_the_plane_has_no_metrics_in_space(call: Call, tmp_path: Path
     assert "in space" not in call("metrics", bag).out
 
 
+@pytest.mark.parametrize(("height_m", "is_told"), [(0.051, True), (-1.5, True), (0.049, False)])
+def test_the_height_of_a_plane_is_left_out_and_that_is_said(
+    call: Call, tmp_path: Path, height_m: float, *, is_told: bool
+) -> None:
+    bag = write_robot(tmp_path, [say_pose(row, 0.04 * row, height_m) for row in range(50)])
+    told = call("convert", bag, "-o", tmp_path / "o.mcap").flat
+    line = f"height: the poses are at a height of {height_m:.3g} m, which is left out"
+    assert (line in told) is is_told
+
+
 @pytest.mark.parametrize(("pitch_deg", "count"), [(84.9, 21), (85.1, 20), (-90.0, 20)])
 def test_a_forward_axis_near_the_vertical_tells_no_heading(
     call: Call, tmp_path: Path, pitch_deg: float, count: int

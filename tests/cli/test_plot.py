@@ -75,7 +75,6 @@ def test_json_names_files_titles_and_the_paper_s_figures(
     assert (answer["files"], answer["tables"]) == ([], [])
 
 
-@pytest.mark.thorough
 def test_of_somebody_s_recording_that_is_drawn_which_it_holds_and_the_rest_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

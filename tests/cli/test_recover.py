@@ -101,7 +101,7 @@ def test_a_recovered_recording_is_told_by_info_and_metrics(
 ) -> None:
     whole = tmp_path / "whole.mcap"
     assert call("convert", "--recover", headless, "-o", whole).code == 0
-    line = "recovered: from a damaged or unfinished file: nobody knows how many messages are lost"
+    line = "recovered: from a damaged or unfinished file: the number of lost messages is unknown"
     answer = call("metrics", whole)
     assert (answer.code, answer.err.count("\n")) == (0, 1)
     assert answer.err.startswith(f"{whole}: {line} (byte ")

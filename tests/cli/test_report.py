@@ -42,7 +42,6 @@ def test_a_report_of_four_runs_is_one_file_that_names_all_of_it(
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
 
 
-@pytest.mark.thorough
 def test_a_run_alone_is_explained_with_its_ghosts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -95,7 +95,13 @@ def test_a_stripped_view_is_called_by_its_file(call: Call, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["riddle.mcap"], "riddle.mcap: is not a recording with its whole scenario"),
+        (["riddle.mcap"], "riddle.mcap has no whole scenario to simulate; name a preset"),
+        (["poses.csv"], "poses.csv has no whole scenario to simulate; name a preset"),
+        (["spec.toml"], "spec.toml is a specification, not a scenario: turtlelog check spec.toml"),
+        (["paper", "--duration", "3"], "did you mean --set max_duration_s=3?"),
+        (["paper", "--max-duration", "3"], "did you mean --set max_duration_s=3?"),
+        (["paper", "--seed", "3"], "did you mean --set seed=3?"),
+        (["paper", "--pause=3"], "did you mean --set law.pause_ticks=3?"),
         (["ridle.mcap"], "ridle.mcap: no such file; did you mean riddle.mcap?"),
         (["paper", "--strip-scenario"], "--strip-scenario: needs -o or --rrd"),
         (
@@ -110,6 +116,8 @@ def test_bad_use_is_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     call("run", "paper-kp4", "--strip-scenario", "-o", "riddle.mcap")
+    call("convert", "riddle.mcap", "-o", "poses.csv")
+    Path("spec.toml").write_text('format = 1\n[checks.end]\nexpect = "run.duration < 9"\n')
     answer = call("run", *words)
     assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
     assert line in answer.err

@@ -148,7 +148,7 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["--period", "0"], "--period 0: must be greater than 0"),
         (["--period", "nan"], "--period nan: must be a sampling period > 0"),
         (["--dead-time=-1"], "--dead-time -1: must be 0 or greater"),
-        (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number"),
+        (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number of ticks"),
         (["--dead-time", "1e9"], "--dead-time 1e9: must be a whole number"),
         (["--lag", "nan"], "--lag nan: must be a number from 0 to 1e+100"),
         (["--ki=-1"], "--ki -1: must be 0 or greater"),
@@ -199,7 +199,7 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     # Of 1.6 samples of dead time two commands wait and a third acts in part; lag, integral, plant.
     assert len(low["poles"]) == 5
     assert (fine["gain_margin"], fine["phase_margin_rad"]) == (None, None)
-    text = call("theory", "--kp", "2,30", *loop).out
+    text = call("theory", "--kp", "2,30", *loop, "--details").out
     assert re.search(r"stable for Kp \[1/s\] +0.2326 to 10.83  0.2326 to 10.83", text)
     assert re.search(r"overshoots +by 22.43 % +without end", text)
     lines = text.splitlines()
@@ -307,8 +307,17 @@ def test_gains_of_a_scenario_belong_to_no_recording(call: Call, kp10: Path) -> N
 
 def test_many_gains_with_other_terms_stand_in_tables_that_fit(call: Call) -> None:
     answer = call("theory", "--kp", "1,2,3,4,5,6,7,8,9", "--ki", "0.1", "--lag", "0.1")
-    assert answer.out.count("The sampled loop") == 3
-    assert max(map(len, answer.out.splitlines())) <= 80
+    rows = answer.out.partition("The sampled loop")[2].partition("---\n")[2].splitlines()[:9]
+    assert [row.split()[0] for row in rows] == [*"123456789"]
+    details = call("theory", "--kp", "1,2,3,4,5,6,7,8,9", "--ki", "0.1", "--details")
+    assert details.out.count("Loop by loop") == 3
+    for out in (answer.out, details.out):
+        assert max(map(len, out.splitlines())) <= 80
+
+
+def test_no_more_than_forty_lines_advise_on_four_gains(call: Call) -> None:
+    answer = call("theory", "--lag", "0.2", "--dead-time-s", "0.1", "--ki", "0.01")
+    assert len(answer.out.splitlines()) <= 40
 
 
 @pytest.mark.thorough
@@ -317,7 +326,7 @@ def test_an_overshoot_that_no_digit_shows_is_none(call: Call, kp: str, words: st
     options = ("--lag", "0.09", "--period", "0.001", "--low-pass", "0")
     found = call("theory", "--kp", kp, *options, "--json").json["gains"][0]
     assert found["overshoots"] == (words != "no")
-    text = call("theory", "--kp", kp, *options).out
+    text = call("theory", "--kp", kp, *options, "--details").out
     assert re.search(rf"overshoots +{words}\n", text)
 
 

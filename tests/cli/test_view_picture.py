@@ -76,7 +76,7 @@ def test_the_view_of_a_bag_has_its_scans_unless_told_not_to(call: Call, tmp_path
     shown, bare = tmp_path / "shown.rrd", tmp_path / "bare.rrd"
     answer = call("view", bag, "--save", shown)
     assert f"{bag}: Scans of /scan: 1 scan." in answer.err
-    assert f"{bag}: Map of /map: 1 occupied cell of 0.5 m." in answer.err
+    assert f"{bag}: Map of /map: 1 x 1 cells of 0.5 m, 1 occupied cell." in answer.err
     assert {"/plane/scan", "/plane/walls", "/plane/map"} <= list_entities(shown)
     assert "Scans of" not in call("view", bag, "--save", bare, "--no-scans").err
     assert not {"/plane/scan", "/plane/walls", "/plane/map"} & list_entities(bare)

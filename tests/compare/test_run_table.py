@@ -73,6 +73,16 @@ def test_equal_runs_and_runs_without_a_value_have_no_marks() -> None:
     assert tl.compare.mark_metric([], "run.duration") == {}
 
 
+@pytest.mark.parametrize(("other_s", "marks"), [(20.54, {}), (20.56, {0: "best", 1: "worst"})])
+def test_values_that_are_printed_alike_are_equally_good(
+    other_s: float, marks: dict[int, str]
+) -> None:
+    duration = dataclasses.replace(SUMMARIES[0].metrics["run.duration"], value=other_s)
+    metrics = {**SUMMARIES[0].metrics, "run.duration": duration}
+    other = dataclasses.replace(SUMMARIES[0], metrics=metrics)
+    assert tl.compare.mark_metric([SUMMARIES[0], other], "run.duration") == marks
+
+
 def test_a_missing_value_shows_its_status() -> None:
     table = tl.tabulate_runs([SUMMARIES[0], CUT], only=["translate.duration"])
     assert read_column(table, "translate.duration")[1] == "no_phase"
@@ -205,3 +215,21 @@ def test_a_summary_comes_through_a_pickle_as_it_was() -> None:
     assert again == CUT
     with pytest.raises(TypeError):
         again.parameters["law.kp_linear"] = 3.0
+
+
+def test_an_effect_that_one_scenario_leaves_out_is_named_beside_the_seed() -> None:
+    paper = tl.load_scenario("paper-kp4")
+    noise = {"sensing.noise_position_m": 0.01, "seed": 3}
+    runs = [tl.simulate_run(paper), tl.simulate_run(tl.override_scenario(paper, noise))]
+    summaries = [tl.summarise_run(run) for run in runs]
+    title = tl.tabulate_runs(summaries).title
+    assert title.startswith("2 runs (seed and sensing.noise_position_m differ)")
+    cut = tl.summarise_run(dataclasses.replace(runs[0], scenario_is_complete=False))
+    assert "noise_position_m" not in tl.tabulate_runs([cut, summaries[1]]).title
+
+
+def test_an_effect_at_its_default_does_not_differ_from_none() -> None:
+    paper = tl.load_scenario("paper-kp4")
+    off = tl.override_scenario(paper, {"sensing.delay_s": 0.0, "law.kp_linear": 3.0})
+    summaries = [tl.summarise_run(tl.simulate_run(one)) for one in (paper, off)]
+    assert "sensing" not in tl.tabulate_runs(summaries).title

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import turtlelog as tl
 from tests.compare.trajectories import STEP_NS, disturb, make_alignment, make_trajectory
@@ -17,6 +18,7 @@ from turtlelog.compare import (
 from turtlelog.compare.trajectory_errors import (
     align_trajectory,
     associate_trajectories,
+    build_rotations,
     choose_pairs,
     find_alignment,
     summarise_errors,
@@ -145,6 +147,42 @@ def test_a_motion_over_a_gap_is_no_motion_of_a_second() -> None:
     first, second = choose_pairs(cut, 1.0, "s")
     assert ((cut.time_ns[second] - cut.time_ns[first]) == 1_000_000_000).all()
     assert len(first) == 2
+
+
+def find_matrices(trajectory: Trajectory) -> NDArray[np.float64]:
+    """Return the poses as homogeneous matrices, shape (n, 4, 4)."""
+    matrices = np.tile(np.eye(4), (len(trajectory), 1, 1))
+    matrices[:, :3, :3] = build_rotations(trajectory.orientation_quat_wxyz)
+    matrices[:, :3, 3] = trajectory.xyz_m
+    return matrices
+
+
+@pytest.mark.parametrize("overlaps", [False, True])
+@pytest.mark.parametrize("delta", ["0.5s", "1s", "10frames"])
+def test_relative_errors_are_those_of_the_definition(delta: str, *, overlaps: bool) -> None:
+    # Sturm et al., 2012: E_i = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j); j is half a second or a second later.
+    random = np.random.default_rng(2)
+    turns = TRUTH.orientation_quat_wxyz + random.normal(0.0, 0.01, (len(TRUTH), 4))
+    estimate = replace(
+        TRUTH,
+        xyz_m=TRUTH.xyz_m + random.normal(0.0, 0.02, (len(TRUTH), 3)),
+        orientation_quat_wxyz=turns / np.linalg.norm(turns, axis=1, keepdims=True),
+    )
+    steps = 20 if delta == "1s" else 10
+    firsts = np.arange(0, len(TRUTH) - steps, 1 if overlaps else steps)
+    true, found = find_matrices(TRUTH), find_matrices(estimate)
+    motions = [np.linalg.inv(one[firsts]) @ one[firsts + steps] for one in (true, found)]
+    errors = np.linalg.inv(motions[0]) @ motions[1]
+    cosine = (np.trace(errors[:, :3, :3], axis1=1, axis2=2) - 1.0) / 2.0
+    rows = compare(estimate, align="none", deltas=(parse_delta(delta),), overlaps=overlaps)
+    expected = np.linalg.norm(errors[:, :3, 3], axis=1)
+    statistics = find(rows, "rpe")
+    assert statistics.count == len(firsts)
+    assert statistics.rmse == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-12)
+    assert statistics.max == pytest.approx(expected.max(), rel=1e-12)
+    turned = rows.find_error("rpe", "rotation")
+    assert turned is not None
+    assert turned.mean == pytest.approx(np.arccos(cosine).mean(), rel=1e-8)
 
 
 def test_the_nearest_pose_is_taken_up_to_the_largest_difference() -> None:

@@ -24,7 +24,7 @@ ANSWERS: Final = {
     "theory": "theory_tables:IntegratorAnswer",
     "theory --lag": "theory:_TermsAnswer",
     "theory FILE": "theory:_FileAnswer",
-    "info": "info:InfoAnswer",
+    "info": "info_answer:InfoAnswer",
     "metrics": "metrics:MeasuredFile",
     "metrics -o TABLE": "folders:TableAnswer",
     "compare": "compare:_AcrossAnswer",
@@ -52,8 +52,9 @@ HEAD: Final = """# JSON
 
 `--json` prints one JSON value and nothing else: a list from `info` and `metrics`, an object from
 the others. Quantities are in SI units and radians unless the name or unit says otherwise. A value
-that does not exist is null, with a `status` or `reason` beside it. For programs the same is in
-[schemas.json](schemas.json): a JSON schema for each command.
+that does not exist is null, with a `status` or `reason` beside it. A linked type has its table in
+the section of another command. For programs the same is in [schemas.json](schemas.json): a JSON
+schema for each command.
 """
 
 
@@ -97,16 +98,27 @@ def format_schemas() -> str:
 
 
 def format_page() -> str:
-    """Return the page: of each answer its keys in a table, and those of what stands within."""
-    return "\n".join([HEAD, *(_format_answer(typed) for typed in ANSWERS)])
+    """Return the page: of each answer its keys in a table, and those of what stands within.
+
+    A part of several answers has its table in the first of them, to which the others link.
+    """
+    places: dict[str, str] = {}
+    return "\n".join([HEAD, *(_format_answer(typed, places) for typed in ANSWERS)])
 
 
-def _format_answer(typed: str) -> str:
+def _format_answer(typed: str, places: dict[str, str]) -> str:
+    """Return the section of an answer; add to the sections by the tables that they have first."""
     parts = build_schema(typed)["$defs"]
     first = find_answer(typed).__name__
     names = [first, *(name for name in parts if name != first)]
-    tables = (_format_part(name, parts[name], is_first=name == first) for name in names)
-    return f"## `turtlelog {typed} --json`\n\n" + "\n".join(tables)
+    tables = {name: _format_part(name, parts[name], is_first=name == first) for name in names}
+    anchor = re.sub(r"[^\w-]", "", f"turtlelog {typed} --json".lower().replace(" ", "-"))
+    text = "\n".join(one for one in tables.values() if places.setdefault(one, anchor) == anchor)
+    for name, table in tables.items():
+        if places[table] != anchor:
+            word = f"`{_name_part(name)}`"
+            text = text.replace(word, f"[{word}](#{places[table]})")
+    return f"## `turtlelog {typed} --json`\n\n" + text
 
 
 def _format_part(name: str, part: dict[str, Any], *, is_first: bool) -> str:

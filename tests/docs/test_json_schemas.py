@@ -51,6 +51,7 @@ TYPED = {
 
 
 def test_the_page_and_the_schemas_are_those_of_the_answers() -> None:
+    """The modules of all commands are loaded, and each schema is built twice."""
     assert PAGE.read_text("utf-8") == format_page()
     assert SCHEMAS.read_text("utf-8") == format_schemas()
 

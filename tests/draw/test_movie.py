@@ -70,7 +70,6 @@ def test_turtles_drive_and_in_the_end_nothing_moves(runs: tuple[Run, ...]) -> No
     assert len(moving) - film.driving == still - 1
 
 
-@pytest.mark.thorough
 def test_a_gif_can_be_read_back(runs: tuple[Run, ...], tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     path = tmp_path / "run.gif"
@@ -82,7 +81,6 @@ def test_a_gif_can_be_read_back(runs: tuple[Run, ...], tmp_path: Path) -> None:
     assert seen[-1] == (20, 20)
 
 
-@pytest.mark.thorough
 def test_an_mp4_can_be_read_back(
     runs: tuple[Run, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -177,7 +177,7 @@ def test_a_column_of_texts_is_compared_row_by_row() -> None:
         ("t < t", 3, "expected numbers around <, found a text"),
         ("n < 1 < b", 7, "expected two of a kind around <, found a number and true or false"),
         ("b <= b", 3, "expected numbers around <=, found true or false"),
-        ("n and b", 1, "expected true or false, found n, a number"),
+        ("n and b", 1, "expected true or false, found n, a number; compare it, for example n <= 2"),
         ("b and b and n + 1", 15, "expected true or false, found a number"),
         ("not t", 5, "expected true or false, found t, a text"),
         ("b implies 3", 11, "expected true or false, found a number"),

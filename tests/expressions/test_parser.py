@@ -129,6 +129,7 @@ def test_temporal_expressions_say_so(text: str) -> None:
         ("__import__('os')", 1, "expected a function like .*, found '__import__'"),
         ("x.__class__", None, ""),
         ("f(1", 1, "expected a function like"),
+        ("alway(x < 1)", 1, "expected a function like always, found 'alway'"),
         ("abs(1", 6, r"expected '\)', found the end"),
         ("always x > 1", 8, r"expected '\(', found 'x'"),
         ("always[2, 1](x > 1)", 11, "expected a second bound of at least 2 s, found '1'"),

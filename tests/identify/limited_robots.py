@@ -56,6 +56,28 @@ class Limited:
         rate = self.gain * command * (self.reverse if command < 0.0 else 1.0)
         return min(max(rate, -self.bound), self.bound)
 
+    def delay(self, time_s: Values) -> Values:
+        """Return when commands act."""
+        return np.asarray(time_s + self.dead_time_s)
+
+    def build(self) -> "LimitedRobot":
+        """Return the robot at rest."""
+        return LimitedRobot(self)
+
+    def list_truth(self) -> dict[str, float]:
+        """Return the true values by the names of the model's fields."""
+        return {
+            "gain": self.gain,
+            "dead_time_s": self.dead_time_s,
+            "lag_s": self.lag_s,
+            "total_delay_s": self.dead_time_s + self.lag_s,
+            "rate_limit": min(self.acceleration, self.ramp),
+            "bound": min(self.bound, self.stop),
+            "deadband": self.deadband,
+            "friction": self.friction,
+            "reverse_gain": self.gain * self.reverse,
+        }
+
 
 @dataclass(slots=True)
 class LimitedRobot:
@@ -133,8 +155,8 @@ def turn_on_the_spot(truth: Limited, log: Log, seed: int) -> Run:
 
 def find_headings(truth: Limited, time_s: Values, turns: Values, at_s: Values) -> Values:
     """Return the heading at some times, after commands [rad]."""
-    robot = LimitedRobot(truth)
-    acts_s = time_s + truth.dead_time_s
+    robot = truth.build()
+    acts_s = truth.delay(time_s)
     events = sorted(
         [(now_s, 0, value) for now_s, value in zip(acts_s.tolist(), turns.tolist(), strict=True)]
         + [(now_s, 1, 0.0) for now_s in at_s.tolist()]
@@ -152,7 +174,7 @@ def find_headings(truth: Limited, time_s: Values, turns: Values, at_s: Values) -
 
 def turn_by(truth: Limited, angle_rad: float, kp: float, period_s: float, limit: float) -> float:
     """Return by how much P control overshoots a turn [%]; its commands end at a limit [rad/s]."""
-    robot, waiting = LimitedRobot(truth), list[tuple[float, float]]()
+    robot, waiting = truth.build(), list[tuple[float, float]]()
     largest = now_s = 0.0
     for tick in range(round(12.0 / period_s)):
         tick_s = tick * period_s

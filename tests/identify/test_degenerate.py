@@ -156,3 +156,22 @@ def test_commands_that_move_nothing_are_told(size: float, *, is_told: bool) -> N
     speed = run.commands.speed_m_s * (size / np.abs(run.commands.speed_m_s).max())
     model = tl.identify_robot(replace(run, commands=replace(run.commands, speed_m_s=speed)))
     assert ("which moves nothing" in model.speed.reason) is is_told
+
+
+@pytest.mark.parametrize("lost", [0, 7])
+def test_a_robot_at_one_speed_follows_no_commands_whatever_poses_are_lost(lost: int) -> None:
+    # Steps over lost poses are twice as long, which a slow response explains and commands do not.
+    log = Log(duration_s=20.0, poses_hz=20.0)
+    run = make_run(log, 1)
+    count = len(run.poses)
+    x_m = 0.3 * run.poses.time_ns / 1e9
+    kept = np.ones(count, dtype=np.bool_)
+    if lost:
+        kept[::lost] = False
+    poses = tl.run.PoseColumns(
+        time_ns=run.poses.time_ns[kept],
+        xy_m=np.column_stack([x_m, np.zeros(count)])[kept],
+        heading_rad=np.zeros(int(kept.sum())),
+    )
+    found = tl.identify_robot(replace(run, poses=poses)).speed
+    assert found.status == "not_identifiable"

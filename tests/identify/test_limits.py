@@ -266,23 +266,3 @@ def test_commands_of_one_size_leave_the_gain_of_others_unknown(
     run = make_run(replace(LOG, duration_s=15.0), 2, speed=(time_s, 0.0 * time_s), turn=turns)
     notes = " ".join(tl.identify_robot(run).notes)
     assert ("All commands of the turn rate have one size" in notes) is is_told
-
-
-@pytest.mark.parametrize(("beside", "is_told"), [(1.0, False), (0.8, True)])
-def test_a_turn_rate_that_is_slower_while_it_drives_is_doubted(
-    beside: float, *, is_told: bool
-) -> None:
-    """A robot is identified from 40 s of motion, so that either part of it shows its own gain."""
-    rng = np.random.default_rng(4)
-    time_s = np.arange(0.5, 39.5, 0.05)
-    held = (time_s / 0.8).astype(int)
-    turns = rng.uniform(-1.0, 1.0, 60)[held]
-    speeds = np.where(held % 4 < 2, 0.3, 0.0)
-    obeyed = turns * np.where(speeds > 0.0, beside, 1.0)
-    log = replace(LOG, duration_s=40.0)
-    run = make_run(log, 4, speed=(time_s, speeds), turn=(time_s, obeyed))
-    commands = replace(run.commands, turn_rate_rad_s=turns)
-    found = tl.identify_robot(replace(run, commands=commands)).turn_rate
-    assert any("commands with and without a speed" in one for one in found.doubts) is is_told
-    gain = known(found.gain)
-    assert (gain.low <= 0.8 and gain.high >= 1.0) is is_told

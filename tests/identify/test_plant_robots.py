@@ -17,6 +17,7 @@ from tests.identify.plant_robots import (
 )
 from tests.known import known
 from turtlelog.identify import AxisModel, build_robot_scenario
+from turtlelog.identify.axis_values import NORMAL_95
 from turtlelog.run import Run
 
 SEED = 5
@@ -65,6 +66,14 @@ def test_intervals_hold_the_limits_of_the_plant(kind: str) -> None:
             assert found.low <= value <= found.high
             if name != "deadband":  # which is between two commands
                 assert found.value == pytest.approx(value, rel=5e-3)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_no_limit_is_known_more_finely_than_its_effect_is_measured(share: float) -> None:
+    """A bound that a log shows to a millionth has the least interval, of 1e-4 on either side."""
+    found = known(identify("two")[2].speed.bound)
+    least = 2.0 * NORMAL_95 * 1e-4 * found.value
+    assert (found.high - found.low >= share * least) is (share < 1.0)
 
 
 @pytest.mark.everyday("two")

@@ -58,9 +58,9 @@ def test_a_log_of_the_papers_is_imported() -> None:
         (
             "a.db3",
             bytes(100),
-            r"byte 0: expected a bag in SQLite \(0x53514c6974652066\), found 0x0",
+            r"byte 0: not a bag in SQLite: it begins with 0x0",
         ),
-        ("a.db3", b"text, text", r"byte 0: expected a bag in SQLite \(\w+\), found 0x746578742c"),
+        ("a.db3", b"text, text", r"byte 0: not a bag in SQLite: it begins with 0x746578742c"),
         ("a.db3", b"", "expected a bag in SQLite, found an empty file"),
         ("a.log", b"timestamp,time", ".* it is text; names of logs and tables end in"),
         ("a.json", b"{", r"expected JSON, found"),

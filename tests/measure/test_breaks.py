@@ -62,7 +62,8 @@ def test_the_step_back_of_a_real_robot_is_found() -> None:
     ("parts", "jumps", "gaps"),
     [
         (("robots", "tf_only"), 0, 1),
-        (("robots", "sim_time"), 0, 0),
+        # It spins at 6.6 rad/s, and moves 1 cm aside in a single step.
+        (("robots", "sim_time"), 1, 0),
         (("ros2", "turtlesim_jazzy"), 0, 3),
     ],
 )
@@ -73,12 +74,13 @@ def test_other_real_robots_break_where_they_do(
     assert (len(find_jumps(run)), len(find_gaps(run))) == (jumps, gaps)
 
 
-@pytest.mark.parametrize(("beyond_m", "is_found"), [(0.0151, True), (0.0149, False)])
+@pytest.mark.parametrize(("share", "is_found"), [(1.02, True), (0.98, False)])
 @pytest.mark.parametrize("speed", [0.0, 0.2, 1.0, 5.0])
 def test_what_exceeds_driving_is_a_jump_however_fast_that_is(
-    speed: float, beyond_m: float, *, is_found: bool
+    speed: float, share: float, *, is_found: bool
 ) -> None:
-    # 2 m/s2 for 50 ms are 5 mm in 50 ms; three times that is no longer what a robot can add.
+    # Speeding up at 2 m/s2 for 75 ms and braking as long adds 11 mm; stamps may be 2 ms off.
+    beyond_m = share * (2.0 * 0.075**2 + 0.002 * speed)
     run = move(make_robot(speed), 100, beyond_m)
     assert list_rows(run) == ([100] if is_found else [])
     if is_found and speed:
@@ -87,7 +89,7 @@ def test_what_exceeds_driving_is_a_jump_however_fast_that_is(
         assert jump.moved_m == pytest.approx(speed / 20.0 + beyond_m, rel=0.01)
 
 
-@pytest.mark.parametrize(("noise_m", "least"), [(0.0, 1.0), (0.0005, 1.0), (0.005, 0.75)])
+@pytest.mark.parametrize(("noise_m", "least"), [(0.0, 1.0), (0.0005, 1.0), (0.005, 0.9)])
 @pytest.mark.parametrize("hz", [10.0, 20.0, 50.0])
 def test_corrections_of_a_tenth_of_a_metre_every_second_are_found(
     hz: float, noise_m: float, least: float
@@ -102,8 +104,6 @@ def test_corrections_of_a_tenth_of_a_metre_every_second_are_found(
         angle = random.uniform(-np.pi, np.pi)
         xy_m[row:] += 0.1 * np.array([np.cos(angle), np.sin(angle)])
     found = {*list_rows(replace(run, poses=replace(run.poses, xy_m=xy_m)))}
-    # At 10 Hz every tenth step is one, and 5 mm of noise are 7 mm from pose to pose.
-    least = 0.3 if noise_m == 0.005 and hz == 10.0 else least
     assert len(found & {*rows.tolist()}) >= least * (len(rows) - 1)
     assert found <= {*rows.tolist()}
 
@@ -174,13 +174,12 @@ def test_poses_that_are_published_several_times_do_not_jump() -> None:
     assert list_rows(replace(run, poses=poses)) == []
 
 
-@pytest.mark.parametrize(("ahead_m", "is_found"), [(0.0151, True), (0.0149, False)])
+@pytest.mark.parametrize(("ahead_m", "is_found"), [(0.0115, True), (0.011, False)])
 def test_what_a_robot_can_reach_from_rest_is_no_jump(ahead_m: float, *, is_found: bool) -> None:
-    # 2 m/s2 for 50 ms are 0.1 m/s; three times that for 50 ms, 15 mm.
     assert list_rows(move(make_robot(0.0, 0.0), 100, ahead_m)) == ([100] if is_found else [])
 
 
-@pytest.mark.parametrize(("turned_rad", "is_found"), [(0.0751, True), (0.0749, False)])
+@pytest.mark.parametrize(("turned_rad", "is_found"), [(0.058, True), (0.055, False)])
 def test_what_a_robot_can_turn_from_rest_is_no_jump(turned_rad: float, *, is_found: bool) -> None:
     run = move(make_robot(0.0, 0.0), 100, turned_rad=turned_rad)
     assert list_rows(run) == ([100] if is_found else [])

@@ -1,3 +1,4 @@
+import math
 import os
 import subprocess
 import sys
@@ -94,7 +95,6 @@ def test_older_versions_of_a_function_are_removed(module: Path) -> None:
     assert {path.name.partition(".")[2] for path in cache.iterdir()} == {*names[2:]}
 
 
-@pytest.mark.thorough
 def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path) -> None:
     pytest.importorskip("numba")
     (tmp_path / "small.py").write_text("def small(value):\n    return value + STAMP\n", "utf-8")
@@ -144,6 +144,18 @@ def test_there_are_no_loops_without_numba_or_where_it_compiles_nothing(
     assert loops.load() is None
     monkeypatch.setitem(sys.modules, "numba", None)
     assert loops.load() is None
+
+
+def test_without_numba_no_work_is_worth_loops_and_no_cache_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+
+    def is_kept() -> bool:
+        raise AssertionError("the cache is looked for")
+
+    loops = CompiledLoops(object, is_kept, cost_s=1.0)
+    assert (loops.expect(10**9, 1.0), loops.cost_s) == (None, math.inf)
 
 
 def test_loops_that_cannot_be_compiled_say_why() -> None:

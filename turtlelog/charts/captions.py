@@ -33,7 +33,8 @@ def describe_runs(runs: Sequence[Run]) -> str:
 def _describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
     (low, lowest), (high, highest) = min(values), max(values)
     least, most = format_short(low, unit), format_short(high, unit)
-    return f"all {least}" if low == high else f"{least} ({lowest}) to {most} ({highest})"
+    # Two ends that are printed alike are no range: the reader sees no difference.
+    return f"all {least}" if least == most else f"{least} ({lowest}) to {most} ({highest})"
 
 
 def describe_end(run: Run) -> str:

@@ -83,6 +83,17 @@ WALLS: Final[Color] = (118, 118, 118)
 SCAN: Final[Color] = (232, 128, 52)
 """Present scan of the robot."""
 
+OCCUPANCY_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
+    (26 + shade, 26 + shade, 28 + shade, 255)
+    for shade in (69 * percent // 100 for percent in range(101))
+)
+"""Cells of a map from free to occupied: a shade above the ground, up to that of a tracked path."""
+
+COST_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
+    (*_OKABE_ITO[4], 0 if percent == 0 else 20 + percent) for percent in range(101)
+)
+"""Cells of a costmap, which leaves what is below it visible; what costs nothing has no colour."""
+
 PATH_OF_MANY: Final[Color] = (105, 105, 105)
 """Paths of very many runs on dark ground, whose ends have the colours."""
 

@@ -108,7 +108,8 @@ class Recording:
     @cached_property
     def _run(self) -> Run:
         # The note on losses decides whether an incomplete recording is allowed.
-        return read_as_chosen(self.path, replace(self._choice, allow_partial=True))
+        choice = replace(self._choice, allow_partial=True, allow_no_poses=True)
+        return read_as_chosen(self.path, choice)
 
     def metric(self, name: str, **settings: Any) -> Metric:
         """Return a metric by its id, measured with settings of `MeasureSettings`.

@@ -16,6 +16,7 @@ from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
     FormatOptions,
+    fill_lines,
     print_json,
     print_note,
     print_run_notes,
@@ -23,7 +24,9 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.scenario_options import is_recording
 from turtlelog.cli.targets import require_apart, require_new_target
+from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Spec
@@ -251,4 +254,11 @@ def _write_first(
     with tl.log.replace_when_complete(output) as part:
         part.write_text(text, encoding="utf-8")
     print_note(f"wrote {output}")
+    checks = describe_count(text.count("\n[checks."), "check")
+    spec = escape_controls(shlex.quote(str(output)))
+    lines = [
+        f"{output.name}: {checks} read off {file.name}, each with 10 to 20 % to spare.",
+        f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...",
+    ]
+    print_text(fill_lines(lines))
     return EXIT_FINE

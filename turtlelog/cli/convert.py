@@ -13,7 +13,7 @@ from turtlelog.cli.output import fill_lines, list_written, print_json, print_not
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import LogError, UsageError
+from turtlelog.errors import LogError, UsageError, find_near
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -140,8 +140,11 @@ def convert(
         raise
     from turtlelog.log.recording.run_writer import list_unshared
 
-    kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
-    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
+    kept = {
+        name: text for name, text in run.notes.items() if name not in {tl.log.CHOSEN, tl.log.UNUSED}
+    }
+    # A count of 0 changes nothing.
+    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items() if text != "0"]
     notes += [
         f"{path} holds the poses alone: --table chooses another table, a folder holds all"
         for path, kind in kinds.items()
@@ -225,7 +228,8 @@ def _require_targets(
 
 
 def _require_folder(path: Path) -> None:
-    if path.suffix.lower() in _NO_FOLDERS:
+    # A misspelled ending would make a folder of that name.
+    if path.suffix.lower() in _NO_FOLDERS or find_near(path.suffix.lower(), _FILES):
         raise UsageError(
             f"{path}: convert writes {join_words([*_FILES])} files, or a folder, not {path.suffix}"
         )

@@ -230,7 +230,7 @@ def _tell_outliers(run: "Run", found: "MotionFacts") -> list[str]:
     if not found.outliers:
         return []
     return [
-        f"The {signal.replace('_', ' ')} holds {text}."
+        f"The {signal.replace('_', ' ')} has {text}."
         for signal, text in describe_outliers(run).items()
     ]
 

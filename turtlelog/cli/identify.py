@@ -138,6 +138,7 @@ class AxisAnswer:
     limit_acts: str | None
     bound: Interval | None
     bound_acts: str | None
+    bound_beside: Interval | None
     deadband: Interval | None
     reverse_gain: Interval | None
     friction: Interval | None
@@ -222,6 +223,7 @@ def _build_axis(axis: "AxisModel") -> AxisAnswer:
         limit_acts=axis.limit_acts or None,
         bound=_take_interval(axis.bound),
         bound_acts=axis.bound_acts or None,
+        bound_beside=_take_interval(axis.bound_beside),
         deadband=_take_interval(axis.deadband),
         reverse_gain=_take_interval(axis.reverse_gain),
         friction=_take_interval(axis.friction),

@@ -155,7 +155,9 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         limit = axis.rate_limit
         where = "within its velocity loop" if axis.limit_acts == "within_lag" else "before the lag"
         yield f"{name} changes by at most {_show_limit(limit)}, {where}."
-    if axis.bound is not None:
+    if axis.bound_beside is not None:
+        yield from _describe_wheels(axis, axis.bound_beside)
+    elif axis.bound is not None:
         yield f"{name} settles at {_show_limit(axis.bound)} at most: larger commands do no more."
     if axis.deadband is not None:
         yield f"{name}: commands below {_show_limit(axis.deadband)} move nothing."
@@ -164,6 +166,31 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     if axis.reverse_gain is not None:
         gain = tl.identify.format_gain(axis.reverse_gain)
         yield f"{name}: commands below 0 have a gain of {gain}."
+
+
+def _describe_wheels(axis: "AxisModel", beside: "Estimate") -> Iterator[str]:
+    """Yield the limit of the wheels, which both axes share, in sentences."""
+    name = tl.identify.NAMES[axis.axis]
+    other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+    ways = {
+        "scaled": "a command beyond is reduced on both axes alike",
+        "clipped": "a command beyond is clipped at each wheel",
+        "yielding": f"a command beyond reduces the {name} only",
+    }
+    if axis.bound is None:
+        yield (
+            f"A commanded {other} above {_show_limit(beside)} reduces the {name}, in proportion:"
+            " the wheels limit both axes together."
+        )
+        return
+    yield (
+        f"The wheels limit both axes together: the {name} settles at {_show_limit(axis.bound)} at"
+        f" most without a {other}."
+    )
+    yield (
+        f"A commanded {other} of {_show_limit(beside)} alone reaches this limit, and"
+        f" {ways[axis.bound_acts]}."
+    )
 
 
 def _show_limit(found: "Estimate") -> str:
@@ -262,7 +289,8 @@ def _list_next(
         target = escape_controls(shlex.quote(str(scenario)))
         yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
     elif model.tick_delays is not None:
-        yield f"Why? turtlelog explain {words}"
+        # `explain` takes one recording.
+        yield f"Why? turtlelog explain {escape_controls(shlex.quote(str(files[0])))}"
     elif _is_scenario(model):
         yield f"Simulate it and find gains: turtlelog identify {words} --scenario robot.toml"
     if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):

@@ -41,7 +41,15 @@ _STEADY: Final = 3.0
 """Ratio of slow to quick steps (10 % quantiles) above which messages have no rate."""
 
 _TOLD: Final = (
-    *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
+    *(
+        "unused",
+        "crowded",
+        "clock",
+        "plane",
+        "dropped_nan",
+        "held_transforms",
+        "dropped_before_transforms",
+    ),
     *(
         "robots",
         "heading",

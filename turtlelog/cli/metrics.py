@@ -4,7 +4,8 @@ from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
@@ -32,7 +33,7 @@ from turtlelog.cli.output import (
     print_json_list,
     print_lines,
 )
-from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, MeasureSettings
@@ -81,9 +82,24 @@ class MeasureOptions:
             "dead_time_ticks": self.dead_time,
             "goal_tolerance_m": self.goal_tolerance,
         }
-        return tl.MeasureSettings(
-            **{name: value for name, value in asked.items() if value is not None}
-        )
+        given = {name: value for name, value in asked.items() if value is not None}
+        try:
+            return tl.MeasureSettings(**given)
+        except MeasureError as err:
+            key, _, problem = str(err).partition(":")
+            raise UsageError(f"{_OPTIONS.get(key, key)}:{problem}") from err
+
+
+_OPTIONS: Final = MappingProxyType(
+    {
+        "band": "--band",
+        "initial": "--initial",
+        "final": "--final",
+        "dead_time_ticks": "--dead-time",
+        "goal_tolerance_m": "--goal-tolerance",
+    }
+)
+"""Settings by the option that was typed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -158,7 +158,8 @@ def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
     lacking = len(found) - len(values)
     rest = f" ({lacking} without a value)" if lacking else ""
     least, most = format_short(low, units[0]), format_short(high, units[0])
-    if low == high:
+    # Two values that are printed alike are no range: the reader sees no difference.
+    if least == most:
         return f"{least} (all){rest}" if len(found) > 1 and not lacking else f"{least}{rest}"
     return f"{least} ({lowest}) to {most} ({highest}){rest}"
 

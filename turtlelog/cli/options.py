@@ -34,7 +34,9 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
     try:
         return int(text)
     except ValueError as err:
-        raise UsageError(f"{tokens[0].keyword} {text[:60]}: must be a whole number") from err
+        option = tokens[0].keyword
+        unit = " of ticks" if option == "--dead-time" else ""
+        raise UsageError(f"{option} {text[:60]}: must be a whole number{unit}") from err
 
 
 def _read_place(_: Any, tokens: Sequence[Token]) -> Path:

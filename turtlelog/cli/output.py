@@ -238,15 +238,19 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
     """Print notes on the reading of third-party files, and on losses."""
     # Notes on other files are in recordings that were converted from them.
     told = _OF_SOURCE if "chosen" in notes else ()
-    for name in ("preset", *told, "recovered", "partial"):
+    for name in ("preset", *told, "unused", "recovered", "partial"):
         if name in notes:
-            label = "" if name in {"preset", "chosen", "plane"} else f"{name.replace('_', ' ')}: "
+            label = (
+                ""
+                if name in {"preset", "chosen", "plane", "unused"}
+                else f"{name.replace('_', ' ')}: "
+            )
             print_note(f"{path}: {label}{notes[name]}")
 
 
 _OF_SOURCE: Final = (
     *("chosen", "clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("heading", "wheels", "reported_rates", "leaps", "path_by_speed", "still"),
+    *("crowded", "heading", "wheels", "reported_rates", "leaps", "path_by_speed", "still"),
 )
 
 

@@ -138,8 +138,10 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     else:
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
-            expected = "a recording with its whole scenario"
-            raise UsageError(f"{path}: is not {expected}")
+            raise UsageError(
+                f"{path} has no whole scenario to simulate; name a preset (turtlelog list presets),"
+                " a scenario file (.toml) or a recording by turtlelog run"
+            )
         base = tl.scenario.restore_scenario(run, source=str(path))
         declared = None if named else run.declaration
     return apply_options(base, options, declared)

@@ -14,7 +14,14 @@ from turtlelog.cli.theory_gains import (
     tabulate_recommended,
     tell_gains,
 )
-from turtlelog.cli.theory_loops import LoopAnswer, list_sources, tabulate_answers, tell_motion
+from turtlelog.cli.theory_loops import (
+    LoopAnswer,
+    describe_plant,
+    list_sources,
+    tabulate_answers,
+    tabulate_gains,
+    tell_motion,
+)
 from turtlelog.cli.theory_tables import describe_sampling, summarise_gains, tabulate_theory
 from turtlelog.display import format_short, join_words
 
@@ -23,7 +30,7 @@ if TYPE_CHECKING:
     from turtlelog.theory import Recommendation, SampledLoop
 
 _MOST_COLUMNS: Final = 3
-"""Largest number of loops side by side in a line."""
+"""Loops side by side in a table: a line has no space for more."""
 
 _IDEAL: Final = "without command limits"
 """Condition of recommended gains."""
@@ -78,11 +85,16 @@ def format_terms(
         *_list_recommended(recommended, wishes),
         *_list_stable(answers),
         *_list_motions(answers),
+        *(describe_plant(answer.found) for answer in answers[:1] if answer.found),
     ]
     parts = [answers[k : k + _MOST_COLUMNS] for k in range(0, len(answers), _MOST_COLUMNS)]
-    loops = [tabulate_answers("The sampled loop", part) for part in parts]
-    tables = [tabulate_recommended(recommended, wishes, shows_all=shows_all), *loops]
-    more = [] if shows_all else ["Published rules, and why rules give no gains: --details"]
+    details = [tabulate_answers("Loop by loop", part) for part in parts] if shows_all else []
+    tables = [
+        tabulate_recommended(recommended, wishes, shows_all=shows_all),
+        tabulate_gains(answers),
+        *details,
+    ]
+    more = [] if shows_all else ["Poles, published rules, and why rules give no gains: --details"]
     return _join(head, tables, [_UNLIMITED, *more])
 
 

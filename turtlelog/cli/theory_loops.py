@@ -168,6 +168,52 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
     )
 
 
+def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
+    """Return a table with a row for each Kp, without what is the same at all of them."""
+    loops = [answer.found for answer in answers if answer.found]
+    columns, cells = [], []
+    for name, is_optional, write in _ROWS:
+        texts = [write(loop) for loop in loops]
+        if name in _NOT_BESIDE or (is_optional and set(texts) <= {"-", "0"}):
+            continue
+        title, _, unit = name.removesuffix("]").partition(" [")
+        if write is _tell_overshoot:
+            columns.append(tl.compare.Column(title="overshoot", unit="%"))
+            cells.append([_find_overshoot(loop) for loop in loops])
+        else:
+            columns.append(tl.compare.Column(title=title, unit=unit))
+            cells.append([_read_cell(text) for text in texts])
+    rows = tuple(zip(*cells, strict=True))
+    return tl.compare.Table(title="The sampled loop", columns=tuple(columns), rows=rows)
+
+
+def describe_plant(loop: "PidLoop") -> str:
+    """Return what is the same at every Kp: the other gains, plant and timing."""
+    said = []
+    for name, is_optional, write in _ROWS:
+        text = write(loop)
+        if name in _OF_PLANT and not (is_optional and text == "0"):
+            title, _, unit = name.removesuffix("]").partition(" [")
+            said.append(f"{title} {text} {unit}".rstrip())
+    first, *others = said
+    return f"{', '.join((first[0].upper() + first[1:], *others))}."
+
+
+def _find_overshoot(loop: "PidLoop") -> str | float | None:
+    if not loop.stable:
+        return "no end"
+    percent = loop.overshoot_percent
+    return None if percent is None else round(percent, 2) if _overshoots(loop) else 0.0
+
+
+def _read_cell(text: str) -> str | float:
+    """Return a number as one, so that its column is aligned as numbers are."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> list[str]:
     """Return unknown loops, omitted settings, and sources of values.
 
@@ -260,6 +306,15 @@ def _tell_margin(
 def _tell_number(value: float | None, form: str = ".6g") -> str:
     return "-" if value is None else format(value, form)
 
+
+_OF_PLANT: Final = (
+    *("Ki [1/s^2]", "Kd", "filter of D [ms]", "gain of the plant", "time constant [ms]"),
+    *("low-pass [ms]", "period [ms]", "dead time [ms]"),
+)
+"""Rows that are the same at every Kp."""
+
+_NOT_BESIDE: Final = (*_OF_PLANT, "stable", "stable for Kp [1/s]", "slowest pole")
+"""Rows that a table of gains lacks: the sentences above contain them; poles are details."""
 
 _ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
     ("Kp [1/s]", False, lambda loop: _tell_number(loop.gains.kp)),

@@ -196,6 +196,10 @@ def _describe_unknown_option(err: Any) -> str:
     return f"{text}; all options: {command} --help-all"
 
 
+_UNITS: Final = re.compile(r"^max_|(_m|_rad|_s|_s2|_ticks)+$")
+"""What a key of a scenario has beside its plain name: `--duration` means max_duration_s."""
+
+
 def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> list[str]:
     """Return how to set a scenario key that was typed as an option, as `--kp-linear 2`."""
     if "--set" not in options:
@@ -203,7 +207,11 @@ def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> li
     from turtlelog.scenario import Scenario, flatten_scenario  # needed only for mistakes
 
     name = word.removeprefix("--").replace("-", "_")
-    keys = [key for key in flatten_scenario(Scenario()) if key.partition(".")[2] == name]
+    known = [*flatten_scenario(Scenario())]
+    keys = [key for key in known if (key.partition(".")[2] or key) == name]
+    keys = keys or [
+        key for key in known if _UNITS.sub("", key.rpartition(".")[2]) == _UNITS.sub("", name)
+    ]
     joined = "\n".join(tokens)
     value = re.search(rf"^{re.escape(word)}[=\n]([^\n]+)", joined, re.MULTILINE)
     return [f"--set {key}={'VALUE' if value is None else value[1]}" for key in keys]

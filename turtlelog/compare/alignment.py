@@ -50,6 +50,9 @@ def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
         CompareError: If there is no such alignment, a run lacks what it needs, or the runs do not
             overlap.
     """
+    for one in (reference, run):
+        if not len(one.poses):
+            raise CompareError(f"{one.name}: the recording holds no poses, which are compared")
     phases = dict.fromkeys([*reference.phase_names, *run.phase_names])
     known = ["first_sample", *(f"phase:{phase}" for phase in phases), "recorded", "sample"]
     if alignment not in known:

@@ -64,6 +64,11 @@ class Conditions:
     reach_m: float
     reach_rad: float
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether path, plant and limits are known, as they are with the whole scenario."""
+        return None not in self.tables
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConditionDifference:

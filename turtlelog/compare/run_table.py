@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from itertools import accumulate
 from types import MappingProxyType
 from typing import Any, Final
@@ -18,7 +18,7 @@ from turtlelog.compare.run_summary import (
     sort_runs,
 )
 from turtlelog.compare.table import Cell, Column, Mark, Table
-from turtlelog.display import describe_count, format_number, join_words
+from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import CompareError
 from turtlelog.measure import (
     MeasureSettings,
@@ -220,7 +220,7 @@ def sort_by_column(
 def mark_metric(
     summaries: Sequence[RunSummary], name: str, *, ranking: Ranking | None = None
 ) -> dict[int, Mark]:
-    """Return which runs are the best and the worst in a metric; empty if all are equal.
+    """Return which runs are the best and the worst in a metric; empty if all are printed alike.
 
     Empty too if loops of one name control signals with different units, or runs may not be ranked.
 
@@ -239,7 +239,9 @@ def mark_metric(
     floor = -math.inf if kind is None or kind.floor is None else kind.floor
     known = {row: max(value, floor) for row, value in values.items() if value is not None}
     low, high = min(known.values(), default=0.0), max(known.values(), default=0.0)
-    if low == high:
+    # Values that the answer prints alike are equally good: nobody reads a difference between them.
+    unit = _list_units(summaries, name)[0] if known else ""
+    if format_short(low, unit) == format_short(high, unit):
         return {}
     best, worst = (low, high) if better == "lower" else (high, low)
     marks: dict[int, Mark] = {row: "best" for row, value in known.items() if value == best}
@@ -370,9 +372,30 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
     for summary in summaries:
         for key, value in summary.parameters.items():
             values.setdefault(key, set()).add(repr(value))
+    for key, default in _list_defaults(values).items():
+        if any(key not in found.parameters and _is_complete(found) for found in summaries):
+            values[key].add(repr(default))
     differing = [key for key, found in values.items() if len(found) > 1 and key not in shown]
     first = [key for key in ranking.keys if key in differing]
     return list(dict.fromkeys([*first, *differing]))
+
+
+def _list_defaults(keys: Collection[str]) -> dict[str, object]:
+    """Return the defaults of those keys that a whole scenario leaves out without the effect."""
+    from turtlelog.effects import EFFECTS
+
+    return {
+        key: found.default
+        for effect in EFFECTS
+        for table, values in effect.tables.items()
+        for found in fields(values)
+        if (key := f"{table}.{found.name}") in keys and found.default is not MISSING
+    }
+
+
+def _is_complete(summary: RunSummary) -> bool:
+    """Return whether a run has its whole scenario."""
+    return summary.conditions is not None and summary.conditions.is_whole
 
 
 def order_parameters(

@@ -116,6 +116,8 @@ def require_kind(expression: Expression, node: Node, operand: Operand, kind: Kin
     """
     if operand.kind not in {kind, Kind.UNKNOWN}:
         problem = f"expected {_WORDS[kind]}, found {_describe_node(node, operand)}"
+        if kind is Kind.TRUTH and operand.kind is Kind.NUMBER and isinstance(node, Name):
+            problem += f"; compare it, for example {node.name} <= 2"
         fail_at(expression, node, problem)
 
 

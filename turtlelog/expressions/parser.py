@@ -58,6 +58,9 @@ def parse_expression(text: str, *, source: str = "expression") -> Expression:
     return Expression(text=text, source=source, root=_Parser(text, source).parse())
 
 
+_TEMPORAL = ("always", "eventually")
+
+
 class _Parser:
     def __init__(self, text: str, source: str) -> None:
         self._text = text
@@ -177,7 +180,7 @@ class _Parser:
             return self._grow(
                 Prefix(operator=operator, operand=operand, column=token.column), token
             )
-        if token.text in {"always", "eventually"}:
+        if token.text in _TEMPORAL:
             return self._parse_temporal(token)
         if token.text in {"true", "false"}:
             return self._grow(Truth(value=token.text == "true", column=token.column), token)
@@ -221,7 +224,8 @@ class _Parser:
 
     def _parse_call(self, token: Token) -> Node:
         if token.text not in ARGUMENTS:
-            self._fail(token, f"expected a function like {suggest_names(token.text, ARGUMENTS)}")
+            near = suggest_names(token.text, [*ARGUMENTS, *_TEMPORAL])
+            self._fail(token, f"expected a function like {near}")
         arguments = [] if self._is_next(")") else [self._parse_level(1)]
         while self._takes(","):
             arguments.append(self._parse_level(1))

@@ -25,9 +25,6 @@ _SPIKE_STEPS: Final = 2
 """Steps on either side that show whether a step is a jump in the first search: one wrong heading
 makes two wrong steps, there and back."""
 
-_STARTS: Final = 2
-"""Number of the best grid points that are refined."""
-
 _SOFT: Final = 3.0
 """Standard deviations from which a residual counts less than its square (soft L1)."""
 
@@ -35,6 +32,13 @@ _OUTLIER: Final = 8.0
 """Robust standard deviations from which a step is an outlier and does not count: normal noise
 exceeds them once in 1e15 steps, stamp jitter at the highest speed has five times the usual
 residual."""
+
+_MOST_OUTLIERS: Final = 0.05
+"""Share of the steps that may be outliers: a simulated robot rests exactly and moves by steps that
+all are off by more than rests are, and these are its motion."""
+
+_LONGEST_JUMP: Final = 5
+"""Steps that a jump takes at most: a wrong pose makes two, a filter of the odometry some more."""
 
 _LAG_STEP_S: Final = 1e-4
 """Step for derivatives with respect to the time constant [s]."""
@@ -76,7 +80,10 @@ class StepModel:
 
     def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
         """Return the response of each run's commands for a time constant and further parameters."""
-        return [self.structure.respond(motion.commands, lag_s, extras) for motion in self.motions]
+        return [
+            self.structure.respond(motion.commands, lag_s, extras, motion.beside)
+            for motion in self.motions
+        ]
 
     def predict(
         self, dead_time_s: float, *lags: Sequence[LaggedResponse]
@@ -148,13 +155,8 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
-    plainly = _weigh_plainly(model)
-    tried = [_descend(model, start, plainly) for start in _search_grid(motions)]
-    parameters = min(tried, key=lambda found: found[1])[0]
-    for _ in range(2):
-        whitening, is_outlier = _learn_noise(model, parameters)
-        parameters, cost = _descend(model, parameters, whitening.apply)
-    return _conclude(model, parameters, cost, whitening, is_outlier)
+    whitening, _ = _learn_noise(model, start := _search_start(motions))
+    return _finish(model, _descend(model, start, whitening.apply)[0])
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
@@ -175,9 +177,21 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
         starts: Start values of its further parameters.
     """
     model = StepModel(fit.model.motions, structure)
-    near = fit.parameters[: LAG + 1]
-    tried = [_descend(model, np.append(near, start), fit.whitening.apply) for start in starts]
+    tried = [_descend(model, _fit_gain(fit, model, start), fit.whitening.apply) for start in starts]
     return _finish(model, min(tried, key=lambda found: found[1])[0])
+
+
+def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values:
+    """Return the delays of a fit and further parameters, with the gain that is best for these.
+
+    With a gain of its own, a bound that suits would seem worse than none, and be left at once.
+    """
+    _, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    way = model.predict(dead_time_s, model.prepare(lag_s, *extras))[0][0]
+    way, moved = (fit.whitening.apply(one) for one in (way, model.moved))
+    size, along = float(way @ way), float(way @ moved)
+    gain = along / size if along > 0.0 else float(fit.parameters[GAIN])
+    return np.array([gain, dead_time_s, lag_s, *extras])
 
 
 def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
@@ -214,16 +228,22 @@ def measure_badness(fit: AxisFit) -> float:
     return fit.cost + fit.whitening.log_size
 
 
-def measure_gain(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
+def measure_reductions(
+    fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
+) -> list[float]:
     """Return by how much further parameters could reduce the sum of squares, to first order."""
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     other = StepModel(fit.model.motions, structure)
-    bent = gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
-    columns = fit.whitening.apply(np.column_stack([slopes, bent]))
+    bent = [
+        gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
+        for extras in starts
+    ]
+    slopes = fit.whitening.apply(slopes)
     white = np.clip(fit.white, -_SOFT, _SOFT)
-    left = [white - part @ np.linalg.lstsq(part, white)[0] for part in (columns[:, :-1], columns)]
-    return float(left[0] @ left[0] - left[1] @ left[1])
+    columns = np.column_stack([white, fit.whitening.apply(np.column_stack(bent))])
+    white, *bent = (columns - slopes @ np.linalg.lstsq(slopes, columns)[0]).T
+    return [float(white @ one) ** 2 / max(float(one @ one), LEAST_STEP) for one in bent]
 
 
 def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
@@ -286,27 +306,41 @@ def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
     """Return which residuals are outliers."""
     size = np.abs(residual)
     scale = NORMAL_MAD * float(np.median(size))
-    return np.asarray(size > _OUTLIER * scale) if scale > 0.0 else np.zeros(len(size), dtype=bool)
+    if scale <= 0.0:
+        return np.zeros(len(size), dtype=bool)
+    # Steps that are off for long, and in one direction, are a motion that the model lacks.
+    least = max(_OUTLIER * scale, float(np.quantile(size, 1.0 - _MOST_OUTLIERS)))
+    signs = np.where(size > least, np.sign(residual), 0.0)
+    begins = np.flatnonzero(np.diff(signs, prepend=np.nan) != 0.0)
+    lengths = np.diff(np.append(begins, len(signs)))
+    return np.asarray((signs != 0.0) & (np.repeat(lengths, lengths) <= _LONGEST_JUMP))
 
 
-def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
-    """Return the best points of a grid, the best first, each with its gain."""
+def _search_start(motions: Sequence[AxisMotion]) -> Values:
+    """Return the best parameters by plain least squares.
+
+    Descents begin at the best point of a grid for each time constant: commands of a controller
+    leave local minima, of which neighbours share one.
+    """
     share = min(1.0, _GRID_STEPS / count_steps(motions))
     model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
     moved = _drop_spikes(model.moved)
     responses = [model.prepare(lag_s) for lag_s in _GRID_LAGS_S]
-    tried = []
+    tried: dict[float, tuple[float, float, float]] = {}
     for dead_time_s in np.arange(0.0, LARGEST_DEAD_TIME_S, _GRID_S).tolist():
         steps = model.predict(dead_time_s, *responses)
         for lag_s, (way, _) in zip(_GRID_LAGS_S, steps, strict=True):
             size, along = float(way @ way), float(way @ moved)
             if size > 0.0 and along > 0.0:
-                tried.append((-along * along / size, along / size, dead_time_s, lag_s))
+                found = -along * along / size, along / size, dead_time_s
+                tried[lag_s] = min(found, tried.get(lag_s, found))
     if not tried:
         where = " in their direction" if model.moved.any() else ""
         raise NoGainError(f"no motion follows the commands{where}")
-    tried.sort()
-    return [np.array(found) for _, *found in tried[:_STARTS]]
+    plainly = _weigh_plainly(model)
+    starts = [np.array([*found, lag_s]) for lag_s, (_, *found) in tried.items()]
+    descents = [_descend(model, start, plainly) for start in starts]
+    return min(descents, key=lambda found: found[1])[0]
 
 
 def _drop_spikes(moved: Values) -> Values:

@@ -17,6 +17,10 @@ NORMAL_95: Final = 1.96
 _SHORT_LAG: Final = 2.0
 """Time constant in steps between poses up to which it may be 0."""
 
+_FINEST: Final = 1e-4
+"""Least standard error of a limit, as a share of it: the change over which its effect on the motion
+is measured. Nothing shows that this effect is the same over less."""
+
 _ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
     {"limited_before": "before_lag", "limited_within": "within_lag"}
 )
@@ -28,8 +32,11 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     counted = ~fit.is_outlier
     moved, white = fit.model.moved[counted], fit.white[counted]
+    took_s = fit.model.duration_s[counted]
     left = float(np.sum(fit.residual[counted] ** 2))
-    spread = float(np.sum((moved - moved.mean()) ** 2))
+    # Steps over lost poses are longer at any speed, and a model must do better than one speed.
+    spread = float(np.sum((moved - moved.sum() / took_s.sum() * took_s) ** 2))
+    spread = spread if spread > _ROUNDING * float(np.sum(moved**2)) else 0.0
     structure = fit.model.structure
     names = {name: place for place, name in enumerate(structure.names, EXTRA)}
     total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), float(errors[TOTAL]))
@@ -52,6 +59,9 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
         bound=_divide(fit, names.get("tightness"), UNITS[axis]),
         bound_acts=structure.bound,
+        bound_beside=_invert_parameter(
+            fit, names.get("coupling"), UNITS["turn_rate" if axis == "speed" else "speed"]
+        ),
         reverse_gain=_multiply(fit, names.get("reverse")),
         friction=_take(fit, names.get("friction"), UNITS[axis]),
         deadband=_estimate_deadband(fit, UNITS[axis]),
@@ -61,6 +71,10 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         steps=len(fit.residual),
         changes=changes,
     )
+
+
+_ROUNDING: Final = 1e-18
+"""Below this share of their squares [1], steps differ by rounding alone."""
 
 
 def _measure_dead_time_error(fit: AxisFit) -> float:
@@ -108,7 +122,17 @@ def _divide(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
     gain, by = fit.parameters[[GAIN, place]].tolist()
     if by <= 0.0:
         return None
-    return _estimate(gain / by, _find_error(fit, place, [1.0 / by, -gain / by**2]), unit)
+    error = _find_error(fit, place, [1.0 / by, -gain / by**2])
+    return _estimate(gain / by, max(error, _FINEST * gain / by), unit)
+
+
+def _invert_parameter(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
+    """Return the reciprocal of a further parameter."""
+    found = _take(fit, place, unit)
+    if found is None or found.value <= 0.0:
+        return None
+    error = max((found.high - found.value) / NORMAL_95, _FINEST * found.value)
+    return _estimate(1.0 / found.value, error / found.value**2, unit)
 
 
 def _multiply(fit: AxisFit, place: int | None) -> Estimate | None:

@@ -24,7 +24,10 @@ from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
-_LIMITS: Final = ("rate_limit", "bound", "deadband", "reverse_gain", "friction")
+_LIMITS: Final = (
+    *("rate_limit", "bound", "bound_beside"),
+    *("deadband", "reverse_gain", "friction"),
+)
 """Further parameters of structures; their values may differ between two structures."""
 
 _FEWEST: Final = 50
@@ -96,7 +99,15 @@ def _list_parts(structure: Structure) -> list[str]:
         "limited_within": "a limit of the acceleration within the velocity loop",
     }
     said = [parts[structure.order]] if structure.order in parts else []
-    said += [f"a bound of the {structure.bound}"] if structure.bound else []
+    bounds = {
+        "command": "a bound of the command",
+        "rate": "a bound of the rate",
+        "scaled": "a bound of the wheels that scales both axes",
+        "clipped": "a bound of each wheel",
+        "yielding": "a bound of the wheels that the other axis uses first",
+        "reduced": "a reduction by the other axis",
+    }
+    said += [bounds[structure.bound]] if structure.bound else []
     said += ["another gain backwards"] if structure.has_reverse else []
     said += ["friction"] if structure.has_friction else []
     said += ["a deadband"] if structure.deadband else []
@@ -115,7 +126,7 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     is_curve = excess > _CURVE
     covered, said = found, []
     if is_curve:
-        for field in _FIELDS:
+        for field in (*_FIELDS, *_LIMITS):
             covered = _stretch(covered, field, _measure_sharing(fit))
     for pair, is_first in _split_steps(found.axis, fit):
         differing = [*_compare_parts(fit, is_first, _LIKELY if is_curve else _APART)]

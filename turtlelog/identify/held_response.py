@@ -7,7 +7,7 @@ is needed, however irregular commands and poses are.
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -22,6 +22,9 @@ _FADED: Final = 1e-18
 
 _LEAST_LAG_S: Final = 1e-9
 """Time constant that stands for none [s]: it fades within the resolution of any clock."""
+
+_LEAST_TIGHTNESS: Final = 1e-6
+"""Reciprocal of what stands for no limit of an axis without the other [s/m or s/rad]."""
 
 _APART: Final = 1e-3
 """Relative difference below which two time constants are separated, because their parts would
@@ -167,23 +170,53 @@ def limit_within(
 
 
 def _shape_commands(
-    commands: HeldInput, *, tightness: float, reverse: float, friction: float, deadband: float
+    commands: HeldInput,
+    structure: "Structure",
+    values: Mapping[str, float],
+    beside: HeldInput | None,
 ) -> HeldInput:
     """Return commands after the static nonlinearities of a robot.
 
     Args:
         commands: Commands to follow.
-        tightness: Reciprocal of the largest effective command [s/m or s/rad]; 0 for no limit.
-        reverse: Gain of negative commands divided by that of positive ones [1].
-        friction: Reduction of each magnitude [m/s or rad/s].
-        deadband: Magnitude up to which there is no motion [m/s or rad/s].
+        structure: Which nonlinearities there are.
+        values: Its further parameters by name.
+        beside: Commands of the other axis; None if they are 0.
     """
-    size = np.maximum(np.abs(commands.value) - friction, 0.0)
-    value = np.where(commands.value < 0.0, -reverse, 1.0) * size
-    value[np.abs(commands.value) <= deadband] = 0.0
-    if tightness > 0.0:
-        value = np.clip(value, -1.0 / tightness, 1.0 / tightness)
+    coupling: Any = 0.0
+    if beside is not None and "coupling" in values:
+        commands = _join_times(commands, beside)
+        coupling = values["coupling"] * np.abs(beside.place(commands.time_s).value)
+    size = np.maximum(np.abs(commands.value) - values.get("friction", 0.0), 0.0)
+    value = np.where(commands.value < 0.0, -values.get("reverse", 1.0), 1.0) * size
+    value[np.abs(commands.value) <= structure.deadband] = 0.0
+    tightness = values.get("tightness", 0.0)
+    if structure.bound in COUPLED:
+        # The gain is that of the smallest command, so without the other axis none is smaller.
+        smallest = np.abs(value[value != 0.0]).min(initial=math.inf)
+        tightness = min(max(tightness, _LEAST_TIGHTNESS), 1.0 / smallest)
+    if structure.bound != "rate" and tightness > 0.0:
+        value = _bound_wheels(structure.bound, tightness * value, coupling) / tightness
     return _integrate_commands(commands.time_s, value, commands.slope)
+
+
+def _bound_wheels(bound: "Bound", value: Values, beside: Any) -> Values:
+    """Return bounded commands, each divided by the largest one without the other axis."""
+    if bound in {"scaled", "reduced"}:
+        return np.asarray(value / np.maximum(np.abs(value) + beside, 1.0))
+    if bound == "clipped":
+        return np.asarray(
+            0.5 * (np.clip(value + beside, -1.0, 1.0) + np.clip(value - beside, -1.0, 1.0))
+        )
+    most = np.maximum(1.0 - beside, 0.0) if bound == "yielding" else 1.0
+    return np.asarray(np.clip(value, -most, most))
+
+
+def _join_times(commands: HeldInput, beside: HeldInput) -> HeldInput:
+    """Return commands of one axis that also change, to the same value, where the other does."""
+    time_s = np.union1d(commands.time_s, beside.time_s)
+    value = commands.place(time_s).value
+    return _integrate_commands(time_s, value, np.zeros(len(value)))
 
 
 class LaggedResponse:
@@ -260,10 +293,16 @@ Order = Literal["first_order", "second_order", "limited_before", "limited_within
 before the lag (the command becomes a ramp) or within its loop (the rate does). Their further
 parameter is the time per unit of the command [s^2/m] or [s^2/rad]."""
 
-Bound = Literal["", "command", "rate"]
+Bound = Literal["", "command", "rate", "scaled", "clipped", "yielding", "reduced"]
+
+COUPLED: Final[tuple[Bound, ...]] = ("reduced", "scaled", "clipped", "yielding")
+"""Bounds of the wheels, which both axes share: a command beyond scales both axes, clips each wheel,
+or leaves this axis what the other does not need; or the other axis alone decides by how much this
+one is reduced: all that commands of one size show."""
 
 _STEPS: Final = MappingProxyType(
-    {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "reverse": 1e-4, "friction": 1e-5}
+    {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}
+    | {"friction": 1e-5}
 )
 """Steps for derivatives with respect to the further parameters, in their units."""
 
@@ -283,9 +322,9 @@ class Structure:
 
     Attributes:
         order: Order of its lag, and the place of its acceleration limit.
-        bound: Limited quantity: the command, or the rate, which follows larger commands as without
-            the limit until it reaches it. The parameter is the reciprocal of the command that leads
-            there [s/m or s/rad].
+        bound: Limited quantity: the command, the wheels, or the rate, which follows larger commands
+            as without the limit until it reaches it. The parameter is the reciprocal of the command
+            that leads there [s/m or s/rad]; for the wheels also that of the other axis.
         has_reverse: Whether the gain of negative commands differs; the parameter is the ratio.
         has_friction: Whether the magnitude of every command is reduced; the parameter is the
             reduction [m/s or rad/s].
@@ -312,7 +351,8 @@ class Structure:
     def names(self) -> tuple[str, ...]:
         """Names of the further parameters, in order."""
         has = {
-            "tightness": bool(self.bound),
+            "tightness": bool(self.bound) and self.bound != "reduced",
+            "coupling": self.bound in COUPLED,
             "reverse": self.has_reverse,
             "friction": self.has_friction,
         }
@@ -333,17 +373,24 @@ class Structure:
         """Whether the effective commands depend on the further parameters."""
         return self not in {FIRST_ORDER, SECOND_ORDER}
 
-    def respond(self, commands: HeldInput, lag_s: float, extras: Sequence[float]) -> LaggedResponse:
-        """Return the response to commands for a time constant and the further parameters."""
+    def respond(
+        self,
+        commands: HeldInput,
+        lag_s: float,
+        extras: Sequence[float],
+        beside: HeldInput | None = None,
+    ) -> LaggedResponse:
+        """Return the response to commands for a time constant and the further parameters.
+
+        Args:
+            commands: Commands to follow.
+            lag_s: Time constant [s].
+            extras: Values of the further parameters.
+            beside: Commands of the other axis; None if they are 0.
+        """
         values = dict(zip(self.names, extras, strict=True))
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
-            commands = _shape_commands(
-                commands,
-                tightness=values.get("tightness", 0.0) if self.bound == "command" else 0.0,
-                reverse=values.get("reverse", 1.0),
-                friction=values.get("friction", 0.0),
-                deadband=self.deadband,
-            )
+            commands = _shape_commands(commands, self, values, beside)
         if self.order == "limited_before":
             commands = _limit_changes(commands, values["slowness"])
         elif self.order == "limited_within" or self.bound == "rate":

@@ -89,13 +89,14 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
     Raises:
         IdentifyError: If the axis of the model is unknown.
     """
-    return predict_response(model, read_axis_motion(run, model.axis).commands, time_s)
+    motion = read_axis_motion(run, model.axis)
+    return predict_response(model, motion.commands, time_s, motion.beside)
 
 
 def predict_response(
-    model: AxisModel, commands: HeldInput, time_s: Values
+    model: AxisModel, commands: HeldInput, time_s: Values, beside: HeldInput | None
 ) -> tuple[Values, Values]:
-    """Return displacement or turn, and rate, of a model for given commands.
+    """Return displacement or turn, and rate, of a model for commands, and those of the other axis.
 
     Raises:
         IdentifyError: If the axis of the model is unknown.
@@ -103,6 +104,6 @@ def predict_response(
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:
         raise IdentifyError(f"{model.axis}: not identified: {model.reason}")
-    response = model.structure.respond(commands, lag_s.value, model.extras)
+    response = model.structure.respond(commands, lag_s.value, model.extras, beside)
     way, rate = response.evaluate(response.place(time_s - dead_time_s.value))
     return gain.value * (way - way[:1]), gain.value * rate

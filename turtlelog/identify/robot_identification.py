@@ -1,6 +1,6 @@
 """Identification of a robot's dynamics from commands and motion; for turtlesim tick by tick."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -13,6 +13,7 @@ from turtlelog.identify.axis_fit import AxisFit, NoGainError, fit_axis
 from turtlelog.identify.axis_motion import (
     AXES,
     NAMES,
+    UNITS,
     Axis,
     count_steps,
     get_commands,
@@ -43,6 +44,10 @@ _ALIKE: Final = 0.05
 """Largest relative difference of commands of one size: a smaller one does not show whether the gain
 varies."""
 
+_MOSTLY: Final = 0.95
+"""Share of the commands of an axis beside one command of the other axis that leave none to compare:
+what a log shows in less than a twentieth of its commands is no interval of its own."""
+
 _FEWEST_STEPS: Final = 50
 """Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
 
@@ -60,11 +65,14 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     used, and nothing is fitted.
 
     Raises:
-        IdentifyError: If there is no run.
+        IdentifyError: If there is no run, or a run has no poses.
     """
     runs = list_runs(runs)
     if not runs:
         raise IdentifyError("runs: must not be empty")
+    for run in runs:
+        if not len(run.poses):
+            raise IdentifyError(f"{run.name}: the recording holds no poses, only commands")
     files = tuple(run.name for run in runs)
     exact = _identify_ticks(runs)
     if exact is not None:
@@ -73,6 +81,7 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     notes = [doubt for model, _ in found for doubt in model.doubts]
     notes += [note for model, _ in found for note in _compare_runs(runs, model)]
     notes += [_note_one_size(model) for model, _ in found if _has_one_size(runs, model)]
+    notes += [note for model, _ in found for note in _note_one_beside(runs, model)]
     notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
     notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
@@ -141,6 +150,27 @@ def _note_one_size(model: AxisModel) -> str:
         f"All commands of the {NAMES[model.axis]} have one size. The log does not show whether"
         f" the gain holds for smaller ones, nor the largest {NAMES[model.axis]}."
     )
+
+
+def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    """Yield a note if a known axis is commanded only beside one command of the other axis.
+
+    Wheels that reach their limit together show one gain there, which others may exceed.
+    """
+    other: Axis = "turn_rate" if model.axis == "speed" else "speed"
+    own, beside = (
+        np.abs(np.concatenate([get_commands(run, axis) for run in runs]))
+        for axis in (model.axis, other)
+    )
+    beside = beside[own > 0.0]
+    if not model.is_known or not len(beside):
+        return
+    usual = float(np.median(beside))
+    if usual and np.mean(np.abs(beside - usual) <= _ALIKE * usual) >= _MOSTLY:
+        yield (
+            f"The {NAMES[model.axis]} is commanded with a {NAMES[other]} of {usual:.3g}"
+            f" {UNITS[other]} only. The log does not show whether its gain holds without."
+        )
 
 
 def _note_stops(model: AxisModel) -> str:

@@ -88,13 +88,19 @@ class AxisModel:
         limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
             its loop, so that the rate itself is a ramp; empty if there is none.
         bound: Largest rate [m/s] or [rad/s], if commands exceed it.
-        bound_acts: Limited quantity: the command, which the low-pass then follows, or the rate,
-            which follows larger commands until it reaches the limit; empty if there is none.
+        bound_acts: Limited quantity: the command, which the low-pass then follows; the rate, which
+            follows larger commands until it reaches the limit; or the wheels, which both axes
+            share, so that a larger command is `scaled` on both axes, `clipped` at each wheel,
+            `yielding` to the other axis, or `reduced` by the other axis alone. Empty if there is
+            none.
+        bound_beside: Command of the other axis that alone reaches the limit of the wheels [m/s] or
+            [rad/s]; `bound` then is the largest rate without a command of the other axis.
         deadband: Command up to which nothing moves [m/s] or [rad/s], if the motion shows one.
         reverse_gain: Gain of negative commands, if it differs [1].
         friction: Part of the magnitude of every command that has no effect [m/s] or [rad/s], if the
             motion shows it; the gain is that of the rest.
-        explained: Fraction of the variance of the steps between poses that the model explains.
+        explained: Fraction of the variance of the steps about one constant speed that the model
+            explains.
         whiteness: Mean square of the changes of the residuals divided by twice their mean square, 1
             for noise, near 0 for a curve; without the noise of poses.
         outliers: Number of steps left out because their residual exceeds the noise.
@@ -125,6 +131,7 @@ class AxisModel:
     limit_acts: Literal["", "before_lag", "within_lag"] = ""
     bound: Estimate | None = None
     bound_acts: Bound = ""
+    bound_beside: Estimate | None = None
     deadband: Estimate | None = None
     reverse_gain: Estimate | None = None
     friction: Estimate | None = None
@@ -184,6 +191,19 @@ class AxisModel:
         return total.high if self.doubts else total.value
 
     @property
+    def oscillation_delay_s(self) -> float:
+        """Delay that stands for the oscillation of a second-order model in a first-order one [s].
+
+        P control with 5 % overshoot then has the gain that the second-order model allows, or up to
+        a tenth less: 0.5 product^1.5 / lag^2 fits damping ratios from 0.3 to 1. A dead time makes
+        the gain smaller anyway, so it needs less.
+        """
+        product, lag = self.lag_product_s2, self.lag_s
+        if product is None or lag is None or product.value <= 0.25 * lag.value**2:
+            return 0.0
+        return 0.5 * product.value * math.sqrt(product.value) / lag.value**2
+
+    @property
     def advised_gain(self) -> float | None:
         """Gain for the design of a controller [1]; if in doubt, the largest."""
         return self._take_advised(self.gain)
@@ -220,6 +240,7 @@ class AxisModel:
             "product": self.lag_product_s2,
             "slowness": self.rate_limit,
             "tightness": self.bound,
+            "coupling": self.bound_beside,
             "reverse": self.reverse_gain,
             "friction": self.friction,
         }
@@ -239,6 +260,8 @@ class AxisModel:
 
 def _divide(name: str, value: float, gain: float) -> float:
     """Return a further parameter of a structure with a gain of 1."""
+    if name == "coupling":
+        return 1.0 / value
     if name in {"slowness", "tightness"}:
         return gain / value
     return value / gain if name == "reverse" else value

@@ -199,14 +199,16 @@ def _list_plant(model: RobotModel) -> Part:
             continue
         values |= {
             f"{key}gain": _round(gain),
-            f"{key}dead_time_s": _round(max(delay_s - lag.value, 0.0)),
+            f"{key}dead_time_s": _round(max(delay_s - lag.value, 0.0) + axis.oscillation_delay_s),
             f"{key}lag_s": _round(max(lag.value, 0.0)),
         }
         values |= {f"{key}{name}": _round(value) for name, value in _list_own_limits(axis)}
         if axis.model == "second_order":
+            longer_s = axis.oscillation_delay_s
+            longer = f" Its dead time is {1e3 * longer_s:.3g} ms longer, because it oscillates."
             notes.append(
                 f"The {name} is of second order, the plant of first: its time constant is the sum"
-                f" of both."
+                f" of both.{longer if longer_s else ''}"
             )
         notes += _tell_plant(axis)
     return values, notes
@@ -229,6 +231,13 @@ def _tell_plant(axis: AxisModel) -> Iterator[str]:
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
+    if axis.bound_beside is not None:
+        other: Axis = "turn_rate" if axis.axis == "speed" else "speed"
+        yield (
+            f"{_NOTE}The wheels limit both axes together. A {NAMES[other]} of"
+            f" {axis.bound_beside.value:.3g} {axis.bound_beside.unit} reaches their limit alone, so"
+            f" the {name} beside it is smaller. The plant has no such limit."
+        )
     limits = [key.replace("_", " ") for key, _ in _list_own_limits(axis)]
     if limits:
         yield (

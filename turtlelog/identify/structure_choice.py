@@ -7,6 +7,7 @@ the rest better than the simpler one. Structures that the log cannot distinguish
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Final, get_args
 
 import numpy as np
@@ -17,14 +18,14 @@ from turtlelog.identify.axis_fit import (
     LAG,
     AxisFit,
     measure_badness,
-    measure_gain,
     measure_near,
+    measure_reductions,
     predict_badness,
     refit_axis,
     restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.held_response import Order, Structure, Values
+from turtlelog.identify.held_response import COUPLED, Order, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FITTED: Final = 2 / 3
@@ -53,6 +54,18 @@ _STARTS_S: Final = (0.1, 0.5)
 
 _BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
 """Shares of the largest command at which the search for a bound starts."""
+
+_ALONE: Final = (0.3, 0.6, 0.9, 1.5, 3.0)
+"""The same for a limit of the wheels, which commands may reach only beside those of the other axis.
+"""
+
+_BESIDE: Final = (0.25, 0.4, 0.6, 0.8, 0.95)
+"""Shares of the largest command of the other axis that the limit of the wheels is looked for from.
+"""
+
+_BELOW: Final = 0.02
+"""Share of the time with commands in which they must stay below a bound: two messages of a robot
+that otherwise drives at its bound make a gain of four. Of random steps more than a tenth do."""
 
 _FRICTIONS: Final = (0.05, 0.15)
 """Shares of the largest command at which the search for friction starts."""
@@ -101,7 +114,9 @@ def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
     tried[fit.model.structure] = fit
     for structure, starts in _list_neighbours(fit):
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
-            tried[structure] = refit_axis(fit, structure, chosen)
+            other = refit_axis(fit, structure, chosen)
+            if shows_gain(other):
+                tried[structure] = other
     near = min(tried.values(), key=measure_badness)
     if near is not fit:
         # If another structure has left a local minimum, this one may follow.
@@ -144,6 +159,21 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
             return False
     is_clear = measure_badness(fit) - measure_badness(other) >= _CLEARLY
     return is_clear and other.parameters[GAIN] > 0.0 and measure_effect(fit, other) >= _MATTERS
+
+
+def shows_gain(fit: AxisFit) -> bool:
+    """Return whether enough commands stay below the bound of a fit: its gain is theirs."""
+    names = fit.model.structure.names
+    if "tightness" not in names:
+        return True
+    tightness = float(fit.parameters[EXTRA + names.index("tightness")])
+    below_s = moving_s = 0.0
+    for motion in fit.model.motions:
+        held_s = np.diff(motion.commands.time_s, append=motion.time_s[-1])
+        size = tightness * np.abs(motion.commands.value)
+        moving_s += float(held_s[size > 0.0].sum())
+        below_s += float(held_s[(size > 0.0) & (size < 1.0)].sum())
+    return below_s >= _BELOW * moving_s
 
 
 def measure_effect(fit: AxisFit, other: AxisFit) -> float:
@@ -193,7 +223,7 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         replace(structure, has_friction=True),
     )
     largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
-    bounds = [known["tightness"]] if structure.bound else []
+    bounds = [known["tightness"]] if "tightness" in known else []
     bounds += [1.0 / (share * largest) for share in _BOUNDS]
     for other, name, values in (
         (bounded, "tightness", bounds),
@@ -203,10 +233,35 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     ):
         if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
+    yield from _list_coupled(fit, known, largest)
     small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
+
+
+def _list_coupled(
+    fit: AxisFit, known: dict[str, float], largest: float
+) -> Iterator[tuple[Structure, Starts]]:
+    """Yield limits of the wheels; none if the other axis rests, or the first does not promise."""
+    others = [motion.beside.value for motion in fit.model.motions if motion.beside is not None]
+    beside = float(np.abs(np.concatenate([np.zeros(1), *others])).max())
+    if not beside:
+        return
+    alone = [known[name] for name in known if name == "tightness"]
+    alone += [1.0 / (share * largest) for share in _ALONE]
+    couplings = [known[name] for name in known if name == "coupling"]
+    couplings += [1.0 / (share * beside) for share in _BESIDE]
+    for bound in COUPLED:
+        other = replace(fit.model.structure, bound=bound)
+        starts: Starts = [
+            tuple((known | {"tightness": one, "coupling": two})[name] for name in other.names)
+            for one, two in product(alone if "tightness" in other.names else [0.0], couplings)
+        ]
+        if bound == COUPLED[0] and not _choose_starts(fit, other, starts):
+            return
+        if other != fit.model.structure:
+            yield other, starts
 
 
 def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
@@ -238,13 +293,14 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
     if structure.size <= fit.model.structure.size:
         return starts
     asks = {"reverse": 1.1}
-    gains = []
-    for extras in starts:
-        moved = tuple(
+    moved = [
+        tuple(
             asks[name] if name in asks and value == 1.0 else value
             for name, value in zip(structure.names, extras, strict=True)
         )
-        gains.append((measure_gain(fit, structure, moved), extras))
+        for extras in starts
+    ]
+    gains = [*zip(measure_reductions(fit, structure, moved), starts, strict=True)]
     gains.sort(reverse=True)
     return [extras for gain, extras in gains[:_REFINED] if gain >= _ASKS]
 

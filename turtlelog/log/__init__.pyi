@@ -29,6 +29,7 @@ from .live_run import (
 )
 from .read_choice import (
     CHOSEN as CHOSEN,
+    UNUSED as UNUSED,
     ReadChoice as ReadChoice,
     ReadOptions as ReadOptions,
     split_topic as split_topic,

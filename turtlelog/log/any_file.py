@@ -16,8 +16,11 @@ from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
+    UNUSED,
+    FileKind,
     ReadChoice,
     ReadOptions,
+    describe_unused,
     match_topic,
     parse_goal_option,
     split_topic,
@@ -71,9 +74,10 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
             f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
         )
     if has_tables and not (is_log and choice.columns):
-        return _aim(path, importers.import_tables(path), choice)
+        return _note_unused(_aim(path, importers.import_tables(path), choice), choice, "table")
     if is_log:
-        return _aim(path, importers.import_other(path, choice.columns), choice)
+        run = _aim(path, importers.import_other(path, choice.columns), choice)
+        return _note_unused(run, choice, "table")
     # A recording by turtlelog contains more than poses and commands: asking for these loses
     # nothing.
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
@@ -89,8 +93,8 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     if is_usual or not (is_folder or is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
-            return _note_unused(_aim(path, own, choice), choice)
-    return _note_unused(ros2.read_bag(path, **_list_options(choice)), choice)
+            return _note_unused(_aim(path, own, choice), choice, "recording")
+    return _note_unused(ros2.read_bag(path, **_list_options(choice)), choice, "bag")
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
@@ -173,8 +177,10 @@ def read_file_info(
     if not has_tables and not is_log:
         is_partial = choice.allow_partial
         found = ros2.read_bag_info(path) if is_folder else read_info(path, allow_partial=is_partial)
-        unused = {"columns": _describe_unused(choice)} if choice.columns else {}
-        return replace(found, notes={**found.notes, **unused})
+        if found.format_version is None:
+            return found  # what a bag does not use depends on its topics, which only reading shows
+        unused = describe_unused(choice, "recording")
+        return replace(found, notes={**found.notes, UNUSED: unused}) if unused else found
     is_own = has_tables and not (is_log and choice.columns)
     run = importers.import_tables(path) if is_own else importers.import_other(path, choice.columns)
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
@@ -189,20 +195,16 @@ def read_file_info(
         parameters=run.parameters,
         topics=(),
         absent=run.absent,
-        notes={"rows": rows} | {name: text for name, text in run.notes.items() if name != CHOSEN},
+        notes={"rows": rows}
+        | {name: text for name, text in run.notes.items() if name != CHOSEN}
+        | ({UNUSED: unused} if (unused := describe_unused(choice, "table")) else {}),
     )
 
 
-def _note_unused(run: "Run", choice: ReadChoice) -> "Run":
-    """Return a run with a note if columns were requested but the file is not a table."""
-    if not choice.columns:
-        return run
-    told = [run.notes[CHOSEN]] if CHOSEN in run.notes else []
-    return replace(run, notes={**run.notes, CHOSEN: "; ".join([*told, _describe_unused(choice)])})
-
-
-def _describe_unused(choice: ReadChoice) -> str:
-    return f"this is no table: --column {', '.join(choice.columns)} is not used"
+def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
+    """Return a run with a note on requested options that its file does not use."""
+    unused = describe_unused(choice, kind, run.notes.get("command_topic", ""))
+    return replace(run, notes={**run.notes, UNUSED: unused}) if unused else run
 
 
 def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:

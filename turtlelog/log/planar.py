@@ -48,6 +48,18 @@ def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
 _SEEN: Final = "most metrics are seen from above"
 
 
+def describe_level(z_m: Values | None) -> str | None:
+    """Return a sentence on the height of a robot that stays in a plane; None if it is about 0.
+
+    Args:
+        z_m: As in `describe_height`.
+    """
+    heights = _keep_finite(z_m)
+    if not len(heights) or abs(level_m := float(np.median(heights))) <= MOST_HEIGHT_M:
+        return None
+    return f"the poses are at a height of {level_m:.3g} m, which is left out"
+
+
 def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]:
     """Return the heights and tilts of a robot that leaves the plane, by column name.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Final, Literal, TypedDict
 
+from turtlelog.display import join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 
@@ -84,6 +85,59 @@ class ReadChoice:
 
 CHOSEN: Final = "chosen"
 """Name of a note, in one line, on the chosen topics; shown on request and never recorded."""
+
+UNUSED: Final = "unused"
+"""Note in one line on options that a file does not use; it goes into no recording either."""
+
+FileKind = Literal["table", "recording", "bag"]
+
+_OF_TABLES: Final = ("columns",)
+_OF_BAGS: Final = (
+    *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
+    *("time", "robot", "wheel_joints", "wheels", "wheelbase"),
+)
+
+
+def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:
+    """Return one line on the options that a file does not use, and why; empty without any.
+
+    Args:
+        choice: The options that were given.
+        kind: What the file is; turtlelog's recordings have one clock, and turn rates as commands.
+        commands: Topic and type of the commands that were read from a bag; empty without any.
+    """
+    usual = ReadChoice()
+    given = [
+        name
+        for name in ReadOptions.__annotations__
+        if getattr(choice, name) != getattr(usual, name)
+    ]
+    of_recording = (*_OF_TABLES, "time", "wheelbase")
+    never = {"table": _OF_BAGS, "recording": of_recording, "bag": _OF_TABLES}[kind]
+    reasons = {"table": "this is a table", "recording": "this is a turtlelog recording"}
+    reason = reasons.get(kind, "this is no table")
+    parts = (
+        [f"{_join_options(choice, names)} not used: {reason}"]
+        if (names := [name for name in given if name in never])
+        else []
+    )
+    if kind == "bag" and "wheelbase" in given and "ackermann_msgs" not in commands:
+        found = (
+            f"the commands on {commands} are turn rates" if commands else "no commands were read"
+        )
+        parts.append(f"--wheelbase is not used: {found}")
+    return "; ".join(parts)
+
+
+def _join_options(choice: ReadChoice, names: Collection[str]) -> str:
+    """Return options as they are typed, and the verb that follows them."""
+    texts = [
+        f"--column {', '.join(choice.columns)}"
+        if name == "columns"
+        else f"--{name.replace('_', '-')}"
+        for name in names
+    ]
+    return f"{join_words(texts)} {'is' if len(texts) == 1 else 'are'}"
 
 
 def split_topic(path: str | Path) -> tuple[Path, str | None]:

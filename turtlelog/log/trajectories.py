@@ -18,7 +18,7 @@ from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.table_cells import Cells, Values
 from turtlelog.log.importers.table_columns import assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, split_topic
+from turtlelog.log.read_choice import CHOSEN, UNUSED, ReadChoice, split_topic
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_columns import PoseShape, find_pose_shape
 from turtlelog.log.ros2.bag_poses import find_poses
@@ -85,7 +85,9 @@ def read_trajectory(
             return found
     run = read_as_chosen(path, choice)
     planar = build_planar_trajectory(run)
-    return replace(planar, notes={name: run.notes[name] for name in (CHOSEN,) if name in run.notes})
+    return replace(
+        planar, notes={name: run.notes[name] for name in (CHOSEN, UNUSED) if name in run.notes}
+    )
 
 
 def _open_bag(path: Path) -> Bag | None:

@@ -15,18 +15,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, join_words
+from turtlelog.measure.corrections import ACCELERATION, find_corrections, measure_steps
 from turtlelog.measure.motion import GAP_STEPS
 from turtlelog.measure.outliers import (
-    GRAINS,
-    LOCAL_SPANS,
-    LONGEST_STEP_NS,
     NEIGHBOURS,
     compute_median,
-    find_outliers,
-    find_quantisation_step,
 )
 from turtlelog.run import PoseColumns, Run, take_rows
-from turtlelog.run.angles import subtract_headings
 
 Values = NDArray[np.float64]
 
@@ -116,10 +111,8 @@ def find_gaps(run: Run) -> tuple[PoseGap, ...]:
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     """Return the steps from pose to pose that the robot cannot have driven.
 
-    A step far beyond the greatest rate of the robot is a jump; a stray pose makes two such steps. A
-    single step is also a jump if neither neighbour is similar, as in `find_outliers`, or if it is
-    opposite to the five steps on either side. The same is true if it exceeds the motion of these
-    five (`_find_excess_steps`).
+    A step is a jump if it is far beyond the greatest rate of the robot (two steps if a pose
+    strays), or a correction of the pose (`find_corrections`).
     """
     poses = run.poses
     if _has_courses(run):  # a course turns with the positions, and is not independent
@@ -128,35 +121,26 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     poses = poses if len(rows) == len(poses) else _take_poses(poses, rows)
     if len(poses) < 3:
         return ()
-    steps = measure_excess(poses)
+    steps = measure_steps(poses)
     step_ns = np.diff(poses.time_ns)
     usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
     moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
     applied = [poses.speed_m_s, poses.turn_rate_rad_s]
     is_jump = np.zeros(len(step_ns), dtype=bool)
-    excess = _find_excess_steps(poses)
     if poses.speed_m_s is None:
-        is_jump |= excess.is_jump
+        is_jump |= find_corrections(poses)
     together = np.hypot(*(poses.xy_m[2:] - poses.xy_m[:-2]).T), np.abs(steps[2][1:] + steps[2][:-1])
-    ways = zip((moved, turned), together, applied, _ACCELERATION, strict=True)
+    ways = zip((moved, turned), together, applied, ACCELERATION, strict=True)
     for way, net, seen, acceleration in ways:
         is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
-    for name, way in zip(("ahead", "aside", "turned"), steps, strict=True):
-        rate = way / usual_ns * 1e9
-        # A wheeled robot hardly moves sideways, so the sign of this motion is not informative.
-        can_lead_back = (name != "aside") & (step_ns <= LONGEST_STEP_NS)
-        stands_out = _find_reversals(rate) & can_lead_back
-        stands_out[find_outliers(poses.time_ns[1:], rate)] = True
-        # The displacement of a step with lost poses is a mean, which shows nothing about its ends.
-        stands_out &= step_ns <= _LATE * compute_median(step_ns)
-        is_jump |= stands_out & (np.abs(way - _smooth(way)) > _ROUNDING)
-    beyond_m, beyond_rad = np.hypot(excess.ahead_m, excess.aside_m), np.abs(excess.turned_rad)
+    beyond_ahead_m, beyond_aside_m, beyond_turned_rad = _find_excess_steps(poses)
+    beyond_m, beyond_rad = np.hypot(beyond_ahead_m, beyond_aside_m), np.abs(beyond_turned_rad)
     for row in np.flatnonzero(is_jump & (beyond_rad > _TURNED_RAD)).tolist():
         # The axes turned with the robot, so only the size of the displacement is compared.
         near = moved[row - NEIGHBOURS : row + NEIGHBOURS + 1]
         beyond_m[row] = abs(moved[row] - np.median(near))
-    steps = _face_before(steps, excess.turned_rad)
-    # At both ends the motion within a step is unknown.
+    steps = _face_before(steps, beyond_turned_rad)
+    # At either end nothing tells what of a step is driving.
     for beyond, whole in ((beyond_m, moved), (beyond_rad, turned)):
         beyond[:NEIGHBOURS], beyond[-NEIGHBOURS:] = whole[:NEIGHBOURS], whole[-NEIGHBOURS:]
     return tuple(
@@ -221,7 +205,7 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool)
     signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
     way_m = float(np.hypot(largest.moved_m, largest.aside_m))
     least_m = _ROUNDING
-    beyond_s2 = largest.excess_m / _ACCELERATION[0], largest.excess_rad / _ACCELERATION[1]
+    beyond_s2 = largest.excess_m / ACCELERATION[0], largest.excess_rad / ACCELERATION[1]
     if largest.excess_m <= _TOLD * way_m and beyond_s2[0] < beyond_s2[1]:
         least_m = np.inf  # the displacement has no meaning if the heading jumps
     parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
@@ -236,27 +220,6 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool)
 
 
 _WAYS: Final = ("m ahead", "m back", "m to the left", "m to the right")
-
-
-def _find_reversals(rate: Values) -> NDArray[np.bool_]:
-    """Return which steps lead back during a steady motion, further than this motion varies."""
-    found = np.zeros(len(rate), dtype=bool)
-    if len(rate) <= 2 * NEIGHBOURS:
-        return found
-    windows = sliding_window_view(rate, 2 * NEIGHBOURS + 1)
-    near, own = np.delete(windows, NEIGHBOURS, axis=1), windows[:, NEIGHBOURS]
-    low, high = near.min(axis=1), near.max(axis=1)
-    is_back = ((low > 0.0) & (own < 0.0)) | ((high < 0.0) & (own > 0.0))
-    off = np.abs(own - np.median(near, axis=1))
-    least = np.maximum(LOCAL_SPANS * (high - low), GRAINS * find_quantisation_step(rate))
-    found[NEIGHBOURS:-NEIGHBOURS] = is_back & (off > least)
-    return found
-
-
-def _smooth(way: Values) -> Values:
-    """Return the running median over three steps."""
-    padded = np.pad(way, 1, mode="edge")
-    return np.asarray(np.median(sliding_window_view(padded, 3), axis=1))
 
 
 def _find_far_steps(
@@ -283,73 +246,20 @@ def _find_far_steps(
     return is_far
 
 
-_ACCELERATION: Final = (2.0, 10.0)
-"""Rate that a robot reaches from rest in 1 s if it was never seen to move so fast [m/s2,
-rad/s2]."""
-
-_BEYOND: Final = 3.0
-"""Ratio to the effect of acceleration on a step from which an excess is a jump."""
-
-_ALONE: Final = 3.0
-"""Smallest ratio to the excess of each neighbour: a late pose has an excess of its own."""
-
-_PLAIN_SHARE: Final = 0.8
-_NOISES: Final = 6.0
-"""Smallest ratio to the 80 % quantile of excesses. Normal or Laplace noise reaches it in 1 of
-15,000 steps, and rarely beside such neighbours. With poses at 10 Hz, a correction every second is
-in 10 % of the steps."""
-
 _LATE: Final = 1.5
 """Ratio to the usual time from which a step lost poses: the robot may have stopped in it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ExcessSteps:
-    """Steps between poses, each with its excess over the neighbouring steps.
-
-    Attributes:
-        ahead_m: Excess along the heading, backward negative [m], shape (n,).
-        aside_m: Excess to the left [m], shape (n,).
-        turned_rad: Excess turn, counter-clockwise [rad], shape (n,).
-        is_jump: Whether the step is a jump, shape (n,).
-    """
-
-    ahead_m: Values
-    aside_m: Values
-    turned_rad: Values
-    is_jump: NDArray[np.bool_]
-
-
-def measure_excess(poses: PoseColumns) -> tuple[Values, Values, Values]:
-    """Return each step along and across the mean heading of its poses [m], and turned [rad]."""
-    turned_rad = subtract_headings(poses.heading_rad[1:], poses.heading_rad[:-1])
-    mean_rad = poses.heading_rad[:-1] + 0.5 * turned_rad
-    x_m, y_m = np.diff(poses.xy_m, axis=0).T
-    cos, sin = np.cos(mean_rad), np.sin(mean_rad)
-    return x_m * cos + y_m * sin, y_m * cos - x_m * sin, turned_rad
-
-
-def _find_excess_steps(poses: PoseColumns) -> ExcessSteps:
-    """Return the steps from pose to pose with their excess over the neighbouring steps."""
-    steps = measure_excess(poses)
+def _find_excess_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
+    """Return by how much steps exceed the neighbouring ones, ahead and aside [m], turned [rad]."""
+    steps = measure_steps(poses)
     step_ns = np.diff(poses.time_ns)
-    is_jump = np.zeros(len(step_ns), dtype=bool)
-    excess = [np.zeros(len(step_ns)) for _ in steps]
-    if len(step_ns) > 2 * NEIGHBOURS:
-        usual_ns = compute_median(step_ns)
-        is_late = step_ns > _LATE * usual_ns
-        pairs = [_find_excess(step, step_ns, is_late) for step in steps]
-        plain, excess = ([pair[kind] for pair in pairs] for kind in (0, 1))
-        for axes, acceleration in zip((slice(0, 2), slice(2, 3)), _ACCELERATION, strict=True):
-            size, usual = (np.hypot.reduce(found[axes]) for found in (excess, plain))
-            least = _BEYOND * acceleration * (step_ns / 1e9) ** 2
-            is_jump |= (np.abs(size) > least) & _stands_alone(size, np.abs(usual))
-    return ExcessSteps(
-        ahead_m=excess[0],
-        aside_m=excess[1],
-        turned_rad=excess[2],
-        is_jump=is_jump,
-    )
+    if len(step_ns) <= 2 * NEIGHBOURS:
+        ahead_m, aside_m, turned_rad = (np.zeros(len(step_ns)) for _ in steps)
+        return ahead_m, aside_m, turned_rad
+    is_late = step_ns > _LATE * compute_median(step_ns)
+    ahead_m, aside_m, turned_rad = (_find_excess(step, step_ns, is_late) for step in steps)
+    return ahead_m, aside_m, turned_rad
 
 
 def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
@@ -366,30 +276,18 @@ def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
     return np.concatenate([[0], changing])
 
 
-def _find_excess(
-    step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]
-) -> tuple[Values, Values]:
+def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]) -> Values:
     """Return by how much each step exceeds the median rate of its neighbours; 0 at both ends.
 
-    The second value leaves out the part that another rate explains in steps with lost poses.
+    Steps with lost poses exceed only what no rate of their neighbours, nor a stop, explains.
     """
     windows = sliding_window_view(step / step_ns, 2 * NEIGHBOURS + 1)
     near = np.delete(windows, NEIGHBOURS, axis=1)
     inside = slice(NEIGHBOURS, -NEIGHBOURS)
     way, took_ns = step[inside], step_ns[inside]
-    # In a step with lost poses, any displacement between those of a stop and of a neighbour's rate
-    # is possible.
     low = np.minimum(near.min(axis=1), 0.0) * took_ns
     high = np.maximum(near.max(axis=1), 0.0) * took_ns
-    plain, excess = np.zeros(len(step)), np.zeros(len(step))
-    plain[inside] = way - np.median(near, axis=1) * took_ns
-    excess[inside] = np.where(is_late[inside], way - np.clip(way, low, high), plain[inside])
-    return plain, excess
-
-
-def _stands_alone(size: Values, plain: Values) -> NDArray[np.bool_]:
-    """Return which excesses are far beyond those of their neighbours and the usual excess."""
-    padded = np.pad(plain, NEIGHBOURS)
-    near = np.delete(sliding_window_view(padded, 2 * NEIGHBOURS + 1), NEIGHBOURS, axis=1)
-    usual = float(np.quantile(plain, _PLAIN_SHARE))
-    return np.asarray((np.abs(size) > _ALONE * near.max(axis=1)) & (np.abs(size) > _NOISES * usual))
+    excess = np.zeros(len(step))
+    plain = way - np.median(near, axis=1) * took_ns
+    excess[inside] = np.where(is_late[inside], way - np.clip(way, low, high), plain)
+    return excess

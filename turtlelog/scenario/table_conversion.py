@@ -75,6 +75,10 @@ def build_scenario(
     kind = law_table.get("kind", DEFAULT_LAW)
     if not isinstance(kind, str):
         raise ScenarioError(f"{source}: law.kind: expected text, found {describe_value(kind)}")
+    if "checks" in tables:
+        raise ScenarioError(
+            f"{source} is a specification, not a scenario: turtlelog check {source} FILE..."
+        )
     rest = {key: value for key, value in tables.items() if key != "law"}
     own = {key: value for key, value in law_table.items() if key != "kind"}
     _require_sound(rest, Scenario, "", source)

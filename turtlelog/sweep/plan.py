@@ -372,7 +372,9 @@ def _build_steps(first: str, last: str, step: str | None, *, place: str) -> Equa
         raise SweepError(f"{place}: expected a step other than 0, found {step}")
     steps, rest = divmod(high - low, width)
     if steps < 0:
-        raise SweepError(f"{place}: no value from {first} to {last}")
+        back = f"{last}:{first}" if width > 0 else f"{first}:{last}"
+        end = "" if step is None else f":{step.removeprefix('-')}"
+        raise SweepError(f"{place}: no value from {first} to {last}; did you mean {back}{end}?")
     if steps >= MOST_ROWS:
         raise SweepError(f"{place}: expected at most {MOST_ROWS:,} values, found {steps + 1:,}")
     if rest:

@@ -4,7 +4,9 @@ import pytest
 
 import turtlelog as tl
 from tests.check.pytest_plugin.conftest import run
+from tests.cli.test_commands_alone import say_twist
 from tests.identify.robots import Log, Truth, make_run, write_bag
+from tests.log.ros2.bags import write_mcap
 from turtlelog.check import Recording
 from turtlelog.errors import MissingValueError
 
@@ -50,3 +52,27 @@ def test_a_robot_alone_is_no_verdict(axis: str, tmp_path: Path) -> None:
     told = "assert one of its values" if axis else "assert a value of one of its axes"
     with pytest.raises(tl.CheckError, match=told):
         assert getattr(robot, axis) if axis else robot
+
+
+def test_a_bag_of_commands_alone_is_checked(suite: pytest.Pytester) -> None:
+    said = [say_twist(0.2 if row < 100 else 0.1, row=row) for row in range(201)]
+    (suite.path / "runs").mkdir(exist_ok=True)
+    write_mcap(suite.path / "runs" / "drive.mcap", said)
+    body = (
+        "def test_slow(recording):\n    assert recording.holds('always(abs(speed) <= 0.2)')\n"
+        "def test_slower(recording):\n    assert recording.holds('always(abs(speed) <= 0.15)')\n"
+        "def test_effort(recording):\n    assert recording.metric('run.speed_effort') < 0.3\n"
+        "def test_way(recording):\n    assert recording.metric('run.path_length') < 5\n"
+        "def test_gain(recording):\n    assert recording.robot().speed.gain < 1\n"
+        "def test_same(recording):\n    assert recording.matches(recording)\n"
+    )
+    result = run(suite, body, marker='"runs/drive.mcap"')
+    result.assert_outcomes(passed=2, failed=4)
+    result.stdout.fnmatch_lines_random(
+        [
+            "*always(abs(speed) <= 0.15)*",
+            "*run.path_length: *no value: absent (the recording holds no poses)*",
+            "*IdentifyError: drive: the recording holds no poses, only commands*",
+            "*CompareError: drive: the recording holds no poses, which are compared*",
+        ]
+    )

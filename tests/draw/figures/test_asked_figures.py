@@ -351,7 +351,6 @@ def robot() -> tl.Run:
     return make_run(Log(duration_s=12.0, noise_m=0.0, noise_rad=0.0, jitter_s=0.0), 1)
 
 
-@pytest.mark.thorough
 def test_rates_name_what_identification_found(robot: tl.Run) -> None:
     figure, model = make_figure(), identify_robot([robot])
     draw_rates(figure, [robot])
@@ -364,7 +363,6 @@ def test_rates_name_what_identification_found(robot: tl.Run) -> None:
         assert lag_ms == pytest.approx(1e3 * axis.lag_s.value, abs=1.0)
 
 
-@pytest.mark.thorough
 def test_a_step_that_does_not_count_is_marked_where_it_is_off(robot: tl.Run) -> None:
     xy_m = robot.poses.xy_m.copy()
     xy_m[100:] += 0.5
@@ -387,7 +385,6 @@ def test_a_step_that_does_not_count_is_marked_where_it_is_off(robot: tl.Run) -> 
     assert axes.texts[0].get_text().startswith(told)
 
 
-@pytest.mark.thorough
 def test_an_axis_that_is_not_identified_is_drawn_with_the_reason(robot: tl.Run) -> None:
     short = replace(
         robot, commands=replace(robot.commands, speed_m_s=0.3 + 0.0 * robot.commands.speed_m_s)

@@ -1,5 +1,6 @@
 """What a robot saw stands below its path, at its time, and can be left out."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,44 @@ from tests.draw.rerun.rrds import (
 )
 from turtlelog.draw.rerun.world import Bounds, widen_plane
 from turtlelog.log import Surroundings
+from turtlelog.log.ros2.bag_maps import UNKNOWN, OccupancyMap
 
 POSITIONS = "Points2D:positions"
+
+
+def make_map(*, is_costmap: bool = False) -> OccupancyMap:
+    """Return a map of 3 x 2 cells of 0.5 m that is turned by a quarter to the left."""
+    return OccupancyMap(
+        topic="/map",
+        is_costmap=is_costmap,
+        cells=np.array([[0, 100, 50], [UNKNOWN, 0, 100]], dtype=np.uint8),
+        corner_xy_m=np.array([1.0, 2.0]),
+        column_xy_m=np.array([0.0, 0.5]),
+        row_xy_m=np.array([-0.5, 0.0]),
+    )
+
+
+@pytest.mark.parametrize("is_costmap", [False, True])
+def test_a_map_is_one_picture_in_its_place(tmp_path: Path, *, is_costmap: bool) -> None:
+    path, place = tmp_path / "a.rrd", make_map(is_costmap=is_costmap)
+    seen = replace(make_seen(), maps=(place,))
+    tl.write_run_rrd(make_foreign_run(10), path, surroundings=seen)
+    entity = "/plane/costmap" if is_costmap else "/plane/map"
+    assert {"/plane/costmap", "/plane/map"} & list_entities(path) == {entity}
+    (picture,) = read_static(path, entity, "SegmentationImage:buffer")
+    assert bytes(np.array(picture, dtype=np.uint8)) == place.cells.tobytes()
+    (form,) = read_static(path, entity, "SegmentationImage:format")
+    assert (form["width"], form["height"]) == (3, 2)
+    (corner,) = read_static(path, entity, "Transform3D:translation")
+    assert corner == [1.0, 2.0, 0.0]
+    (turn,) = read_static(path, entity, "Transform3D:mat3x3")  # by columns
+    assert turn == [0.0, 0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0, 1.0]
+    (names,) = read_static(path, entity, "AnnotationContext:context")
+    shown = {one["class_id"]: one["class_description"]["info"]["color"] & 255 for one in names}
+    # Unknown cells have no colour, nor have those that cost nothing.
+    assert shown[UNKNOWN] == 0
+    assert shown[0] == (0 if is_costmap else 255)
+    assert len(shown) == 102
 
 
 def make_seen(*walls: tuple[float, float]) -> Surroundings:
@@ -24,7 +61,6 @@ def make_seen(*walls: tuple[float, float]) -> Surroundings:
         time_ns=np.array([10_000, 20_000], dtype=np.int64),
         scans_xy_m=(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[5.0, 6.0]])),
         walls_xy_m=np.array(walls).reshape(-1, 2),
-        map_xy_m=np.zeros((0, 2)),
     )
 
 

@@ -1,11 +1,13 @@
 import re
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import zstandard
 
 from tests.log.ros2.bags import (
+    START_NS,
     TICK_NS,
     make_command,
     make_poses,
@@ -155,6 +157,35 @@ def test_parts_follow_each_other_in_time(begin: int, is_one: bool, tmp_path: Pat
     else:
         with pytest.raises(LogError, match="a folder of 2 recordings, not one bag"):
             list_bag_files(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "every_s", "reason"),
+    [
+        (9.9, 0.016, None),
+        (10.1, 0.016, "a_1.mcap begins 10 s after a_0.mcap ends"),
+        (2 * 86_400.0, 0.016, "a_1.mcap begins 2 days after a_0.mcap ends"),
+        (280.0, 3.0, None),  # slow topics alone
+        (300.0, 3.0, "a_1.mcap begins 5 minutes after a_0.mcap ends"),
+    ],
+)
+def test_parts_follow_each_other_closely(
+    gap_s: float, every_s: float, reason: str | None, tmp_path: Path
+) -> None:
+    count = 30
+    for number in range(2):
+        start_s = number * ((count - 1) * every_s + gap_s)
+        times_ns = [START_NS + round((start_s + row * every_s) * 1e9) for row in range(count)]
+        said = [
+            replace(pose, time_ns=at) for pose, at in zip(make_poses(count), times_ns, strict=True)
+        ]
+        write_mcap(tmp_path / f"a_{number}.mcap", said)
+    if reason is None:
+        assert len(read_bag(tmp_path).poses) == 2 * count
+    else:
+        with pytest.raises(LogError, match=f"not one bag .*; {reason}") as caught:
+            read_bag(tmp_path)
+        assert str(caught.value).endswith("): name one of them: a_0.mcap, a_1.mcap")
 
 
 def test_a_folder_of_many_recordings_is_told_in_one_short_line(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Scans of a known wall lie on it, wherever the scanner sits; what has no place is left out."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,9 @@ from tests.log.ros2.robots import (
 )
 from turtlelog import read_run
 from turtlelog.log import Surroundings, read_surroundings
+from turtlelog.log.ros2.bag_maps import UNKNOWN
 from turtlelog.log.ros2.bag_scans import CELL_M, MOST_RAYS, MOST_SCANS
+from turtlelog.log.ros2.bag_transforms import Link
 
 WALL_M = 5.0
 """Where a wall stands across the way of the robot, which drives along x at 1 m/s."""
@@ -104,6 +107,61 @@ def test_a_scanner_that_hangs_upside_down_sees_left_on_the_left(tmp_path: Path) 
     )
     first, last = seen.scans_xy_m[0][[0, -1], 1]
     assert first > 0.0 > last
+
+
+def stamp(said: Said, *, late_s: float = 0.0) -> Said:
+    """Return a message whose header has its time, and that was recorded later."""
+    head = said.values.get("header") or said.values["transforms"][0]["header"]
+    head["stamp"] = {"sec": said.time_ns // SECOND_NS, "nanosec": said.time_ns % SECOND_NS}
+    return replace(said, time_ns=said.time_ns + round(late_s * SECOND_NS))
+
+
+@pytest.mark.parametrize("rate_rad_s", [1.0, -2.0, 6.0])
+def test_a_scanner_that_rotates_is_turned_as_at_the_stamp_of_each_scan(
+    rate_rad_s: float, tmp_path: Path
+) -> None:
+    # Transforms come five times a second, a tenth of a second late.
+    turns = [
+        say_transform("base_link", "laser", 0.1, at_s=at_s, by=turn(rate_rad_s * at_s))
+        for at_s in np.arange(0.0, 3.1, 0.2).tolist()
+    ]
+    times_s = (0.53, 1.0, 1.77, 2.49)
+    scans = [
+        say_scan(at_s, away_m=WALL_M - at_s - 0.1, facing_rad=rate_rad_s * at_s) for at_s in times_s
+    ]
+    seen = look(tmp_path, [stamp(one, late_s=0.1) for one in turns], [*map(stamp, scans)])
+    assert len(seen.scans_xy_m) == len(times_s)
+    for points in seen.scans_xy_m:
+        np.testing.assert_allclose(points[:, 0], WALL_M, atol=1e-5)
+
+
+def test_a_scanner_that_rotates_without_stamps_is_turned_as_last_recorded(tmp_path: Path) -> None:
+    turns = [
+        say_transform("base_link", "laser", at_s=at_s, by=turn(at_s)) for at_s in (0.0, 0.9, 2.0)
+    ]
+    seen = look(tmp_path, turns, say_scan(1.0, facing_rad=0.9))
+    np.testing.assert_allclose(seen.scans_xy_m[0][:, 0], WALL_M, atol=1e-5)
+
+
+@pytest.mark.parametrize(("away_s", "is_held"), [(0.99, True), (1.01, False)])
+def test_a_transform_is_held_for_a_second(away_s: float, *, is_held: bool) -> None:
+    stamps = np.array([5, 6], dtype=np.int64) * SECOND_NS
+    link = Link(
+        parent="base_link",
+        child="laser",
+        time_ns=stamps,
+        stamp_ns=stamps,
+        place_m=np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]),
+        turn=np.array([turn(0.0), turn(1.0)]),
+    )
+    before, after = (link.interpolate(round(at * SECOND_NS)) for at in (5 - away_s, 6 + away_s))
+    assert (before is not None) == (after is not None) == is_held
+    if before and after:
+        assert (before[0][0, 0], after[0][0, 0]) == (1.0, 2.0)
+    middle = link.interpolate(round(5.25 * SECOND_NS))
+    assert middle is not None
+    np.testing.assert_allclose(middle[0], [[1.25, 0.0, 0.0]])
+    np.testing.assert_allclose(middle[1], [turn(0.25)])
 
 
 def test_without_a_transform_the_scanner_is_in_the_middle_and_that_is_said(tmp_path: Path) -> None:
@@ -197,14 +255,49 @@ def test_the_scanner_of_the_named_robot_is_taken(tmp_path: Path) -> None:
 def test_a_map_has_its_occupied_cells_where_its_origin_says(tmp_path: Path) -> None:
     seen = look(tmp_path, say_map([0, 100, 64, -1, 65, 0], 3))
     np.testing.assert_allclose(seen.map_xy_m, [[1.75, 2.25], [1.75, 2.75]])
-    assert seen.map_cell_m == 0.5
+    (found,) = seen.maps
+    assert found.cells.tolist() == [[0, 100, 64], [UNKNOWN, 65, 0]]
+    assert seen.notes == ("Map of /map: 3 x 2 cells of 0.5 m, 2 occupied cells.",)
 
 
 def test_the_map_is_taken_and_not_the_costmap_that_is_sent_more_often(tmp_path: Path) -> None:
     costs = [say_map([100] * 4, 2, topic="/global_costmap/costmap", at_s=at) for at in (1.0, 2.0)]
-    assert len(look(tmp_path, say_map([100], 1), costs).map_xy_m) == 1
+    local = say_map([100], 1, topic="/local_costmap/costmap")
+    seen = look(tmp_path, say_map([100], 1), costs, local)
+    assert len(seen.map_xy_m) == 1
+    assert [(found.topic, found.is_costmap) for found in seen.maps] == [
+        ("/map", False),
+        ("/global_costmap/costmap", True),
+    ]
+    assert seen.notes[-1] == "Other maps are left out: /local_costmap/costmap."
     (tmp_path / "alone").mkdir()
     assert len(look(tmp_path / "alone", costs).map_xy_m) == 4
+
+
+@pytest.mark.parametrize(("side", "step"), [(4096, 1), (4097, 2), (9000, 3)])
+def test_a_map_that_no_picture_holds_is_joined_and_keeps_its_walls(
+    side: int, step: int, tmp_path: Path
+) -> None:
+    cells = [-1] * (2 * side)
+    cells[side - 1] = 100
+    cells[0] = 0
+    (found,) = look(tmp_path, say_map(cells, side)).maps
+    width = -(-side // step)
+    assert found.cells.shape == (2 if step == 1 else 1, width)
+    assert found.cells[0, -1] == 100
+    assert found.cells[0, 0] == 0
+    assert found.cells[0, 1] == UNKNOWN
+    np.testing.assert_allclose(found.column_xy_m, [0.5 * step, 0.0])
+
+
+def test_a_turned_map_lies_as_its_origin_says(tmp_path: Path) -> None:
+    grid = say_map([100, 0], 2)
+    grid.values["info"]["origin"] = describe_place(1.0, 2.0, turn(math.pi / 2))
+    (found,) = look(tmp_path, grid).maps
+    np.testing.assert_allclose(found.corner_xy_m, [1.0, 2.0])
+    np.testing.assert_allclose(found.column_xy_m, [0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(found.row_xy_m, [-0.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found.list_occupied(), [[0.75, 2.25]])
 
 
 def test_a_map_in_another_frame_follows_the_transforms(tmp_path: Path) -> None:

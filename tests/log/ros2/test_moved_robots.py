@@ -371,3 +371,46 @@ def test_info_names_wheels_steering_and_receivers(tmp_path: Path, call: Call) ->
     receiver = call("info", write_robot(tmp_path, say_drive()))
     assert "heading the course over 0.5 m" in receiver.flat
     assert "origin x is east and y north of 48.0000000 deg" in receiver.flat
+
+
+@pytest.mark.parametrize(
+    ("kinds", "unused"),
+    [
+        ("steering", None),
+        ("twists", "--wheelbase is not used: the commands on /cmd_vel (geometry_msgs/msg/Twist)"),
+        ("none", "--wheelbase is not used: no commands were read"),
+    ],
+)
+def test_a_wheelbase_without_steering_is_reported(
+    call: Call, tmp_path: Path, kinds: str, unused: str | None
+) -> None:
+    said = {
+        "steering": [say_steering(row, stamped=True) for row in range(5)],
+        "twists": [say_twist(0.1, row=row) for row in range(5)],
+        "none": [],
+    }
+    bag = write_robot(tmp_path, say_odometry(count=5), said[kinds])
+    answer = call("metrics", bag, "--wheelbase", "0.3")
+    assert answer.code == 0
+    assert ("not used" in answer.err) == (unused is not None)
+    assert (unused or "") in answer.err
+    (described,) = call("info", bag, "--wheelbase", "0.3", "--json").json
+    assert described["notes"].get("unused", "").startswith(unused or "")
+
+
+def test_options_for_bags_are_reported_beside_other_files(call: Call, tmp_path: Path) -> None:
+    run = tl.simulate_run(tl.load_scenario("paper-kp4"))
+    tl.log.write_recording(run, tmp_path / "kp4.mcap")
+    tl.log.export_csv(run, tmp_path / "kp4.csv", table="poses")
+    asked = {"wheelbase": 0.3, "time": "log"}
+    own = tl.read_run(tmp_path / "kp4.mcap", **asked)  # type: ignore[arg-type]
+    expected = "--time and --wheelbase are not used: this is a turtlelog recording"
+    assert own.notes["unused"] == expected
+    assert tl.read_run(tmp_path / "kp4.csv", pose_topic="/odom").notes["unused"] == (
+        "--pose-topic is not used: this is a table"
+    )
+    # Another reading of the same file may use them: no recording keeps the note.
+    tl.log.write_recording(own, tmp_path / "again.mcap")
+    assert "unused" not in tl.read_run(tmp_path / "again.mcap").notes
+    answer = call("info", tmp_path / "kp4.mcap", "--wheelbase", "0.3").flat
+    assert "--wheelbase is not used: this is a turtlelog recording" in answer

@@ -6,7 +6,7 @@ import pytest
 from mcap.writer import Writer
 
 import turtlelog as tl
-from tests.log.ros2.bags import make_command, make_poses, write_mcap
+from tests.log.ros2.bags import START_NS, make_command, make_poses, write_mcap
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_file_info, read_info, read_run
 from turtlelog.log.engine import iter_columns
@@ -32,7 +32,8 @@ def write_encoded(
         number = writer.register_schema(kind, schema, b"")
         channel = writer.register_channel(topic, encoding, number)
         for row in range(count):
-            writer.add_message(channel, row, b"1234", row)
+            time_ns = START_NS + 1_000_000_000 + row  # after what the other file of a bag holds
+            writer.add_message(channel, time_ns, b"1234", time_ns)
         writer.finish()  # type: ignore[no-untyped-call]
     return path
 

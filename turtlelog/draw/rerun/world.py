@@ -32,6 +32,7 @@ from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_pa
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.timelines import Timelines, Values, build_index
+from turtlelog.log.ros2.bag_maps import UNKNOWN, OccupancyMap
 from turtlelog.log.ros2.bag_scans import CELL_M, Surroundings
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
@@ -310,6 +311,7 @@ def _write_words(
 
 
 _MAP_ORDER: Final = 5.0  # tracked paths have 15, traces 20
+_COSTMAP_ORDER: Final = 5.5
 _WALL_ORDER: Final = 6.0
 _SCAN_ORDER: Final = 16.0
 _SCAN_RADIUS: Final = 1.75  # [points]
@@ -328,15 +330,16 @@ def draw_surroundings(
     shift_m: Values,
 ) -> None:
     """Draw the surroundings of the robot; `shift_m` is added to them, as to the run's poses."""
-    for entity, xy_m, size_m, color, order in (
-        (entities.MAP, seen.map_xy_m, seen.map_cell_m, palette.TRACKED, _MAP_ORDER),
-        (entities.WALLS, seen.walls_xy_m, CELL_M, palette.WALLS, _WALL_ORDER),
-    ):
-        if len(xy_m):
-            cells = rr.Points2D(
-                xy_m + shift_m, radii=size_m / 2.0, colors=[color], draw_order=order
-            )
-            stream.log(join_path(entity), cells, static=True)
+    for place in seen.maps:
+        _draw_map(stream, place, shift_m)
+    if len(seen.walls_xy_m):
+        cells = rr.Points2D(
+            seen.walls_xy_m + shift_m,
+            radii=CELL_M / 2.0,
+            colors=[palette.WALLS],
+            draw_order=_WALL_ORDER,
+        )
+        stream.log(join_path(entities.WALLS), cells, static=True)
     if not len(seen.time_ns):
         return
     look = rr.Points2D.from_fields(
@@ -349,6 +352,22 @@ def draw_surroundings(
         indexes=build_index(timelines.read(seen.time_ns)),
         columns=points.partition([len(one) for one in seen.scans_xy_m]),
     )
+
+
+def _draw_map(stream: rr.RecordingStream, place: OccupancyMap, shift_m: Values) -> None:
+    """Draw a map as one picture: a cell has the colour of its occupancy, and none if unknown."""
+    entity, order = (
+        (entities.COSTMAP, _COSTMAP_ORDER) if place.is_costmap else (entities.MAP, _MAP_ORDER)
+    )
+    colors = palette.COST_COLORS if place.is_costmap else palette.OCCUPANCY_COLORS
+    names = [rr.AnnotationInfo(id=value, color=color) for value, color in enumerate(colors)]
+    names.append(rr.AnnotationInfo(id=UNKNOWN, color=(0, 0, 0, 0)))
+    turn = np.eye(3)
+    turn[:2, :2] = np.column_stack([place.column_xy_m, place.row_xy_m])
+    corner = rr.Transform3D(translation=[*(place.corner_xy_m + shift_m), 0.0], mat3x3=turn)
+    picture = rr.SegmentationImage(place.cells, draw_order=order, opacity=1.0)
+    for part in (rr.AnnotationContext(names), corner, picture):
+        stream.log(join_path(entity), part, static=True)
 
 
 def widen_plane(bounds: Bounds, seen: Surroundings, shift_m: Values) -> Bounds:

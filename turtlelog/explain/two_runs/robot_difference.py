@@ -351,8 +351,9 @@ class RobotGame(Game):
             time_s = self._find_times(out) / 1e9
             model = self._exchange(axis, parts, seed)
             still = np.zeros(len(time_s))
+            beside = log.commands["turn_rate" if axis == "speed" else "speed"]
             self._ways[key] = (
-                predict_response(model, log.commands[axis], time_s)
+                predict_response(model, log.commands[axis], time_s, beside)
                 if model.is_known
                 else (still, still)
             )

@@ -38,7 +38,7 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "gain": ("gain", "reverse_gain"),
         "dead time": ("dead_time_s",),
         "time constant": ("lag_s", "lag_product_s2", "model"),
-        "limits": ("bound", "bound_acts", "rate_limit", "limit_acts"),
+        "limits": ("bound", "bound_acts", "bound_beside", "rate_limit", "limit_acts"),
         "friction": ("friction", "deadband"),
     }
 )
@@ -128,7 +128,12 @@ def _take_bounds(log: RobotLog, other: RobotLog) -> RobotLog:
         if not own.is_known or own.bound is not None or known.bound is None:
             continue
         if _find_reached_rate(log.run, axis) <= _BEYOND * known.bound.high:
-            taken[axis] = replace(own, bound=known.bound, bound_acts=known.bound_acts)
+            taken[axis] = replace(
+                own,
+                bound=known.bound,
+                bound_acts=known.bound_acts,
+                bound_beside=known.bound_beside,
+            )
     return replace(log, model=replace(log.model, **taken)) if taken else log
 
 

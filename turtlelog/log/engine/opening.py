@@ -214,8 +214,7 @@ def _require_start(path: Path, stream: BinaryIO) -> None:
     head = _read_head(stream)
     if ".db3" not in path.suffixes or find_wrong_start(head) is None:
         return
-    expected, found = SQLITE_MAGIC[:8].hex(), head[:8].hex()
-    raise LogError(f"byte 0: expected a bag in SQLite (0x{expected}), found 0x{found}")
+    raise LogError(f"byte 0: not a bag in SQLite: it begins with 0x{head[:8].hex()}")
 
 
 def _read_head(stream: BinaryIO) -> bytes:

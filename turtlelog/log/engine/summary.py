@@ -134,7 +134,7 @@ def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
     stream.seek(max(place, 0))
     footer, end = stream.read(_FOOTER.size), stream.read()
     if place < len(MCAP0_MAGIC) or end != MCAP0_MAGIC:
-        raise UnfinishedError(f"byte {size}: no end of an MCAP file: truncated or unfinished")
+        raise UnfinishedError(f"truncated or unfinished (no end of an MCAP file at byte {size})")
     opcode, length, start, _, checksum = _FOOTER.unpack(footer)
     if opcode != Opcode.FOOTER or length != 20 or start > place:
         raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")

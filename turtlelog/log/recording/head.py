@@ -12,7 +12,7 @@ from mcap.records import Metadata
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.log.engine.walk import Loss
-from turtlelog.log.read_choice import CHOSEN
+from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.run import Clock
 from turtlelog.run.declaration_json import format_declaration, parse_declaration
@@ -110,7 +110,7 @@ def describe_run(run: "Run") -> Head:
         declaration=run.declaration,
         clock=run.clock,
         simulated_by=run.simulated_by,
-        notes={name: text for name, text in run.notes.items() if name != CHOSEN},
+        notes={name: text for name, text in run.notes.items() if name not in {CHOSEN, UNUSED}},
     )
 
 
@@ -415,7 +415,7 @@ def _describe(record: Mapping[str, str]) -> str:
     lost = _decode_loss(record, "lost", tuple[Loss, ...])
     missing = _decode_loss(record, "missing", dict[str, int] | None)
     if missing is None:
-        count = "nobody knows how many messages are lost"
+        count = "the number of lost messages is unknown"
     elif missing:
         count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
     else:

@@ -2,6 +2,9 @@ from .bag import (
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
 )
+from .bag_maps import (
+    OccupancyMap as OccupancyMap,
+)
 from .bag_metadata import (
     METADATA_FILE as METADATA_FILE,
     BagPart as BagPart,

@@ -73,9 +73,10 @@ def open_bag(path: str | Path) -> Bag:
         infos[first] = replace(infos[first], notes={**infos[first].notes, **found.notes})
     for file, info in infos.items():
         if not info.complete:
-            raise LogError(
-                f"{file}: no end of an MCAP file: truncated or unfinished: {info.notes['partial']}"
-            )
+            is_left = any(topic.count for topic in info.topics)
+            fix = "; turtlelog convert --recover reads what is left" if is_left else ""
+            lost = info.notes["partial"]
+            raise LogError(f"{file}: truncated or unfinished (no end of an MCAP file): {lost}{fix}")
     return Bag(path=path, infos=infos)
 
 
@@ -88,6 +89,13 @@ _MOST_NAMED: Final = 6
 _MOST_OVERLAP: Final = 0.5
 """Largest overlap of two parts, as a share of the shorter: queued messages overlap by seconds, two
 recordings completely."""
+
+_MOST_APART_NS: Final = 10_000_000_000
+"""Time from the end of a part to the next [ns]: rosbag2 begins a part with the next message, and a
+robot that runs publishes transforms, diagnostics or odometry at least every few seconds."""
+
+_MOST_APART_STEPS: Final = 100.0
+"""Or this many times the mean time between messages: slow topics alone may be silent for longer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,35 +256,51 @@ def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
         return
     stems = {_PART.sub("", file.name) for file in files}
     are_numbered = len(stems) == 1 and all(_PART.search(file.name) for file in files)
-    if not are_numbered or not _follow_each_other(files):
+    reason = _find_break(files) if are_numbered else ""
+    if reason is not None:
         names = ", ".join(file.name for file in files[:_MOST_NAMED])
         more = f" and {len(files) - _MOST_NAMED} more" if len(files) > _MOST_NAMED else ""
+        apart = f"; {reason}" if reason else ""
         raise LogError(
             f"{folder}: a folder of {len(files)} recordings, not one bag (it has no readable"
-            f" {METADATA_FILE}): name one of them: {names}{more}"
+            f" {METADATA_FILE}{apart}): name one of them: {names}{more}"
         )
 
 
-def _follow_each_other(files: tuple[Path, ...]) -> bool:
-    """Return whether a file begins at about the end of the previous file, as parts of a bag do.
+def _find_break(files: tuple[Path, ...]) -> str | None:
+    """Return why numbered files are not parts of one bag; None if each part continues another one.
 
-    Consecutive parts may overlap by messages that were queued when the bag was split. Recordings by
-    turtlelog all begin at 0 and have no parts.
+    Recordings by turtlelog begin at 0 each, and none has parts.
     """
-    spans: list[tuple[int, int]] = []
+    found: list[tuple[tuple[int, int], int, str]] = []
+    is_whole = True
     for file in files:
         try:
             info = read_info(file)
         except LogError:  # the reader of the file reports the error
+            is_whole = False
             continue
         if info.format_version is not None:
-            return False
+            return ""
         if info.span_ns is not None:
-            spans.append(info.span_ns)
-    return all(
-        one[1] - other[0] <= _MOST_OVERLAP * min(one[1] - one[0], other[1] - other[0])
-        for one, other in pairwise(sorted(spans))
-    )
+            found.append((info.span_ns, sum(topic.count for topic in info.topics), file.name))
+    for (one_ns, one_count, first), (other_ns, other_count, second) in pairwise(sorted(found)):
+        lengths_ns = [one_ns[1] - one_ns[0], other_ns[1] - other_ns[0]]
+        gap_ns = other_ns[0] - one_ns[1]
+        if -gap_ns > _MOST_OVERLAP * min(lengths_ns):
+            return f"{second} overlaps {first}"
+        usual_ns = sum(lengths_ns) / (one_count + other_count)
+        # An unreadable part may lie in between.
+        if is_whole and gap_ns > max(_MOST_APART_NS, _MOST_APART_STEPS * usual_ns):
+            return f"{second} begins {_format_gap(gap_ns / 1e9)} after {first} ends"
+    return None
+
+
+def _format_gap(gap_s: float) -> str:
+    for unit, length_s in (("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if gap_s >= 2.0 * length_s:
+            return f"{gap_s / length_s:.0f} {unit}"
+    return f"{gap_s:.0f} s"
 
 
 def _require_one_kind(files: tuple[Path, ...]) -> None:

@@ -312,11 +312,16 @@ def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
+_LARGEST: Final = 1e30
+"""Larger values [m, m/s, rad/s] come from memory that was never set; their squares of squares, and
+the 32-bit numbers of pictures, are still finite."""
+
+
 def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedRows, int]:
-    """Return the rows with finite numbers in the named columns, and the number of dropped rows."""
+    """Return the rows whose columns of some names are usable numbers, and how many were not."""
     kept = np.ones(len(rows.time_ns), dtype=np.bool_)
     for name in names:
-        kept &= np.isfinite(rows.columns[name])
+        kept &= np.abs(rows.columns[name]) <= _LARGEST  # nan is not
     if kept.all():
         return rows, 0
     return rows.take(kept), int((~kept).sum())

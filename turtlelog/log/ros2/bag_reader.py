@@ -9,11 +9,11 @@ from typing import Final, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, format_utc
+from turtlelog.display import describe_count, format_short, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import RecordingInfo, TopicInfo
-from turtlelog.log.planar import describe_height, lift_poses
+from turtlelog.log.planar import describe_height, describe_level, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE64, SENSED, SHAPED
 from turtlelog.log.ros2.bag import Bag, open_bag
@@ -219,6 +219,7 @@ def _build_run(
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
     name, source_words = name_bag(path)
+    crowded = _describe_crowded(time_ns)
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, track.time_ns, moved)
     notes = {
@@ -232,12 +233,14 @@ def _build_run(
         **_note_dropped(dropped, dropped_commands, unturned),
         **times.notes,
         **rate_notes,
+        **({"crowded": crowded} if crowded else {}),
     }
     plane = describe_height(columns.get("z"), columns.get("tilt"))
     if plane is not None or vertical:
         notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
     notes |= {} if leaps is None else {"leaps": leaps}
     if plane is None:
+        notes |= {} if (level := describe_level(columns.get("z"))) is None else {"height": level}
         # Speeds are along the robot's axes: if it leaves the plane, they differ from those seen
         # from above.
         reported = poses.columns if SPEED in columns else columns
@@ -292,6 +295,20 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
             f" {dropped} poses"
         )
     return kept, dropped
+
+
+_CROWDED_NS: Final = 10_000
+"""Usual time between poses below which their times are wrong [ns]: the fastest motion capture takes
+a pose every 100 us."""
+
+
+def _describe_crowded(time_ns: NDArray[np.int64]) -> str:
+    """Return a sentence on poses whose times lie too close together for a sensor; may be empty."""
+    steps_ns = np.diff(time_ns)
+    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
+        return ""
+    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
+    return f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
 
 
 def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Values] | None:

@@ -13,6 +13,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.ros2.bag import Bag, open_bag
+from turtlelog.log.ros2.bag_maps import GRID, OccupancyMap, name_frame, pick_maps, place_map
 from turtlelog.log.ros2.bag_poses import read_tree
 from turtlelog.log.ros2.bag_topics import list_first_names
 from turtlelog.log.ros2.bag_transforms import (
@@ -30,7 +31,6 @@ Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 SCAN: Final = "sensor_msgs/msg/LaserScan"
-GRID: Final = "nav_msgs/msg/OccupancyGrid"
 
 MOST_SCANS: Final = 400
 """Largest number of scans, chosen evenly: a minute at 7 Hz, or one in seven of ten minutes at 5
@@ -49,14 +49,8 @@ _MOST_MESSAGES: Final = 20_000
 """Largest number of scans that are read: an hour at 5 Hz. More scans of 360 rays take over 100
 MB."""
 
-_MOST_GRID: Final = 16_000_000
-"""Largest number of map cells that are read: 200 m by 200 m of 0.05 m."""
-
 _LONGEST_RAY_M: Final = 10_000.0
 """Range beyond that of any scanner on a robot [m]; `range_max` may be infinite."""
-
-_OCCUPIED: Final = 65
-"""Occupancy from which a cell is a wall [%]: the default of ROS's map_server."""
 
 _LONGEST_GAP_NS: Final = 1_000_000_000
 """Longest gap between poses in which a scan can be placed [ns]."""
@@ -70,17 +64,20 @@ class Surroundings:
         time_ns: Time of each scan on the run's clock [ns], shape (n,), not decreasing.
         scans_xy_m: Points of each scan [m], shape (k, 2) each.
         walls_xy_m: Centers of the cells that contain scan points [m], shape (m, 2).
-        map_xy_m: Centers of the occupied cells of the map [m], shape (c, 2).
-        map_cell_m: Cell size of the map [m]; 0 without a map.
+        maps: The last map, and the last global costmap.
         notes: Sources and omissions, in sentences.
     """
 
     time_ns: Times
     scans_xy_m: tuple[Values, ...]
     walls_xy_m: Values
-    map_xy_m: Values
-    map_cell_m: float = 0.0
+    maps: tuple[OccupancyMap, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def map_xy_m(self) -> Values:
+        """Centers of the occupied cells of the map, evenly chosen of many [m], shape (c, 2)."""
+        return self.maps[0].list_occupied() if self.maps else np.zeros((0, 2))
 
 
 def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
@@ -102,28 +99,24 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
     bag = open_bag(path)
     start_ns = parse_utc(run.notes.get("original_timestamp", ""))
     home = run.notes.get("pose_topic", "").partition(" ")[0].rpartition("/")[0]
-    picked = _pick(bag.topics, SCAN, home), _pick(bag.topics, GRID, home)
-    if start_ns is None or not any(picked):
+    scan, grids = _pick_scan(bag.topics, home), pick_maps(bag.topics, home)
+    if start_ns is None or not (scan or grids):
         return None
     with name_file(bag.path, expected="a bag"):
-        return _read(bag, run, start_ns, *picked)
+        return _read(bag, run, start_ns, scan, grids)
 
 
-def _pick(topics: Collection[TopicInfo], kind: str, home: str) -> TopicInfo | None:
-    """Return the topic of a type in the robot's namespace, or else the one with the most messages.
+def _pick_scan(topics: Collection[TopicInfo], home: str) -> TopicInfo | None:
+    """Return the topic of scans below the robot's name, or else with the most messages."""
 
-    A costmap, which is sent more often than the map, is used only if there is no map.
-    """
+    def rank(topic: TopicInfo) -> tuple[bool, int, int]:
+        return topic.topic.rpartition("/")[0] == home, topic.count, -len(topic.topic)
 
-    def rank(topic: TopicInfo) -> tuple[bool, bool, int, int]:
-        is_map, is_own = "costmap" not in topic.topic, topic.topic.rpartition("/")[0] == home
-        return is_map, is_own, topic.count, -len(topic.topic)
-
-    return max((one for one in topics if one.type == kind and one.count), key=rank, default=None)
+    return max((one for one in topics if one.type == SCAN and one.count), key=rank, default=None)
 
 
 def _read(
-    bag: Bag, run: Run, start_ns: int, scan: TopicInfo | None, grid: TopicInfo | None
+    bag: Bag, run: Run, start_ns: int, scan: TopicInfo | None, grids: Sequence[TopicInfo]
 ) -> Surroundings:
     tree = read_tree(bag, bag.topics, scan.topic if scan else "")
     notes: list[str] = []
@@ -132,24 +125,25 @@ def _read(
         notes.append(f"{scan.topic} has {scan.count} scans, more than {_MOST_MESSAGES}: left out.")
     elif scan is not None:
         times, points = _place_scans(_collect(bag, scan), run, start_ns, tree, notes)
-        notes += _name_others(bag.topics, scan)
-    cells, size_m = np.zeros((0, 2)), 0.0
-    if grid is not None:
-        cells, size_m = _place_map(_collect(bag, grid), run, tree, notes)
+        notes += _name_others(bag.topics, SCAN, [scan])
+    placed = [place_map(_collect(bag, grid), run, tree, notes) for grid in grids]
+    notes += _name_others(bag.topics, GRID, grids)
     return Surroundings(
         time_ns=times,
         scans_xy_m=points,
         walls_xy_m=_thin(points),
-        map_xy_m=cells,
-        map_cell_m=size_m,
+        maps=tuple(one for one in placed if one is not None),
         notes=tuple(notes),
     )
 
 
-def _name_others(topics: Collection[TopicInfo], scan: TopicInfo) -> Iterator[str]:
-    others = [one.topic for one in topics if one.type == SCAN and one.count and one != scan]
+def _name_others(
+    topics: Collection[TopicInfo], kind: str, shown: Collection[TopicInfo]
+) -> Iterator[str]:
+    others = [one.topic for one in topics if one.type == kind and one.count and one not in shown]
     if others:
-        yield f"Other scans are left out: {list_first_names(others)}."
+        noun = "scans" if kind == SCAN else "maps"
+        yield f"Other {noun} are left out: {list_first_names(others)}."
 
 
 def _collect(bag: Bag, topic: TopicInfo) -> list[TopicColumns]:
@@ -173,7 +167,7 @@ def _place_scans(
         return np.zeros(0, dtype=np.int64), ()
     step = -(-len(known) // MOST_SCANS)
     kept = known[::step]
-    frames = dict.fromkeys(_name_frame(*scans[row]) for row in kept)
+    frames = dict.fromkeys(name_frame(*scans[row]) for row in kept)
     carriers = {frame: find_carrier(tree, frame) for frame in frames}
     placed = [
         _to_world(_to_robot(scans[row], tree, carriers), run, int(time_ns[row])) for row in kept
@@ -220,11 +214,13 @@ def _to_robot(
     seen &= np.isfinite(angle) & (ranges <= _LONGEST_RAY_M)
     reach, angle = ranges[seen], angle[seen]
     points = np.column_stack([reach * np.cos(angle), reach * np.sin(angle), np.zeros(len(reach))])
-    frame = _name_frame(columns, row)
+    frame = name_frame(columns, row)
     carrier = carriers[frame]
     if carrier is None:
         return np.asarray(points[:, :2])
-    at = locate_frame(tree, carrier, frame, columns.log_time_ns[row : row + 1])
+    stamps_ns = read_stamps(columns)
+    stamp_ns = None if stamps_ns is None else int(stamps_ns[row])
+    at = locate_frame(tree, carrier, frame, columns.log_time_ns[row : row + 1], stamp_ns)
     if at is None:
         return np.asarray(points[:, :2])
     place_m, turn = at
@@ -242,48 +238,6 @@ def _to_world(points: Values, run: Run, time_ns: int) -> Values:
     xy_m = (1.0 - share) * poses.xy_m[after - 1] + share * poses.xy_m[after]
     cosine, sine = np.cos(heading), np.sin(heading)
     return np.asarray(xy_m + points @ np.array([[cosine, sine], [-sine, cosine]]))
-
-
-def _place_map(
-    messages: Sequence[TopicColumns], run: Run, tree: Tree, notes: list[str]
-) -> tuple[Values, float]:
-    """Return the occupied cells of the last map in the poses' frame [m], and the cell size [m]."""
-    columns, row = messages[-1], len(messages[-1]) - 1
-    fields, topic = columns.fields, columns.topic
-    width, height = int(fields["info.width"][row]), int(fields["info.height"][row])
-    size_m = float(fields["info.resolution"][row])
-    data = np.asarray(fields["data"][row])
-    if not (0.0 < size_m < np.inf) or width * height != len(data) or len(data) > _MOST_GRID:
-        notes.append(
-            f"The map of {topic} is left out: {width} x {height} cells of {size_m:g} m, and"
-            f" {describe_count(len(data), 'value')}."
-        )
-        return np.zeros((0, 2)), 0.0
-    cells = np.flatnonzero(data >= _OCCUPIED)
-    cells = cells[:: -(-max(len(cells), 1) // MOST_CELLS)]
-    middles = np.column_stack([cells % width + 0.5, cells // width + 0.5, np.zeros(len(cells))])
-    local = middles * size_m
-    origin, turn = (
-        np.array([[float(fields[f"info.origin.{kind}.{axis}"][row]) for axis in axes]])
-        for kind, axes in (("position", "xyz"), ("orientation", "xyzw"))
-    )
-    if not (np.isfinite(origin).all() and np.isfinite(turn).all()):
-        notes.append(f"The map of {topic} is left out: its origin has nan or infinity.")
-        return np.zeros((0, 2)), 0.0
-    placed = origin + rotate(np.tile(turn if turn.any() else [0, 0, 0, 1], (len(cells), 1)), local)
-    frame, home = _name_frame(columns, row), run.notes.get("frame", "")
-    if frame and home and frame != home:
-        at = locate_frame(tree, home, frame, columns.log_time_ns[row : row + 1])
-        if at is None:
-            notes.append(f"The map of {topic} is left out: nothing joins {frame} and {home}.")
-            return np.zeros((0, 2)), 0.0
-        placed = at[0] + rotate(np.tile(at[1], (len(cells), 1)), placed)
-    notes.append(f"Map of {topic}: {describe_count(len(cells), 'occupied cell')} of {size_m:g} m.")
-    return np.asarray(placed[:, :2]), size_m
-
-
-def _name_frame(columns: TopicColumns, row: int) -> str:
-    return str(columns.fields["header.frame_id"][row]).lstrip("/")
 
 
 def _thin(points: Sequence[Values]) -> Values:

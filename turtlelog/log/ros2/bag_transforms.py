@@ -71,10 +71,48 @@ class Link:
         place_m[rows < 0], turn[rows < 0] = np.nan, np.nan
         return place_m, turn
 
+    def interpolate(self, stamp_ns: int) -> tuple[Values, Values] | None:
+        """Return place and turn at a stamp, between its neighbours; None if the stamps say nothing.
+
+        A stamp before the first or after the last message has the values of that message, up to 1 s
+        away.
+        """
+        order = np.argsort(self.stamp_ns, kind="stable")
+        stamps = self.stamp_ns[order]
+        least, most = int(stamps[0]) - _LONGEST_HELD_NS, int(stamps[-1]) + _LONGEST_HELD_NS
+        if stamps[0] <= 0 or not least <= stamp_ns <= most:
+            return None
+        after = int(np.clip(np.searchsorted(stamps, stamp_ns), 1, max(len(stamps) - 1, 1)))
+        first, last = order[after - 1], order[min(after, len(stamps) - 1)]
+        span_ns = int(self.stamp_ns[last] - self.stamp_ns[first])
+        share = float(np.clip((stamp_ns - int(self.stamp_ns[first])) / max(span_ns, 1), 0.0, 1.0))
+        place_m = (1.0 - share) * self.place_m[first] + share * self.place_m[last]
+        turn = _turn_between(self.turn[first], self.turn[last], share)
+        return place_m[np.newaxis], turn[np.newaxis]
+
     def describe(self) -> str:
         """Return the names of both frames."""
         return f"{self.parent} -> {self.child}"
 
+
+_LONGEST_HELD_NS: Final = 1_000_000_000
+"""Time that a transform is held before its first and after its last message [ns]."""
+
+
+def _turn_between(first: Values, last: Values, share: float) -> Values:
+    """Return a rotation on the shortest arc between two quaternions."""
+    first, last = _normalise(np.stack([first, last]))
+    cosine = float(first @ last)
+    last, cosine = (-last, -cosine) if cosine < 0.0 else (last, cosine)
+    angle = float(np.arccos(min(cosine, 1.0)))
+    if angle < _SMALL_RAD:
+        return np.asarray((1.0 - share) * first + share * last)
+    weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
+    return np.asarray(weights[0] * first + weights[1] * last)
+
+
+_SMALL_RAD: Final = 1e-6
+"""Below this angle an arc is a line to the last bit."""
 
 Tree = Mapping[tuple[str, str], Link]
 """Links by parent and child."""
@@ -374,11 +412,23 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
 
 
 def locate_frame(
-    tree: Tree, world: str, frame: str, time_ns: NDArray[np.int64]
+    tree: Tree,
+    world: str,
+    frame: str,
+    time_ns: NDArray[np.int64],
+    stamp_ns: int | None = None,
 ) -> tuple[Values, Values] | None:
-    """Return position and rotation of a frame in another at given times; None if not connected."""
+    """Return where a frame is in another at some times; None if nothing joins the two.
+
+    Args:
+        tree: The transforms.
+        world: The other frame.
+        frame: The frame.
+        time_ns: Log times [ns], shape (n,): links are as last recorded.
+        stamp_ns: Stamp of a single time [ns]: links with stamps are interpolated at this stamp.
+    """
     try:
-        place_m, turn = compose_way(_find_way(tree, world, frame), time_ns)
+        place_m, turn = compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)
     except LogError:
         return None
     return (place_m, turn) if np.isfinite(place_m).all() else None
@@ -411,12 +461,15 @@ def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
     return ways[end]
 
 
-def compose_way(steps: Sequence[_Step], time_ns: NDArray[np.int64]) -> tuple[Values, Values]:
-    """Return position and rotation at the end of a chain of links, each held at given times."""
+def compose_way(
+    steps: Sequence[_Step], time_ns: NDArray[np.int64], stamp_ns: int | None = None
+) -> tuple[Values, Values]:
+    """Return place and turn at the end of a way, each link as held or interpolated."""
     none = np.zeros((len(time_ns), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(time_ns), 1))
     parts = []
     for link, is_down in steps:
-        place_m, turn = link.hold(time_ns)
+        found = link.interpolate(stamp_ns) if stamp_ns is not None and link.moves else None
+        place_m, turn = link.hold(time_ns) if found is None else found
         parts.append((place_m, turn) if is_down else _invert(place_m, turn))
     if len(parts) == 1:
         return parts[0]  # exact, whatever the length of its quaternions

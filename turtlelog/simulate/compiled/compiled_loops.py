@@ -1,6 +1,7 @@
 """Decision whether to load compiled code; everything works without it."""
 
 import gc
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -68,7 +69,9 @@ class CompiledLoops:
 
     @cached_property
     def cost_s(self) -> float:
-        """Time to load the code [s]: more if numba's cache lacks any of it."""
+        """Time to load the code [s]: more if numba's cache lacks any of it, inf without numba."""
+        if find_spec("numba") is None:
+            return math.inf
         return self._cached_s if self._is_kept() else self._first_s
 
     def find(self) -> Any:
