@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
@@ -43,7 +44,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     "LAWS": (lambda: LAWS, f"<{len(LAWS)} laws: sequential-p"),
     "kind of metric": (
         lambda: tl.METRICS["run.duration"],
-        "<MetricKind [s]: From the first sample",
+        "<MetricKind [s]: Time from the first sample",
     ),
     "kind of signal": (lambda: tl.SIGNALS["x"], "<SignalKind [m]: Position in the world frame.>"),
     "kind of figure": (
@@ -183,7 +184,8 @@ def test_html_is_escaped_and_numbers_stand_on_the_right() -> None:
     assert "<b>" not in html
     assert "a &amp; b" in html
     assert '<td style="text-align:right">0.12346</td>' in html
-    assert '<td style="text-align:left"></td><td style="text-align:left">True</td>' in html
+    left = "text-align:left;white-space:nowrap"
+    assert f'<td style="{left}"></td><td style="{left}">True</td>' in html
 
 
 def test_named_values_are_a_mapping_that_nobody_changes() -> None:
@@ -213,3 +215,9 @@ def test_timestamps_are_read_to_the_nanosecond(text: str, expected: int) -> None
 @pytest.mark.parametrize("text", ["", "yesterday", "123 ns", "9999-01-01T00:00:00", "0001-01-01"])
 def test_what_is_no_usable_time_is_none(text: str) -> None:
     assert parse_utc(text) is None
+
+
+def test_a_name_of_24_letters_is_one_line_and_a_longer_one_or_a_sentence_may_wrap() -> None:
+    html = format_html([["paper-kp10", "n" * 24, "n" * 25, "no limit"]])
+    cells = re.findall(r'<td style="([^"]*)">([^<]*)<', html)
+    assert [text for style, text in cells if "nowrap" in style] == ["paper-kp10", "n" * 24]

@@ -70,8 +70,9 @@ PACKAGES = {
 }
 """Packages that are not called like their module."""
 
-BROUGHT_BY_OTHERS = {"pandas", "pytest", "fontTools", "xarray"}
-"""Used where they are there: data frames, labelled arrays, the plugin, fonts of PDFs."""
+BROUGHT_BY_OTHERS = {"pandas", "pytest", "fontTools", "xarray", "IPython", "rerun_notebook"}
+"""Used where they are there: data frames, labelled arrays, the plugin, fonts of PDFs. The last two
+come with rerun-sdk[notebook], which is the extra `notebook`."""
 
 
 def list_imports() -> set[str]:

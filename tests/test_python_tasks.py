@@ -1,5 +1,7 @@
 """What one does in a notebook: tasks of at most six lines, with no file where none is asked for."""
 
+import importlib.util
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +13,7 @@ import pyarrow as pa
 import pytest
 
 import turtlelog as tl
+from tests.notebook_kernel import start_notebook
 
 MOST_LINES: Final = 6
 BAG: Final = str(Path("recordings/paper/kp10.mcap").resolve())
@@ -191,6 +194,11 @@ tl.log.export_parquet(run, "run.parquet")
 }
 
 
+needs_widget = pytest.mark.skipif(
+    importlib.util.find_spec("rerun_notebook") is None, reason="the extra notebook is not installed"
+)
+
+
 def frame_has(frame: pd.DataFrame, rows: int) -> bool:
     return len(frame) == rows and bool(np.isfinite(frame["run.duration"]).all())
 
@@ -213,6 +221,24 @@ def test_task_takes_few_lines_and_does_what_it_says(
     assert is_done(do_task(name))
     asks_for_files = name.startswith("write") or "Rerun" in name or "reference" in name
     assert bool([*tmp_path.iterdir()]) is asks_for_files
+
+
+@pytest.mark.realtime
+@needs_widget
+def test_a_simulation_streams_into_a_widget_in_few_lines(tmp_path: Path) -> None:
+    """Starts a kernel, and simulates two seconds by the clock: 8 s."""
+    page = Path("docs/python.md").read_text("utf-8")
+    [text] = re.findall(r"^```ipython\n(.*?)^```$", page, re.M | re.S)
+    assert len(text.strip().splitlines()) <= MOST_LINES
+    preset = 'tl.load_scenario("paper-kp4")'
+    assert preset in text
+    short = f'tl.override_scenario({preset}, {{"max_duration_s": 2.0}})'
+    with start_notebook(folder=tmp_path) as notebook:
+        cell = notebook.run_cell(text.replace(preset, short))
+        assert cell.error == ""
+        assert len(cell.sent) > 2
+        assert notebook.run_cell("print(len(run.poses))").printed == "126\n"
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_frames_of_three_libraries_are_the_same() -> None:

@@ -180,11 +180,18 @@ def _is_number(cell: object) -> bool:
     return isinstance(cell, int | float) and not isinstance(cell, bool)
 
 
+_LONGEST_NAME: Final = 24
+"""Longest name in a table [characters]; a browser would break a name at each of its hyphens."""
+
+
 def _format_cell(cell: object) -> str:
     if isinstance(cell, int | float) and _is_number(cell):
         text = format_number(cell) if isinstance(cell, float) else str(cell)
         return f'<td style="text-align:right">{text}</td>'
-    return f'<td style="text-align:left">{"" if cell is None else _escape(str(cell))}</td>'
+    text = "" if cell is None else str(cell)
+    wraps = len(text) > _LONGEST_NAME or " " in text
+    style = "text-align:left" if wraps else "text-align:left;white-space:nowrap"
+    return f'<td style="{style}">{_escape(text)}</td>'
 
 
 def _escape(text: str) -> str:

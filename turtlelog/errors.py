@@ -116,7 +116,7 @@ def describe_unknown(kind: str, name: str, known: Iterable[str], *, place: str =
         known: Names that there are.
         place: What lists them: a command.
     """
-    listed = list(known)
+    listed, name = list(known), str(name)
     near = find_near(name, listed)
     help_ = f" did you mean {join_names(near)}?" if near else f" there are {join_names(listed)}"
     text = f"no {kind} {quote_name(name)};{help_ if near or not place else ''}".removesuffix(";")
@@ -263,4 +263,4 @@ class MissingValueError(UndecidedError):
 
 
 class UsageError(TurtlelogError):
-    """Options of a command that do not go together."""
+    """Options of a command that do not go together, or an argument that is not a path."""

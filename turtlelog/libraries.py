@@ -29,6 +29,7 @@ _PURPOSES: Final = MappingProxyType(
         "pyarrow": ("pyarrow", "views, Arrow tables and Parquet files"),
         "xarray": ("xarray", "labelled arrays"),
         "rerun": ("rerun-sdk", "views, pictures of them and .rrd files"),
+        "rerun_notebook": ("turtlelog[notebook]", "the widget of a notebook"),
     }
 )
 """What each module's package is called, and what turtlelog needs it for."""

@@ -12,8 +12,7 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import list_entities, read_rows, read_static, read_times
 from tests.effects_cases import build_case
 from turtlelog.charts.curves import find_disturbance
-from turtlelog.draw.rerun import live_viewer
-from turtlelog.draw.rerun.live_viewer import GrowingStream
+from turtlelog.draw.rerun.growing_scene import GrowingStream, LiveScene
 from turtlelog.run import Run
 from turtlelog.simulate import RunCollector, iterate_ticks
 
@@ -144,7 +143,7 @@ def test_a_run_with_effects_drawn_while_it_grows_is_its_file(tmp_path: Path) -> 
     grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"
     stream = GrowingStream("turtlelog")
     stream.save(grown)
-    scene, collector = live_viewer.LiveScene(stream), RunCollector(SCENARIO)
+    scene, collector = LiveScene(stream), RunCollector(SCENARIO)
     ticks = list(iterate_ticks(SCENARIO))
     for first in range(0, len(ticks), 17):
         collector.take(ticks[first : first + 17])

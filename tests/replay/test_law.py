@@ -195,7 +195,10 @@ def test_the_answers_are_columns(kp4: Run) -> None:
             r"law .*law\.py:Law, sample 3: .*law\.py, line 23: ZeroDivisionError: division by",
         ),
         ({"fails": "raise SystemExit(3)"}, "sample 3: .*line 23: SystemExit: 3"),
-        ({"fails": "return None"}, "sample 3: expected a Decision, found None"),
+        (
+            {"fails": "return None"},
+            "sample 3: expected a Decision, or speed and turn rate, found None",
+        ),
         ({"also": ", world_v_x_m_s=float('inf')"}, "sample 0: expected finite numbers"),
     ],
     ids=str,

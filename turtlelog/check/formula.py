@@ -24,7 +24,7 @@ from turtlelog.check.named_values import (
 from turtlelog.check.robustness import CriticalPart, FormulaWalk
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.display import format_html, format_number
-from turtlelog.errors import UndecidedError
+from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import (
     Call,
@@ -142,6 +142,8 @@ def check_formula(
     """
     if isinstance(signals, Run):
         return check_run(signals, expression, window_ns=window_ns)
+    if not isinstance(signals, Mapping):
+        raise CheckError(f"signals: expected a Run or values by name, found {signals!r:.60}")
     expression = _parse(expression)
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
     holds, margin, critical = _decide(expression, trace)
@@ -175,7 +177,11 @@ def check_formula(
 
 
 def _parse(expression: Expression | str) -> Expression:
-    return parse_expression(expression) if isinstance(expression, str) else expression
+    if isinstance(expression, str):
+        return parse_expression(expression)
+    if not isinstance(expression, Expression):
+        raise ExpressionError(f"expression: expected a formula, found {expression!r:.60}")
+    return expression
 
 
 def check_run(

@@ -18,7 +18,7 @@ from turtlelog.measure import (
     miss_metric,
 )
 from turtlelog.replay.differences import SignalDifference
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,6 +86,8 @@ def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -
     Raises:
         CompareError: If there is no such alignment, or the runs do not overlap.
     """
+    require_run(reference, "reference")
+    require_run(run)
     return compare_measured(reference, measure_run(reference), run, alignment=alignment)
 
 

@@ -26,7 +26,7 @@ from turtlelog.measure import (
     miss_metric,
 )
 from turtlelog.measure.metric import Status
-from turtlelog.run import Parameter, Run
+from turtlelog.run import Parameter, Run, require_run
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Start
 
@@ -203,6 +203,7 @@ def summarise_run(
     run: Run, *, file: str = "", metrics: Mapping[str, Metric] | None = None
 ) -> RunSummary:
     """Return the summary of a run; `metrics` are its metrics if already measured."""
+    require_run(run)
     return summarise_measured(run, file, measure_run(run) if metrics is None else metrics)
 
 

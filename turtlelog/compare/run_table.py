@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from itertools import accumulate
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from turtlelog.compare.like_loops import group_ids
 from turtlelog.compare.ranking import Ranking, judge_runs
@@ -41,8 +41,18 @@ _MOST_HIDDEN: Final = 8
 """More of them that are named below a table."""
 
 
+def _list_summaries(summaries: object) -> list[RunSummary]:
+    """Return the summaries of any iterable as a list."""
+    listed: list[Any] = [*summaries] if isinstance(summaries, Iterable) else [summaries]
+    for number, one in enumerate(listed):
+        if not isinstance(one, RunSummary):
+            name = f"summaries[{number}]"
+            raise CompareError(f"{name}: expected what summarise_run returns, found {one!r:.60}")
+    return listed
+
+
 def tabulate_runs(
-    summaries: Sequence[RunSummary],
+    summaries: Iterable[RunSummary],
     *,
     only: Sequence[str] = (),
     title: str = "",
@@ -67,6 +77,7 @@ def tabulate_runs(
     Raises:
         CompareError: If `only` contains an unknown name.
     """
+    summaries = _list_summaries(summaries)
     ranking = judge_runs(summaries) if ranking is None else ranking
     gains = _list_gain_columns(summaries)
     chosen = choose_columns(summaries, only or _list_usual(summaries))

@@ -1,10 +1,11 @@
 """Display of a run in a notebook."""
 
 from importlib.util import find_spec
+from numbers import Integral
 from typing import TYPE_CHECKING
 
 from turtlelog.errors import ShowError
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,13 +25,14 @@ def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figu
     Raises:
         ShowError: If width or height is below 1, or the environment disables Rerun.
     """
+    require_run(run)
     for name, value in (("width", width), ("height", height)):
-        if value < 1:
-            raise ShowError(f"{name}: must be at least 1 pixel, not {value}")
+        if not isinstance(value, Integral) or value < 1:
+            raise ShowError(f"{name}: must be at least 1 pixel, not {value!r:.60}")
     if any(find_spec(module) is None for module in ("rerun", "rerun_notebook")):
         from turtlelog.draw.figures import draw_figure  # not needed for the widget
 
         return draw_figure("panel", run)
-    from turtlelog.draw.rerun.run_scene import build_run_widget
+    from turtlelog.draw.rerun.widgets import build_run_widget
 
     return build_run_widget(run, (width, height))

@@ -138,6 +138,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         ValueError: If the text is not TOML or is nested too deeply; one line.
     """
     deep = f"tables or arrays more than {_DEEPEST} deep within each other"
+    if not isinstance(text, str):
+        raise ValueError(f"expected text, found {text!r:.60}")  # noqa: TRY004
     if _LONG_KEY.search(text):  # tomllib takes the square of its length for each
         raise ValueError(deep)
     try:

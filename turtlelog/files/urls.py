@@ -14,7 +14,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final
 
-from turtlelog.errors import RemoteError
+from turtlelog.errors import RemoteError, UsageError
 from turtlelog.escapes import URL, hide_secrets as hide_secrets, show_url as show_url
 
 if TYPE_CHECKING:
@@ -264,7 +264,13 @@ class RemotePath(_LocalPath):
 
 
 def make_path(path: "str | os.PathLike[str]") -> Path:
-    """Return the path of a file or URL that a user names."""
+    """Return the path of a file or URL that a user names.
+
+    Raises:
+        UsageError: If it is not a path.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise UsageError(f"path: expected text or a Path, found {path!r:.60}")
     if isinstance(path, RemotePath):
         return path
     if isinstance(path, _ShownUrl):

@@ -1,6 +1,6 @@
 """Identification of a robot's dynamics from commands and motion; for turtlesim tick by tick."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -35,7 +35,7 @@ from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.plant_ticks import find_breaks, read_motion
 from turtlelog.replay.taken_commands import follow_commands, place_commands
-from turtlelog.run import Run
+from turtlelog.run import Run, list_runs
 
 _DIFFERENT: Final = 3.0
 """Standard deviations by which two runs must differ: by chance in 0.3 % of pairs."""
@@ -56,7 +56,7 @@ MOST_STEPS: Final = 100_000
 longer log, the first part of each run is used; the robot would change over a longer time."""
 
 
-def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
+def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     """Return gain, dead time and time constant of each axis of a robot, with 95 % intervals.
 
     The steps between poses are compared with the closed-form response to the commands under
@@ -67,7 +67,7 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
     Raises:
         IdentifyError: If there is no run, or a run has no poses.
     """
-    runs = [runs] if isinstance(runs, Run) else [*runs]
+    runs = list_runs(runs)
     if not runs:
         raise IdentifyError("runs: must not be empty")
     for run in runs:

@@ -117,6 +117,8 @@ def run_live(
         LogError: If a recorder cannot write.
     """
     scenario = resolve_scenario(scenario)
+    if not isinstance(sinks, Sequence) or not all(hasattr(sink, "receive") for sink in sinks):
+        raise SimulationError(f"sinks: expected a list of them, found {sinks!r:.60}")
     pace = Pace(clock, scenario.plant.facts.period_s) if realtime else None
     notes: dict[str, str] = {}
     with catch_stop() as request, ExitStack() as closing:

@@ -16,7 +16,7 @@ from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import NO_POSES, Metric, Metrics, Missing, Result, Status
 from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, MetricKind
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 from turtlelog.run.loops import ControlLoop, Declaration, is_loop_name
 
 ANY_LOOP: Final = "<loop>"
@@ -179,6 +179,8 @@ def choose_metrics(patterns: Collection[str], declaration: Declaration) -> tuple
     Raises:
         MeasureError: If a name is not that of a metric; the message names the nearest ids.
     """
+    if not isinstance(patterns, Iterable):
+        raise MeasureError(f"metrics: expected names or patterns, found {patterns!r:.60}")
     return _choose((patterns,) if isinstance(patterns, str) else tuple(patterns), declaration)
 
 
@@ -245,9 +247,13 @@ def measure_run(
     Raises:
         MeasureError: If `only` names no metric, or the settings name a loop that is not declared.
     """
+    require_run(run)
     kinds = list_metrics(run.declaration)
     names = kinds if only is None else choose_metrics(only, run.declaration)
-    settings = settings or MeasureSettings()
+    settings = MeasureSettings() if settings is None else settings
+    if not isinstance(settings, MeasureSettings):
+        example = "MeasureSettings(band=0.05)"
+        raise MeasureError(f"settings: expected {example} or similar, found {settings!r:.60}")
     settings.require_loops(run.declaration)
     context = RunContext(run, settings)
     # Values at the limits of a float become statuses, not warnings.

@@ -26,7 +26,7 @@ from turtlelog.measure.references import (
     read_heading_reference,
     trace_poses,
 )
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.loops import STATE_PATTERN, Declaration
 
@@ -183,6 +183,7 @@ def find_signal(run: Run, name: str) -> Signal | None:
     Raises:
         MeasureError: If no signal has that name.
     """
+    require_run(run)
     kinds = list_signals(run.declaration)
     if name not in kinds:
         raise MeasureError(describe_unknown("signal", name, kinds, place="turtlelog list signals"))

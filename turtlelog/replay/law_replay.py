@@ -39,7 +39,7 @@ from turtlelog.replay.run_pairs import (
     pair_published,
     pair_samples,
 )
-from turtlelog.run import Run, SampleColumns
+from turtlelog.run import Run, SampleColumns, require_run
 from turtlelog.scenario import (
     Scenario,
     choose_scenario,
@@ -138,6 +138,7 @@ def replay_law(
         SimulationError: If the law fails, computes for longer, or answers with something that is no
             number.
     """
+    require_run(run)
     require_tolerance(tolerance)
     if not len(run.samples):
         raise ReplayError(

@@ -33,7 +33,7 @@ from turtlelog.replay.run_pairs import (
     pair_by_sample,
     pair_by_tick,
 )
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
@@ -122,6 +122,7 @@ def replay_loop(
         SimulationError: If the simulation cannot go on.
         ReplayError: If the recording's own scenario goes on much longer than the recording.
     """
+    require_run(run)
     require_tolerance(tolerance)
     by_tick = has_ticks(run)
     if not by_tick and not len(run.samples):

@@ -24,7 +24,7 @@ from turtlelog.replay.differences import (
 )
 from turtlelog.replay.plant_ticks import Gap, Jump, RecordedMotion, find_breaks, read_motion
 from turtlelog.replay.taken_commands import CommandUse, Velocity, place_commands
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 
 _HALF_STEP_M: Final = 2.0**-21
 """Half a 32-bit step of a coordinate between 8 and 16 m, the coarsest in this world [m]."""
@@ -160,6 +160,7 @@ def replay_plant(run: Run) -> PlantReplay:
         ReplayError: If the run holds no applied velocities, or its poses are no ticks; of a lagged
             robot where it does not hold its whole scenario, start and commands.
     """
+    require_run(run)
     if find_plant(run).name == LAGGED:
         return _replay_lagged(run)
     motion = read_motion(run)

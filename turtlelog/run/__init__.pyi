@@ -17,6 +17,8 @@ from .run import (
     Parameter as Parameter,
     PhaseSpan as PhaseSpan,
     Run as Run,
+    list_runs as list_runs,
+    require_run as require_run,
 )
 from .slicing import (
     slice_run as slice_run,

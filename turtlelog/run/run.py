@@ -1,7 +1,8 @@
 """The class `Run`: the columns that all stages exchange."""
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any
@@ -399,6 +400,42 @@ class Run:
         if len(published) < len(answered):
             return self.end_ns > int(answered[-1])
         return len(published) == len(answered) and bool(published[-1] > answered[-1])
+
+
+def require_run(run: object, name: str = "run") -> None:
+    """Raise an error for an argument that is not a run.
+
+    Args:
+        run: Argument that was given.
+        name: Name of the argument.
+
+    Raises:
+        RunError: If it is not a run; the message says what returns one.
+    """
+    if isinstance(run, Run):
+        return
+    if isinstance(run, str | os.PathLike):
+        advice = "; read_run reads a file, simulate_run simulates a preset"
+    elif type(run).__name__ == "Scenario":
+        advice = "; simulate_run simulates a scenario"
+    else:
+        advice = ""
+    raise RunError(f"{name}: expected a Run, found {run!r:.60}{advice}")
+
+
+def list_runs(runs: object, name: str = "runs") -> list[Run]:
+    """Return one run, or those of any iterable, as a list.
+
+    Raises:
+        RunError: If one of them is not a run.
+    """
+    if isinstance(runs, str | os.PathLike) or not isinstance(runs, Iterable):
+        require_run(runs, name)
+        runs = [runs]
+    listed = [*runs]
+    for number, run in enumerate(listed):
+        require_run(run, f"{name}[{number}]")
+    return listed
 
 
 def _is_same(one: Any, other: Any) -> bool:

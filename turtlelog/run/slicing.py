@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,8 +50,8 @@ def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tu
         RunError: If the segment is invalid or contains no pose.
     """
     for name, value in (("start_s", start_s), ("end_s", end_s)):
-        if value is not None and not math.isfinite(value):
-            raise RunError(f"{name}: expected a time in s, found {value}")
+        if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
+            raise RunError(f"{name}: expected a time in s, found {value!r:.60}")
     poses_ns = run.poses.time_ns
     if not len(poses_ns):
         raise RunError("slice: expected a run with poses, found commands alone")

@@ -10,6 +10,7 @@ from msgspec import Meta
 
 from turtlelog.display import fit_line, format_answer, format_details, format_html
 from turtlelog.effects import EFFECTS
+from turtlelog.errors import ScenarioError
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.parts import Effect, Place, absent
 from turtlelog.plants.turtlesim import SPAWN_XY_M
@@ -146,3 +147,14 @@ class Scenario:
         every = format_details(f"All {len(keys)} keys", format_html([*keys.items()]))
         goal = f"to ({self.goal.x_m:g}, {self.goal.y_m:g}) m"
         return format_answer(f"{self.name}: {self.law.kind} {goal}", format_html(law), every)
+
+
+def require_scenario(scenario: object) -> None:
+    """Raise an error for an argument that is not a scenario.
+
+    Raises:
+        ScenarioError: If it is not a scenario; the message says what returns one.
+    """
+    if not isinstance(scenario, Scenario):
+        advice = "load_scenario returns the one of a preset or file"
+        raise ScenarioError(f"scenario: expected a Scenario, found {scenario!r:.60}; {advice}")

@@ -11,7 +11,7 @@ from turtlelog.laws import find_law, name_given_law
 from turtlelog.run import Run
 from turtlelog.run.paths import PATH_KEYS
 from turtlelog.scenario.dotted_keys import set_nested
-from turtlelog.scenario.model import LawChoice, LawTable, Scenario
+from turtlelog.scenario.model import LawChoice, LawTable, Scenario, require_scenario
 from turtlelog.scenario.scenario_file import load_scenario
 from turtlelog.scenario.table_conversion import (
     build_scenario,
@@ -46,6 +46,7 @@ def override_scenario(
     Raises:
         ScenarioError: If a key or value is wrong.
     """
+    require_scenario(scenario)
     _require_tables(scenario, values, source)
     is_named = "law.kind" in values or _is_trusted(scenario)
     is_trusted = is_named if trust_law is None else trust_law
@@ -70,13 +71,23 @@ def choose_scenario(
         LawError: If `law` is not a law.
         ScenarioError: If there is no such scenario, or a change is wrong.
     """
-    if not isinstance(scenario, Scenario):
+    if isinstance(scenario, str | Path):
         scenario = load_scenario(str(scenario))
+    require_scenario(scenario)
     if law is not None:
         kind = law if isinstance(law, str) else name_given_law(law)
         scenario = override_scenario(scenario, {"law.kind": kind}, source="law")
-    plain = {key: unwrap_number(value) for key, value in (changes or {}).items()}
+    plain = _list_changes({} if changes is None else changes)
     return override_scenario(scenario, plain) if plain else scenario
+
+
+def _list_changes(changes: Any) -> dict[str, Any]:
+    """Return changes as a dictionary: those of a mapping, or of a pandas Series."""
+    if not hasattr(changes, "keys"):
+        example = '{"law.kp_linear": 4.0}'
+        expected = f"values by key, as in {example}"
+        raise ScenarioError(f"changes: expected {expected}, found {changes!r:.60}")
+    return {key: unwrap_number(changes[key]) for key in changes.keys()}  # noqa: SIM118
 
 
 def unwrap_number(value: Any) -> Any:

@@ -25,7 +25,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.laws.open_loop import MOST_ROWS
 from turtlelog.run.paths import MOST_POINTS
 from turtlelog.scenario.dotted_keys import describe_value
-from turtlelog.scenario.model import Scenario
+from turtlelog.scenario.model import Scenario, require_scenario
 from turtlelog.scenario.table_conversion import build_scenario, nest_scenario
 
 
@@ -88,6 +88,7 @@ def _build(text: str, source: str, path: Path | None) -> Scenario:
 
 def format_scenario(scenario: Scenario) -> str:
     """Return the TOML text of a scenario; `parse_scenario` gives the same scenario back."""
+    require_scenario(scenario)
     return format_toml(nest_scenario(scenario))
 
 

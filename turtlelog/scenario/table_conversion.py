@@ -42,7 +42,7 @@ from turtlelog.scenario.dotted_keys import (
     name_key,
     nest_parameters,
 )
-from turtlelog.scenario.model import LawChoice, LawTable, Scenario
+from turtlelog.scenario.model import LawChoice, LawTable, Scenario, require_scenario
 
 _LONGEST_KIND = 300
 """A path and a class are shown whole, so that they can be looked at before they are trusted."""
@@ -100,6 +100,7 @@ def resolve_scenario(scenario: Scenario, *, trust_law: bool = False) -> Scenario
     Raises:
         ScenarioError: If `resolve_law` raises it.
     """
+    require_scenario(scenario)
     return dataclasses.replace(scenario, law=resolve_law(scenario.law, trust_law=trust_law))
 
 

@@ -217,16 +217,24 @@ def _describe_command(speed: float, turn_rate: float) -> str:
     )
 
 
+def _read_array(found: Any) -> Decision:
+    """Return a decision of an array of speed and turn rate."""
+    if getattr(found, "shape", None) != (2,):
+        expected = "a Decision, or speed and turn rate"
+        raise SimulationError(f"expected {expected}, found {found!r:.60}")
+    return Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
+
+
 def read_decision(found: object) -> Decision:
     """Return a decision with plain numbers.
 
     Raises:
         SimulationError: If it is not a decision, or one of its numbers is invalid.
     """
-    if isinstance(found, tuple) and len(found) == 2:  # speed and turn rate
+    if isinstance(found, tuple | list) and len(found) == 2:  # speed and turn rate
         found = Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
     if not isinstance(found, Decision):
-        raise SimulationError(f"expected a Decision, found {found!r:.60}")
+        found = _read_array(found)
     # Most laws return plain floats, which are checked together: a sample takes 5 us in total.
     is_plain = (
         type(found.speed_m_s) is type(found.turn_rate_rad_s) is float

@@ -17,6 +17,7 @@ from contextlib import suppress
 from functools import partial
 from itertools import islice
 from math import inf
+from numbers import Real
 from queue import Empty, SimpleQueue
 from typing import Any, Final, Generic, Protocol, TypeVar
 
@@ -80,8 +81,8 @@ def require_budget(budget_s: float) -> None:
     Raises:
         SimulationError: If it is not above 0, or is infinite.
     """
-    if not 0.0 < budget_s < inf:
-        raise SimulationError(f"step_budget_s: expected a time above 0 s, found {budget_s}")
+    if not (isinstance(budget_s, Real) and 0.0 < budget_s < inf):
+        raise SimulationError(f"step_budget_s: expected a time above 0 s, found {budget_s!r:.60}")
 
 
 def describe_excess(budget_s: float, took_s: float, *, has_returned: bool = True) -> str:

@@ -168,6 +168,8 @@ def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
         values = [unwrap_number(one) for one in given]
         if not values:
             raise SweepError(f"grid: {key}: has no values; give them as in {example}")
+        if any(getattr(one, "ndim", 0) for one in values):
+            raise SweepError(f"grid: {key}: expected one dimension, found {given!r:.60}")
         is_text = choose_type(values) == "text"
         if None in values or (is_text and not all(isinstance(one, str) for one in values)):
             expected = "numbers, texts or truths alone"

@@ -1,7 +1,7 @@
 """Figures as files, and in notebooks."""
 
 import io
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -39,7 +39,7 @@ from turtlelog.errors import ShowError, describe_unknown, make_portable
 from turtlelog.files.urls import make_path
 from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
-from turtlelog.run import Run
+from turtlelog.run import Run, list_runs
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 
@@ -72,7 +72,7 @@ _NO_DATE: Final = {
 
 def draw_figure(
     name: str,
-    runs: Run | Sequence[Run] = (),
+    runs: Run | Iterable[Run] = (),
     *,
     page: Page | None = None,
     kinds: Mapping[str, FigureKind] | None = None,
@@ -90,7 +90,7 @@ def draw_figure(
     Raises:
         ShowError: If there is no such figure, or the runs lack the data.
     """
-    runs = [runs] if isinstance(runs, Run) else [*runs]
+    runs = list_runs(runs)
     kind, page = _find_kind(name, runs, kinds), page or Page()
     is_alone = name == "plane" and has_one_plane(runs)
     require_window(runs, page)
@@ -111,7 +111,7 @@ def draw_figure(
 
 
 def write_figures(
-    runs: Sequence[Run],
+    runs: Run | Iterable[Run],
     folder: str | Path,
     *,
     only: Collection[str] | Mapping[str, FigureKind] | None = None,
@@ -136,6 +136,7 @@ def write_figures(
             lack the data of a named figure, or the folder cannot be written; nothing is written
             then.
     """
+    runs = list_runs(runs)
     with replace_together(folder) as write:
         return add_figures(write, runs, only=only, formats=formats, page=page, jobs=jobs)
 

@@ -1,6 +1,6 @@
 """Several runs in one Rerun recording, in the same views."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -64,7 +64,7 @@ from turtlelog.draw.rerun.world import (
 )
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
-from turtlelog.run import Run
+from turtlelog.run import Run, list_runs
 
 _THIN_WIDTH: Final = 1.0
 _OF_MANY: Final = Look(color=palette.PATH_OF_MANY, width=0.75)
@@ -77,7 +77,7 @@ _EXTREME_SHARE: Final = 0.2
 
 
 def write_comparison_rrd(
-    runs: Sequence[Run],
+    runs: Run | Iterable[Run],
     path: str | Path,
     *,
     documents: Mapping[str, str] | None = None,
@@ -98,6 +98,7 @@ def write_comparison_rrd(
     Raises:
         ShowError: If there is no run, or the file cannot be written.
     """
+    runs = list_runs(runs)
     if not runs:
         raise ShowError(f"{path}: a comparison needs at least one run")
     runs = order_by_gain(runs)

@@ -2,35 +2,15 @@
 
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Final
+from typing import Final
 
-import rerun as rr
-import rerun.blueprint as rrb
-
-from turtlelog.charts import palette
-from turtlelog.charts.time_axes import HEADROOM, TIMELINE
-from turtlelog.draw.rerun import entities, plane
-from turtlelog.draw.rerun.content import Content, describe_content
-from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
-from turtlelog.draw.rerun.layout import build_run_layout
-from turtlelog.draw.rerun.legends import name_legends
-from turtlelog.draw.rerun.marks import draw_phases, list_events
-from turtlelog.draw.rerun.plane import Look, draw_turtle
-from turtlelog.draw.rerun.plots import (
-    LevelLines,
-    draw_references,
-    draw_series,
-    list_references,
-    list_series,
-)
-from turtlelog.draw.rerun.rrd_file import abandon_stream, require_enabled, strict_mode
-from turtlelog.draw.rerun.run_scene import build_run_scene
-from turtlelog.draw.rerun.timelines import RunStream, build_run_timelines, read_span
+from turtlelog.draw.rerun.entities import APPLICATION_ID
+from turtlelog.draw.rerun.growing_scene import GrowingStream, LiveScene
+from turtlelog.draw.rerun.rrd_file import abandon_stream, require_enabled
 from turtlelog.draw.rerun.viewer import (
     ViewerProcess,
     build_url,
@@ -40,7 +20,7 @@ from turtlelog.draw.rerun.viewer import (
     start_viewer,
     wait_for_viewer,
 )
-from turtlelog.draw.rerun.world import draw_world
+from turtlelog.draw.rerun.widgets import WIDGET_SIZE, WidgetStream
 from turtlelog.errors import ShowError
 from turtlelog.log import RecordingTail
 from turtlelog.run import Run
@@ -48,6 +28,12 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import RunCollector, Tick
 
 _BATCH_S: Final = 0.05
+"""Shortest time between two batches for a viewer of its own [s]: 20 pictures per second."""
+
+_WIDGET_BATCH_S: Final = 0.2
+"""Shortest time between two batches for a notebook [s]. A browser without a graphics card takes two
+to four batches per second, and each costs it the same, however short it is."""
+
 _SHARE: Final = 5
 """Shortest time between two batches, as a multiple of the processor time of the last one."""
 
@@ -63,153 +49,8 @@ _ADVICE: Final = (
 )
 
 
-class GrowingStream(rr.RecordingStream):
-    """Stream that sends only new data of every entity.
-
-    The functions that draw a finished run draw a growing one with this stream. Rows and static data
-    that were sent are left out. The path, the places of events and the level lines grow at their
-    ends, and are sent again.
-
-    Attributes:
-        is_due: Whether the growing static data are sent in this round.
-    """
-
-    def __init__(self, application_id: str) -> None:
-        super().__init__(application_id, send_properties=False)
-        self._sent: dict[str, int] = {}
-        self._seen: dict[str, int] = {}
-        self._logged: set[str] = set()
-        self._rows = 0
-        self.is_due, self._is_last = True, False
-
-    def begin_round(self, rows: int, *, is_last: bool = False) -> None:
-        """Start a new round of drawing.
-
-        Args:
-            rows: Present number of rows of the run.
-            is_last: Whether this is the final round, in which all changeable data are sent.
-        """
-        self._seen.clear()
-        self._is_last = is_last
-        self.is_due = is_last or rows > self._rows + self._rows // _GROWTH
-        if self.is_due:
-            self._rows = rows
-
-    def log(self, entity_path: str | list[object], entity: Any, *more: Any, **options: Any) -> None:
-        """Store static data if it is new or due."""
-        name = str(entity_path)
-        if name not in self._logged or self._is_last or self._is_whole_due(name):
-            self._logged.add(name)
-            super().log(entity_path, entity, *more, **options)
-
-    def send_columns(
-        self,
-        entity_path: str,
-        indexes: Iterable[Any],
-        columns: Iterable[Any],
-        *,
-        strict: bool | None = None,
-    ) -> None:
-        """Send the rows that were not sent before."""
-        index, values = list(indexes), list(columns)
-        count = len(index[0].as_arrow_array())
-        if entity_path.startswith(_WHOLE):
-            if self._is_whole_due(entity_path) or entity_path not in self._sent:
-                self._sent[entity_path] = count
-                super().send_columns(entity_path, index, values, strict=strict)
-            return
-        first = self._seen.get(entity_path, 0)
-        self._seen[entity_path] = first + count
-        sent = self._sent.get(entity_path, 0)
-        held = 1 if entity_path in _UNSETTLED and not self._is_last else 0
-        start, end = max(sent - first, 0), count - held
-        if start < end:
-            self._sent[entity_path] = first + end
-            parts: list[Any] = [_cut(column, start, end) for column in (*index, *values)]
-            super().send_columns(
-                entity_path, parts[: len(index)], parts[len(index) :], strict=strict
-            )
-
-    def _is_whole_due(self, name: str) -> bool:
-        return self.is_due and name.startswith(_WHOLE)
-
-
-class LiveScene:
-    """A run in a viewer, with the entities, rows and layout of its file.
-
-    Metrics, their marks, theory and close-ups are known only at the end, and are sent then.
-    """
-
-    def __init__(self, stream: GrowingStream) -> None:
-        self._stream = stream
-        self._shown: list[str] = []
-        self._half_size_m = 0.0
-
-    def update(self, run: Run) -> None:
-        """Send the new data of a growing run; nothing while it is too short to be visible.
-
-        Raises:
-            ConnectionError: If the viewer accepts no more data.
-        """
-        if len(run.poses) > 1:
-            with strict_mode():
-                self._draw(run)
-
-    def finish(self, run: Run) -> None:
-        """Send the rest of a finished run, and the data known only at the end.
-
-        Raises:
-            ConnectionError: If the viewer accepts no more data.
-        """
-        scene = build_run_scene(run)
-        with strict_mode():
-            self._stream.begin_round(len(run.poses), is_last=True)
-            self._arrange(run, scene.content)
-            scene.draw(self._stream)
-            _flush(self._stream)
-
-    def _draw(self, run: Run) -> None:
-        stream, timelines = self._stream, build_run_timelines(run)
-        # Theory is drawn at the end, when the segment of each loop is known.
-        listed = [one for one in list_series(run) if not one.entity.endswith("/ideal")]
-        named = name_legends(listed, list_references([run]))
-        series, references = named.series, named.references
-        run_stream = RunStream(stream, "", timelines)
-        stream.begin_round(len(run.poses))
-        shown = [curves.entity for curves in series]
-        if self._shown != shown:
-            content = describe_content([run], [""], [series], references, ())
-            self._shown, self._half_size_m = shown, content.plane.half_size_m
-            self._arrange(run, _open_up(content, references))
-            draw_world(stream, [run])
-        if stream.is_due:
-            plane.draw_driven(run_stream, run, is_growing=True)
-            plane.draw_reference_path(run_stream, run)
-            plane.draw_sensed(run_stream, run)
-            draw_references(stream, references, read_span([run], [timelines]))
-        draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), self._half_size_m)
-        plane.draw_reference_pose(run_stream, run, self._half_size_m)
-        plane.draw_arrows(run_stream, run)
-        draw_phases(run_stream, run)
-        if run.events:
-            plane.draw_event_places(run_stream, run)
-            list_events(run_stream, run)
-        for curves in series:
-            draw_series(run_stream, curves)
-        _flush(stream)
-
-    def _arrange(self, run: Run, content: Content) -> None:
-        """Send the name, and a layout whose cursor follows the run."""
-        layout = build_run_layout(content)
-        layout.time_panel = rrb.TimePanel(
-            state="collapsed", timeline=TIMELINE, play_state="following"
-        )
-        self._stream.send_recording_name(run.name)
-        self._stream.send_blueprint(layout)
-
-
 class LiveViewer:
-    """Sink that shows the ticks of a running loop, in batches, in the viewer at an address.
+    """Sink that shows the ticks of a running loop, in batches, in a notebook or another viewer.
 
     For `run_live`. The sink only collects the ticks; a thread draws them. A viewer that is slow,
     hangs or disappears does not delay the loop; `lost` gives the reason afterwards.
@@ -218,21 +59,36 @@ class LiveViewer:
         lost: Reason why the viewer does not show the complete run, one clause; empty if it does.
     """
 
-    def __init__(self, scenario: Scenario, url: str) -> None:
-        """Start to connect to a viewer.
+    def __init__(
+        self,
+        scenario: Scenario,
+        url: str | None = None,
+        *,
+        size: tuple[int, int] = WIDGET_SIZE,
+    ) -> None:
+        """Show an empty widget below the present cell, or start to connect to a viewer.
 
         Args:
             scenario: Scenario that is run.
-            url: Address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`.
+            url: Address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`; None: a widget of
+                the notebook (extra `notebook`).
+            size: Width and height of the widget [pixels].
 
         Raises:
-            ShowError: If no viewer answers there.
+            ShowError: If no viewer answers there, or this is no notebook.
+            LibraryError: If the extra `notebook` is not installed.
         """
-        require_viewer(url)
+        if url is None:
+            scene, self._batch_s = _keep_scene(WidgetStream(size), size), _WIDGET_BATCH_S
+        else:
+            require_viewer(url)
+            scene, self._batch_s = _connect_scene(url), _BATCH_S
         self.lost = ""
         self._collector = RunCollector(scenario)
         self._ticks: SimpleQueue[Tick | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._show, args=(url,), name="viewer", daemon=True)
+        self._thread = threading.Thread(
+            target=self._show, args=(scene,), name="viewer", daemon=True
+        )
         self._thread.start()
 
     def receive(self, tick: Tick) -> None:
@@ -247,15 +103,15 @@ class LiveViewer:
         if self._thread.is_alive():
             self.lost = self.lost or f"no answer for {_LAST_S:g} s"
 
-    def _show(self, url: str) -> None:
+    def _show(self, opened: AbstractContextManager[LiveScene]) -> None:
         try:
-            with _connect_scene(url) as scene:
+            with opened as scene:
                 self._draw(scene)
         except Exception as err:
             self.lost = " ".join(str(err).split()) or type(err).__name__
 
     def _draw(self, scene: LiveScene) -> None:
-        is_over, wait_s = False, _BATCH_S
+        is_over, wait_s = False, self._batch_s
         while not is_over:
             is_over = self._take(time.monotonic() + wait_s)
             if not self._collector.has_samples:
@@ -266,7 +122,7 @@ class LiveViewer:
                 scene.finish(run)
             else:
                 scene.update(run)
-            wait_s = max(_BATCH_S, _SHARE * (time.thread_time() - start_s))
+            wait_s = max(self._batch_s, _SHARE * (time.thread_time() - start_s))
 
     def _take(self, until_s: float) -> bool:
         """Collect ticks until a time; return whether there are no more."""
@@ -358,24 +214,6 @@ def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
     return run
 
 
-_FLUSH_S: Final = 5.0
-
-_GROWTH = 64
-"""Growth from which data that are sent as a whole are sent again: 1/64 more rows. The total stays a
-small multiple of the rows."""
-
-_WHOLE = (
-    join_path(entities.PATH),
-    join_path(entities.REFERENCE_PATH),
-    join_path(entities.SENSED_PLACES),
-    join_path(entities.DROPPED_PLACES),
-    join_path(entities.EVENT_PLACES),
-    join_path(entities.REFERENCE),
-)
-_UNSETTLED = frozenset({join_path(entities.PHASE)})
-"""Entities whose last row shows how the run ended."""
-
-
 @contextmanager
 def _connect_scene(url: str) -> Iterator[LiveScene]:
     """Yield a scene in the viewer at an address, as `rerun+http://127.0.0.1:9876/proxy`.
@@ -390,52 +228,14 @@ def _connect_scene(url: str) -> Iterator[LiveScene]:
         stream.connect_grpc(url)
     except Exception as err:
         raise ShowError(f"{url}: expected the address of a viewer: {err}") from err
+    with _keep_scene(stream) as scene:
+        yield scene
+
+
+@contextmanager
+def _keep_scene(stream: GrowingStream, size: tuple[int, int] | None = None) -> Iterator[LiveScene]:
+    """Yield the scene of a stream, which ends with the block."""
     try:
-        yield LiveScene(stream)
+        yield LiveScene(stream, size)
     finally:
         abandon_stream(stream)
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Rows of a column in the form that Rerun requires."""
-
-    column: Any
-    array: Any
-
-    def timeline_name(self) -> str:
-        return str(self.column.timeline_name())
-
-    def component_descriptor(self) -> Any:
-        return self.column.component_descriptor()
-
-    def as_arrow_array(self) -> Any:
-        return self.array
-
-
-def _open_up(content: Content, references: Sequence[LevelLines]) -> Content:
-    """Return the content of a growing run: events may follow, and there is no close-up yet."""
-    limits = {
-        reference.plot: HEADROOM * max(level.value for level in reference.levels)
-        for reference in references
-        if any(level.kind == "limit" for level in reference.levels)
-    }
-    ranges = {
-        plot: (content.ranges[plot][0], max(content.ranges[plot][1], limit))
-        for plot, limit in limits.items()
-    }
-    return replace(content, ranges=ranges, goal=None, worst=None, idle=frozenset(), has_events=True)
-
-
-def _flush(stream: rr.RecordingStream) -> None:
-    try:
-        stream.flush(timeout_sec=_FLUSH_S)
-    except Exception as err:
-        hangs = "timed out" in str(err)
-        raise ConnectionError(
-            f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
-        ) from err
-
-
-def _cut(column: Any, start: int, end: int) -> _Part:
-    return _Part(column, column.as_arrow_array().slice(start, end - start))

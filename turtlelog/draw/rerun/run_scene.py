@@ -1,14 +1,12 @@
-"""One run as a Rerun recording, in a file or in the widget of a notebook."""
+"""One run as a Rerun recording."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
 import numpy as np
 import rerun as rr
-from rerun.notebook import Viewer
 
 from turtlelog.charts import palette
 from turtlelog.charts.plane_scene import move_near
@@ -56,10 +54,9 @@ from turtlelog.draw.rerun.world import (
     draw_worst_place,
     widen_plane,
 )
-from turtlelog.errors import ShowError
 from turtlelog.log.ros2.bag_scans import Surroundings
 from turtlelog.measure import Metric, measure_run
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 
 _RUN: Final = "the run"
 _EVENT_LINES: Final = f"{entities.LINES}/event"
@@ -87,6 +84,7 @@ def write_run_rrd(
     Raises:
         ShowError: If the file cannot be written.
     """
+    require_run(run)
     scene = build_run_scene(run, documents, size, surroundings)
     with open_recording(path, name=run.name, layout=build_run_layout(scene.content)) as stream:
         scene.draw(stream)
@@ -245,25 +243,3 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
         name, entity = single.names[plot], f"{plot}/{_EVENT_LINES}"
         draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
     list_events(run_stream, run)
-
-
-def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
-    """Return a notebook widget of this width and height [pixels] with the recording of a run.
-
-    The page gets the recording in one message. Rerun itself would send one message per part; a
-    browser without a graphics card often shows nothing after hundreds of messages.
-
-    Raises:
-        ShowError: If the environment disables Rerun.
-    """
-    with TemporaryDirectory(prefix="turtlelog-") as folder:
-        file = Path(folder, "run.rrd")
-        try:
-            write_run_rrd(run, file, size=size)
-        except ShowError as err:
-            raise ShowError(str(err).replace(str(file), run.name)) from err
-        data = file.read_bytes()
-    width, height = size
-    viewer = Viewer(width=width, height=height, use_global_recording=False)
-    viewer._viewer.send_rrd(data)
-    return viewer

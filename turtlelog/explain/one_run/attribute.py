@@ -48,7 +48,7 @@ from turtlelog.explain.scenario_from_log.identification import (
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.laws import LAWS, find_law, list_causes
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 from turtlelog.run.loops import Cause, Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
@@ -97,6 +97,7 @@ def attribute_run(
         ExplainError: If no scenario reproduces the run, or as in `attribute_scenario`.
         ScenarioError: If the recorded law is neither built in nor trusted, or does not exist.
     """
+    require_run(run)
     metric = metric or choose_metric(run.declaration)
     require_causes(run, metric, causes)
     require_trust(run, trust_law=trust_law)

@@ -69,7 +69,7 @@ from turtlelog.explain.scenario_from_log.trace import (
 )
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.plants import TURTLESIM, find_plant
-from turtlelog.run import Run, slice_run
+from turtlelog.run import Run, require_run, slice_run
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
 
@@ -119,6 +119,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     Raises:
         ScenarioError: If a trusted law cannot be loaded, or a parameter is wrong.
     """
+    require_run(run)
     if not len(run.samples):
         return identify_plant(run)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9

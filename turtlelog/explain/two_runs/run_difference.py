@@ -45,7 +45,7 @@ from turtlelog.explain.two_runs.robot_difference import explain_robots, is_robot
 from turtlelog.explain.two_runs.run_changes import ChangeGame, find_changes, set_values
 from turtlelog.laws import LAWS
 from turtlelog.measure import Metric, describe_no_metric, list_metrics, measure_run
-from turtlelog.run import Run
+from turtlelog.run import Run, require_run
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
@@ -119,6 +119,8 @@ def explain_difference(
         ExplainError: If the metric does not exist for both runs.
         ScenarioError: If a trusted recorded law does not exist or cannot run.
     """
+    require_run(first, "first")
+    require_run(second, "second")
     depth = depth or Depth()
     metric = metric or choose_common_metric(first, second)
     require_common_metric(first, second, metric)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Final
 
@@ -147,8 +148,8 @@ def iter_columns(
     fewer if messages are large, and only topics with messages. Arguments and errors are those of
     `read_columns`.
     """
-    if rows < 1:
-        raise LogError(f"{path}: expected batches of at least one row, found {rows}")
+    if not isinstance(rows, Integral) or rows < 1:
+        raise LogError(f"{path}: expected batches of at least one row, found {rows!r:.60}")
     with open_source(path) as source:
         selection = _select_topics(topics, start_ns, end_ns)
         batch: dict[str, list[Rows]] = {}

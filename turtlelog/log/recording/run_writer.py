@@ -39,7 +39,7 @@ from turtlelog.log.recording.topics import (
 )
 from turtlelog.log.writing.alike_messages import PackedItems, lay_out_alike
 from turtlelog.log.writing.container import name_write_error, write_columns
-from turtlelog.run import Event, PoseColumns, Run, SampleColumns
+from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW
 
@@ -61,6 +61,7 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
     Raises:
         LogError: If the file cannot be written, or a recording cannot store the run.
     """
+    require_run(run)
     try:
         topics = build_messages(run)
         topics += build_shared_messages(run) if shares_poses else ()

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -129,6 +130,9 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     goal = _read_goal(minimise, maximise, subject_to)
     texts = [*_list_ranges(ranges)]
     most = FOR_EACH_KEY * len(texts) if evaluations is None else evaluations
+    for name, number in (("evaluations", most), ("seed", seed)):
+        if not isinstance(number, Integral):
+            raise TuneError(f"{name}: expected a whole number, found {number!r:.60}")
     if most < FEWEST or seed < 0:
         name, least, found = ("seed", 0, seed) if seed < 0 else ("evaluations", FEWEST, most)
         raise TuneError(f"{name}: expected at least {least}, found {found}")
