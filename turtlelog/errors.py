@@ -227,7 +227,7 @@ class MeasureError(TurtlelogError):
 
 
 class IdentifyError(TurtlelogError):
-    """Runs of which no robot can be identified."""
+    """Runs from which no robot can be identified."""
 
 
 class CompareError(TurtlelogError):
@@ -239,11 +239,11 @@ class ExplainError(TurtlelogError):
 
 
 class SweepError(TurtlelogError):
-    """A sweep that cannot be planned, or not go on."""
+    """A sweep that cannot be planned or continued."""
 
 
 class TuneError(TurtlelogError):
-    """A scenario that cannot be tuned as was asked."""
+    """An invalid tuning request, or a search in which no candidate has a value."""
 
 
 class ShowError(TurtlelogError):

@@ -64,14 +64,15 @@ class Characteristic:
         at_s: Time of the metric, from the first sample [s]; for a pause or a saturation, its start;
             for a dead time, the pose answered by the loop's largest change of command, which the
             robot follows after the dead time.
-        level: Value of the curve then, in its unit (headings in deg); None for a pause.
+        level: Value of the curve at that time, in the unit of the curve (headings in deg); None for
+            a pause, which has no curve.
         span_s: Start and end of its interval [s]: a rise lasts from 10 % to 90 %; a settling time
             from when the curve stays in its band to the end of the loop's segment. Pause, dead time
             and saturation have their whole interval. None if it has a single time.
         levels: Two related levels in the unit of the curve: for a rise 10 % and 90 % of the step,
             for a settling time the ends of its band, for peak and overshoot the reference and the
             peak; None for others.
-        loop: Name of its loop; empty if it belongs to the whole run.
+        loop: Name of the metric's loop; empty if the metric belongs to the whole run.
         start_s: Start of its loop's segment, from the first sample [s].
     """
 
@@ -94,7 +95,7 @@ class Characteristic:
 
     @property
     def shape(self) -> MarkShape | None:
-        """Shape of its mark; None if it has no mark, as for a pause."""
+        """Shape of the mark; None if there is no mark, as for a pause."""
         return _SHAPES.get(self.kind)
 
     @property
@@ -104,7 +105,7 @@ class Characteristic:
 
     @property
     def marked_s(self) -> float:
-        """Time of its mark, from the first sample [s]: for a dead time its end."""
+        """Time of the mark, from the first sample [s]: for a dead time, the end of its interval."""
         return self.span_s[1] if self.kind == "dead_time" and self.span_s is not None else self.at_s
 
     @property

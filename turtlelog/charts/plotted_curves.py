@@ -151,7 +151,11 @@ def has_own(run: Run, plot: TimePlot) -> bool:
 def list_plot_levels(
     runs: Sequence[Run], plot: TimePlot, scale: Scale | None = None
 ) -> list[Level]:
-    """Return the level lines of runs in a plot, each once, rising; magnitudes have tolerances."""
+    """Return the level lines of runs in a plot, in rising order without duplicates.
+
+    On a logarithmic scale, which shows magnitudes, only the tolerances have lines; on other scales,
+    all levels except the tolerances.
+    """
     is_log = (scale or plot.scale) == "log"
     found = dict.fromkeys(level for run in runs for level in plot.list_levels(run))
     kept = [level for level in found if (level.kind == "tolerance") == is_log]

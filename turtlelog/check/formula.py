@@ -194,7 +194,8 @@ def check_run(
     Args:
         run: Run to check; time zero is its first sample.
         expression: A formula, or its text, over the run's signals and states, its metrics and its
-            parameters. A metric of a loop that its law does not declare has no value.
+            parameters. If the run's law does not declare a loop, the metrics of this loop have no
+            value.
         window_ns: First and last time [ns]; default: from time zero to the run's end; for commands
             without samples, from the first command. After an earlier end, such as that of a phase,
             the last values of the window are held.

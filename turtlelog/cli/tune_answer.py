@@ -75,7 +75,7 @@ class RangeAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpreadAnswer:
-    """The objective over variants of the best: its median, percentiles and worst value."""
+    """Spread of the objective over variants of the best scenario: median, percentiles, worst."""
 
     runs: int
     with_value: int

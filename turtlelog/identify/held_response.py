@@ -69,7 +69,7 @@ class HeldInput:
     way: Values
 
     def place(self, time_s: Values) -> Places:
-        """Return the command that is held at each time; before the first command, the first."""
+        """Return the command held at each time; before the first entry, the first entry is held."""
         held = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
         since_s = time_s - self.time_s[held]
         slope = self.slope[held]

@@ -21,9 +21,9 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
     """Yield a temporary name next to `path` for writing; it is renamed when the block succeeds.
 
     If the block fails, the temporary file is removed and an existing file stays. A replaced file
-    keeps its permissions and, if the system allows it, its owner. A link stays; its target is
-    replaced or created. The temporary name ends in `.part`, so it does not match `*.mcap`; writers
-    that guess the format from the name need it explicitly.
+    keeps its permissions and, if the system allows it, its owner. If `path` is a symbolic link, the
+    link stays, and its target is replaced or created. The temporary name ends in `.part`, so it
+    does not match `*.mcap`. Writers that guess the format from the name need the format explicitly.
 
     Raises:
         LogError: If the path cannot be written, or contains a recording in progress; one line.

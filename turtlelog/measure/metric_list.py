@@ -99,10 +99,10 @@ def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricK
 
 
 def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
-    """Return the ids of the metrics to look at first, for laws or for the data of runs.
+    """Return the ids of the metrics to look at first, for the given laws or runs.
 
-    If a run has no samples and its law is unknown, they are the metrics of poses, commands and
-    goal.
+    If the law of a run is unknown and the run has no samples, these are the metrics of poses,
+    commands and goal.
     """
     lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
     if len(lawless) < len(of) or not of:

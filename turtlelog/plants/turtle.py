@@ -1,4 +1,4 @@
-"""A turtle by itself, which can also move sideways and teleport."""
+"""A turtle without controller and queue, which can also move sideways and teleport."""
 
 from dataclasses import dataclass
 from math import cos, hypot, sin
@@ -48,9 +48,10 @@ class Turtle:
     ) -> None:
         """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does.
 
-        Unless `is_rounded`: then it stands there since it moved before. The `plant` says how long a
-        step is. With `keeps_32_bits` each step rounds the heading to 32 bits, before it is wrapped
-        and after: before Humble, `normalizeAngle` took and returned a `float`.
+        If `is_rounded` is False, the pose is not rounded, as for a turtle that has already moved.
+        The `plant` gives the length of a step. With `keeps_32_bits`, each step rounds the heading
+        to 32 bits, before wrapping and after it: before Humble, `normalizeAngle` took and returned
+        a `float`.
         """
         self._settings = _Settings(_Scene(plant.period_ns, plant.period_s, plant.watchdog_ns))
         self._state = begin(None, x_m, y_m, heading_rad, is_rounded=is_rounded)
@@ -94,17 +95,17 @@ class Turtle:
 
     @property
     def speed_m_s(self) -> float:
-        """Velocity along the heading that it holds [m/s]."""
+        """Velocity that the turtle holds along its heading [m/s]."""
         return self._state.speed
 
     @property
     def lateral_speed_m_s(self) -> float:
-        """Velocity to the left of the heading that it holds [m/s]."""
+        """Velocity that the turtle holds to the left of its heading [m/s]."""
         return self._state.lateral_speed
 
     @property
     def turn_rate_rad_s(self) -> float:
-        """Turn rate that it holds, counter-clockwise [rad/s]."""
+        """Turn rate that the turtle holds, counter-clockwise [rad/s]."""
         return self._state.turn_rate
 
     @property
@@ -116,8 +117,8 @@ class Turtle:
     def state(self) -> tuple[float, float, float, float, float]:
         """Contents of a pose message, in double precision.
 
-        Position x, y [m] and heading [rad] in the world frame, magnitude of the velocity that it
-        holds [m/s], turn rate that it holds [rad/s].
+        Position x, y [m] and heading [rad] in the world frame, magnitude of the held velocity
+        [m/s], held turn rate [rad/s].
         """
         state = self._state
         speed = hypot(state.speed, state.lateral_speed)

@@ -86,7 +86,7 @@ def begin(
 ) -> TurtleState:
     """Return a turtle that spawns at a pose, rounded to 32 bits as spawning does.
 
-    Unless it is rounded it stands there since it moved before.
+    If `is_rounded` is False, the pose is not rounded, as for a turtle that has already moved.
     """
     del keys
     down_m = WORLD_SIZE_M - y_m

@@ -1,9 +1,9 @@
 """Which command each tick of a plant took.
 
-A recording tells when a command was published, not when it was taken: queues and transport lie
-between. The applied velocity of each pose tells it. What is integrated is the COMMAND, in double
-precision; the recorded velocity, which is rounded to 32 bits and has no sign, only where no
-recorded command explains it.
+A recording shows when a command was published, but not when the plant took it, because queues and
+transport lie between. The applied velocity in each pose shows which command the plant took. The
+replay integrates this COMMAND, in double precision. If no recorded command explains the velocity of
+a pose, the replay integrates the recorded velocity, which is rounded to 32 bits and has no sign.
 """
 
 import re
@@ -67,7 +67,7 @@ def place_commands(
 ) -> tuple[tuple[Velocity, ...], CommandUse]:
     """Return what the plant held in the tick of each pose, and what became of the commands.
 
-    At the rows `starts` the step from the pose before tells nothing.
+    At the rows `starts`, the step from the previous pose shows no velocity.
     """
     commands = run.commands
     placer = _Placer(motion, commands)

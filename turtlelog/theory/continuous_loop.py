@@ -48,8 +48,8 @@ class FinalValue:
     """Final value of a signal by the final value theorem.
 
     Attributes:
-        value: Limit for t to infinity; None if there is none.
-        status: Why there is none.
+        value: Limit for t to infinity; None if the signal has no limit.
+        status: Whether the signal has a final value, and why not: unbounded, or oscillating.
         reason: Explanation in one sentence.
     """
 
@@ -63,7 +63,7 @@ class BiboVerdict:
     """Whether every bounded input gives a bounded output.
 
     Attributes:
-        stable: Whether it is so.
+        stable: Whether every bounded input gives a bounded output.
         reason: Explanation in one sentence.
     """
 

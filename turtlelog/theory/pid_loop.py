@@ -69,12 +69,12 @@ class PidLoop:
             If two poles meet, half their digits are accurate.
         stable: Whether all poles lie inside the unit circle, by more than rounding.
         stable_gains: Intervals of Kp [1/s] in which the loop is stable with its other gains
-            unchanged; () if there is none.
-        overshoot_percent: Largest sample beyond the reference after a step [% of the step]; None if
-            it is unstable or slower than 500,000 samples (P alone: 2,000,000).
-        settling_time_s: First sample after a step from which it stays within 2 % [s]; None under
-            the same conditions.
-        margins: Stability margins; None if it is unstable.
+            unchanged; () if there is no such interval.
+        overshoot_percent: Largest sample beyond the reference after a step [% of the step]. None if
+            the loop is unstable, or does not settle within 500,000 samples (P alone: 2,000,000).
+        settling_time_s: Time of the first sample after a step from which the response stays within
+            2 % of the step [s]; None under the same conditions.
+        margins: Stability margins; None if the loop is unstable.
     """
 
     gains: PidGains

@@ -37,8 +37,9 @@ def compute_pid_step_response(
 ) -> NDArray[np.float64]:
     """Return a PID loop's response to a unit reference step at sample 0, without limits.
 
-    It begins at rest, with y[0] to y[d] = 0. An unstable response is stopped: from the first sample
-    further than 1e9 from the reference, it stays at that distance, on that side.
+    The response begins at rest, with y[0] to y[d] = 0. An unstable response is limited: its first
+    sample further than 1e9 from the reference, and all later samples, are set to a distance of 1e9
+    on the same side.
 
     Args:
         gains: Gains of the controller.
@@ -114,8 +115,8 @@ class StepMotion:
 
     Attributes:
         overshoot_percent: Overshoot [% of the step]; 0: none.
-        settling_time_s: First sample from which it stays within 2 % [s]; None if it was not
-            followed to rest.
+        settling_time_s: Time of the first sample from which the motion stays within 2 % of the step
+            [s]; None if the motion was not followed to rest.
     """
 
     overshoot_percent: float
@@ -141,11 +142,11 @@ def measure_step_motion(
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time in addition to that of the process [samples].
         process: Plant that the command drives. Default: an integrator.
-        to_rest: Whether to follow it to rest, otherwise only until the overshoot is known.
+        to_rest: Whether to follow the motion to rest, otherwise only until the overshoot is known.
 
     Returns:
-        None if it goes beyond 1e9 steps, or if after 200,000 samples it is neither at rest nor past
-        its furthest point.
+        None if the motion goes beyond 1e9 steps, or if after 200,000 samples the motion is neither
+        at rest nor past its furthest point.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.

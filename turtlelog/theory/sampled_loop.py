@@ -57,10 +57,10 @@ class SampledLoop:
         overshoots: Whether the slowest poles have left the positive real axis.
         damping_ratio: Damping ratio of the slowest pole: 1 on the positive real axis, negative if
             unstable.
-        overshoot_percent: Largest sample beyond the reference after a step [% of the step]; None if
-            it is unstable or slower than 2,000,000 samples.
-        settling_time_s: First sample after a step from which it stays within 2 % [s]; None under
-            the same conditions.
+        overshoot_percent: Largest sample beyond the reference after a step [% of the step]. None if
+            the loop is unstable, or does not settle within 2,000,000 samples.
+        settling_time_s: Time of the first sample after a step from which the response stays within
+            2 % of the step [s]; None under the same conditions.
         gain_margin: Factor on Kp at the stability limit; below 1 if the loop is unstable.
         phase_margin_rad: Phase above -pi where the open loop's magnitude is 1 [rad]; None if Kp T >
             2, because the magnitude is then above 1 at all frequencies.
@@ -166,8 +166,8 @@ def compute_sampled_step_response(
     y[k+1] = y[k] + Kp T (reference - y[k-d]), at rest before: the command that answers sample 0
     first moves the plant between samples d and d + 1, so y[0] to y[d] are `initial`.
 
-    An unstable response is stopped: from the first sample further than 1e9 steps from the
-    reference, it stays at that distance, on that side. Less than 1e-20 steps count as 0.
+    An unstable response is limited: its first sample further than 1e9 steps from the reference, and
+    all later samples, are set to that distance on the same side. Less than 1e-20 steps count as 0.
 
     Args:
         kp: Gain [1/s].

@@ -328,7 +328,10 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Word
 
 
 def _tell_miss(told: Explained, miss_m: float) -> str:
-    """Return a distance as text, with the waterfall's decimals if it shows the same metric."""
+    """Return a distance to the goal as text.
+
+    If the waterfall shows `final.position_error`, the text has the decimals of the waterfall.
+    """
     if told.found.metric == "final.position_error":
         return choose_step_scale(told.found).format_value(miss_m)
     return format_length(miss_m)

@@ -39,15 +39,15 @@ class Content:
     """The content of a recording for its layout.
 
     Attributes:
-        prefixes: Entity prefix of each run; one empty prefix for a run alone.
+        prefixes: Entity prefix of each run. If there is only one run, its prefix is empty.
         series: Entity paths of the curves, in the order of drawing.
         references: Plots that have level lines.
         lines: Entity paths of upright lines, shown in every plot.
-        legends: Plots with a legend; None: those with several curves.
+        legends: Plots with a legend; None: the plots with several curves.
         highest_speed_m_s: Speed of the brightest colour of the trace by speed; None without a
             trace.
-        steps_title: Title of the attribution; None without one.
-        luck_title: Title of the picture of values from other starts; None without one.
+        steps_title: Title of the attribution; None without an attribution.
+        luck_title: Title of the picture of values from other starts; None without this picture.
         starts: Text on other ends in the close-up of the goal, for its title.
         has_dead_time: Whether the first run's dead times are drawn.
         legend_names: Names of the runs if they need a view of their own, otherwise empty.
@@ -56,7 +56,7 @@ class Content:
         has_events: Whether a run has events.
         documents: Titles of the documents.
         plane: Bounds of the plane.
-        goal: Close-up of the goal; None without one.
+        goal: Close-up of the goal; None without a close-up.
         ranges: Fixed ranges of values, by plot.
         close_ups: Plots whose range does not contain all of their curves.
         controlled: Plots of signals that a loop of a run controls.

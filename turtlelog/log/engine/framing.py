@@ -213,10 +213,11 @@ def measure_record(window: FileWindow, place: int, opcode: int, end: int) -> int
 
 
 def is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
-    """Return whether a record whose fields end at `start` extends to `end`, as its length says.
+    """Return whether the bytes from `start` to `end` belong to the record before them.
 
-    A later version may append fields, which readers ignore. The length is accepted if a valid
-    record follows after it. If valid records directly follow the fields, the length is damaged.
+    The known fields of the record end at `start`; the record ends at `end`, according to its
+    length. A later version may append fields, which readers ignore. The length is accepted if a
+    valid record begins at `end`. If valid records begin at `start`, the length is damaged.
     """
     return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
 

@@ -244,7 +244,7 @@ def list_topics(
 
     Args:
         declaration: Declaration of the law; None in format 1.
-        kind: Name of the law, from which the type of its states gets its name.
+        kind: Name of the law; the message type of the law's states is named after it.
         has_sensing: Whether the controller reads poses through a sensor.
         has_shaping: Whether the wanted commands are shaped.
         has_measured: Whether the robot reported its motion.

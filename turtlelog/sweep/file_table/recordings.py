@@ -59,14 +59,14 @@ class RecordingTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TabulatedFiles:
-    """Table of recordings, and what was read.
+    """Result of writing a table of recordings: numbers of files and first errors.
 
     Attributes:
         output: Path of the table.
         files: Number of files in the table.
         read: Number of files that were read.
         failed: Number of files that cannot be read; the column `error` gives the reason.
-        errors: Label and reason of the first of them.
+        errors: Label and reason of the first files that cannot be read.
     """
 
     output: Path
