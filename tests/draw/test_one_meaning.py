@@ -18,6 +18,7 @@ from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.palette import IDEAL, Color, choose_run_colors
 from turtlelog.draw.report.drawn import Drawn, to_hex
 from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.rerun.legends import _LINE_LETTERS
 from turtlelog.draw.rerun.run_scene import build_single
 from turtlelog.run import Run
 
@@ -80,6 +81,7 @@ def test_a_legend_of_a_run_alone_has_two_lines_at_most(kind: str) -> None:
         names |= {line.name for line in single.references if line.plot == plot}
         names |= {mark.label for mark in single.marks if mark.plot == plot}
         assert len(names) <= 2, (plot, names)
+        assert all(len(name) <= _LINE_LETTERS for name in names), names
 
 
 def lose_poses(run: Run, first: int, last: int) -> Run:
@@ -97,6 +99,8 @@ def test_curves_break_where_a_robot_sent_no_poses() -> None:
     assert any("s without poses" in text.get_text() for text in axes.texts)
     (series,) = [s for s in build_single(gone).series if s.entity == "heading_deg"]
     assert np.isnan(series.values).sum() == 1
+    notes = build_single(gone).describe({}).notes
+    assert notes["heading_deg"] == notes["position"] == "2 s without poses"
     data = draw_report(gone).roots["plot-heading"].renderers[0].data_source.data
     assert sum(int(np.isnan(ys).sum()) for ys in data["ys"]) == 1
 

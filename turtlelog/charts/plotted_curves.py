@@ -163,9 +163,15 @@ def leaves_out(count: int, plot: TimePlot) -> bool:
     return count > MANY and plot.is_filled
 
 
+_LEAST_MAGNITUDE: Final = 1e-100
+"""Smallest magnitude on a logarithmic scale: far below the resolution of an error in 64 bits, and
+far above the smallest number, below which the axis would end at 0."""
+
+
 def take_magnitude(curve: Curve) -> Curve:
     """Return the magnitudes of a curve for a logarithmic scale: zeros are gaps."""
-    return replace(curve, values=np.where(curve.values == 0.0, np.nan, np.abs(curve.values)))
+    sizes = np.abs(curve.values)
+    return replace(curve, values=np.where(sizes < _LEAST_MAGNITUDE, np.nan, sizes))
 
 
 def _read_entries(run: Run, entries: Iterable[CurveEntry]) -> list[PlottedCurve]:

@@ -355,7 +355,9 @@ def list_words(axes: Axes) -> list[str]:
 
 def test_the_close_up_tells_how_far_each_run_ends_from_the_goal() -> None:
     _, close = tl.draw.draw_figure("plane", RUNS).axes
-    assert list_words(close) == ["1.01, 2.52, 8.52 mm", "107 mm", "50 mm", "100 mm"]
+    assert list_words(close) == [
+        *("kp1: 2.52 mm\nkp2: 1.01 mm\nkp4: 8.52 mm", "kp10: 107 mm", "50 mm", "100 mm")
+    ]
     assert close.get_xlim() == pytest.approx((1.85, 2.15))
     assert close.get_ylim() == pytest.approx((9.85, 10.15))
 

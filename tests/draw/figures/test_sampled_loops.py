@@ -97,7 +97,7 @@ def test_a_root_locus_holds_the_poles_and_where_they_leave_the_unit_circle() -> 
     ((_, most),) = LOOPS["rotate"].stable_gains
     poles = compute_pid_poles(PidGains(kp=most), period_s=0.016, dead_time_ticks=4)
     assert limit[0] == pytest.approx(poles[:2].real, abs=1e-6)
-    assert axes.get_title() == "heading\ndead time 64 ms"
+    assert axes.get_title() == "rotate\ndead time 64 ms"
 
 
 def test_a_root_locus_shows_the_ideal_loop_only_where_there_is_one() -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve, read_applied, read_command
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
+from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, label_runs
@@ -67,7 +68,7 @@ _DEAD: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "#e69f00", "alpha": 0.22, "linewidth": 0.0, "zorder": 0.6, "label": "dead time"}
 )
 _LAG: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#56b4e9", "alpha": 0.25, "linewidth": 0.0, "zorder": 0.6, "label": "lag"}
+    {"color": "#56b4e9", "alpha": 0.25, "linewidth": 0.0, "zorder": 0.6, "label": "time constant"}
 )
 
 
@@ -189,7 +190,7 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
     if one.traces is not None:
         time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
         draw_thinned(axes, time_s, values, values, **MODELLED, label="model")
-    axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
+    axes.set_ylabel(TIME_PLOTS[one.model.axis].label)
     axes.margins(x=0.01)
     if one.traces is not None:
         axes.set_title(f"{label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
@@ -324,8 +325,8 @@ def tell_model(one: DrawnAxis, changes: int) -> str:
     told = f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
         return told
-    delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
-    return f"{told}\n(in brackets: {one.brackets})\n{delays}\ngain {format_gain(model.gain)}"
+    delays = f"dead time {_tell_ms(model.dead_time_s)}\ntime constant {_tell_ms(model.lag_s)}"
+    return f"{told}\ngain {format_gain(model.gain)}\n{delays}\n(in brackets: {one.brackets})"
 
 
 def _tell_ms(found: Estimate) -> str:

@@ -13,8 +13,8 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts.curves import Curve, find_disturbance
 from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
-from turtlelog.charts.many_runs import describe_restless, find_restless
-from turtlelog.charts.palette import FEW, Color, choose_run_colors
+from turtlelog.charts.many_runs import choose_colors_by_value, describe_restless, find_restless
+from turtlelog.charts.palette import FEW, Color
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
     COMPARED,
@@ -50,7 +50,7 @@ _LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
     {
         "beside": {"linewidth": 0.9, "zorder": 1.9},
         "measured": {"linewidth": 0.8, "zorder": 1.9},
-        "applied": {"linewidth": 0.8, "zorder": 2.1},
+        "applied": {"linewidth": 0.8, "zorder": 1.9},
         "shaped": {"linewidth": 0.9, "zorder": 1.9},
         "ideal": {"linewidth": 0.7, "zorder": 1.8},
         "aim": {"linewidth": 0.8, "zorder": 1.9},
@@ -83,7 +83,7 @@ _LOST: Final[Mapping[str, Any]] = MappingProxyType(
         "markersize": 3.5,
         "markeredgewidth": 0.4,
         "zorder": 1.7,
-        "label": "dropped out",
+        "label": "dropped",
     }
 )
 """Style of poses that the controller does not receive: strokes at the lower edge."""
@@ -183,7 +183,7 @@ def _draw_curves(
     """Draw the curves of all runs; a reference that several share is drawn once."""
     is_alone, is_many = len(runs) == 1, len(runs) > len(FEW)
     aims: list[Curve] = []
-    colors = choose_run_colors(len(runs))
+    colors = choose_colors_by_value(runs)
     for number, (run, looks) in enumerate(style_runs(runs)):
         listed = list_plotted(run, plot, None if is_alone else COMPARED)
         is_answered = any(one.kind == "measured" for one in listed) and not is_alone
@@ -278,7 +278,7 @@ def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
 def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
     """Write the outliers beyond the axis, with a mark at the time of each."""
     lines = []
-    colors = choose_run_colors(len(runs))
+    colors = choose_colors_by_value(runs)
     for run, name, color in zip(runs, label_runs(runs), colors, strict=True):
         for found in list_plotted(run, plot):
             if found.kind != "outlier":

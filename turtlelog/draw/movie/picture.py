@@ -44,7 +44,7 @@ from turtlelog.charts.robot_curves import part_path
 from turtlelog.charts.time_axes import TIMELINE, find_range, locate_run
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path
-from turtlelog.draw.figures.page import LOOKS, choose_lines, label_runs, use_looks
+from turtlelog.draw.figures.page import LOOKS, choose_run_lines, label_runs, use_looks
 from turtlelog.draw.movie.film import Film, Values
 from turtlelog.run import Run
 
@@ -181,8 +181,7 @@ Look = dict[str, Any]
 
 def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
     looks = [
-        {"color": line["color"], "zorder": line.get("zorder", 2)}
-        for line in choose_lines(len(runs))
+        {"color": line["color"], "zorder": line.get("zorder", 2)} for line in choose_run_lines(runs)
     ]
     pairs = list(zip(runs, film.zeros_ns, strict=True))
     stage = _Stage(
