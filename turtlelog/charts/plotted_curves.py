@@ -138,6 +138,16 @@ def list_plotted(
     return found if any(one.kind in _MEASURED for one in found) else []
 
 
+def choose_kinds(number: int, count: int) -> frozenset[CurveKind] | None:
+    """Return the kinds of curves of one of several runs in a plot; None for a run alone: all.
+
+    Of many runs only the first and the last have an ideal response: all would be a grey area.
+    """
+    if count == 1:
+        return None
+    return COMPARED - {"ideal"} if count > MANY and 0 < number < count - 1 else COMPARED
+
+
 def list_own(run: Run, plot: TimePlot) -> list[Curve]:
     """Return the run's own curves in a plot; its axis must include them."""
     return [one.curve for one in list_plotted(run, plot, OWN)]

@@ -34,6 +34,11 @@ _LEAST_SIDE: Final = 0.15
 times `HEADROOM`."""
 
 
+def label_time(runs: Sequence[Run]) -> str:
+    """Return the label of a time axis; time zero is the first sample, or what a bag has instead."""
+    return f"time from the first {' or '.join(dict.fromkeys(run.first_row for run in runs))} [s]"
+
+
 def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float, float] | None:
     """Return the range of a plot that includes curves and level lines, with a margin.
 

@@ -379,7 +379,7 @@ def test_a_step_that_does_not_count_is_marked_where_it_is_off(robot: tl.Run) -> 
     ]
     assert len(marks) == sum(axis.outliers > 0 for axis in model.axes) > 0
     axes, line = marks[0]
-    assert axes.get_ylabel() == "motion - model\n[m/s]"
+    assert axes.get_ylabel() == "residual\n[m/s]"
     residual = np.concatenate([np.asarray(one.get_ydata()) for one in axes.get_lines()[1:2]])
     assert np.abs(np.asarray(line.get_ydata())).max() == np.abs(residual).max() > 0.5
     time_s, largest = max(np.asarray(line.get_xydata()).tolist(), key=lambda at: abs(at[1]))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve, read_applied, read_command
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
+from turtlelog.charts.time_axes import label_time
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
@@ -139,12 +140,8 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
             _draw_step(figure.add_subplot(grid[span, 1]), one, run)
         is_last = not any(later == "rates" for _, later, _ in rows[number + 1 :])
         if part == "left" or one.traces is None:
-            axes.set_xlabel(_tell_time(run) if is_last or not is_wide else "")
+            axes.set_xlabel(label_time([run]) if is_last or not is_wide else "")
         axes.tick_params(labelbottom=part == "left" or one.traces is None)
-
-
-def _tell_time(run: Run) -> str:
-    return f"time from the first {run.first_row} [s]"
 
 
 def lacks_commands(run: Run) -> bool:
@@ -228,7 +225,7 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
         rows = near[np.arange(len(near)), np.abs(values[near]).argmax(axis=1)]
         axes.plot(time_s[rows], values[rows], "x", **_OUTLIER)
         _name_outliers(axes, time_s[rows], values[rows], COMMAND_UNITS[one.model.axis])
-    axes.set_ylabel(f"motion - model\n[{COMMAND_UNITS[one.model.axis]}]")
+    axes.set_ylabel(f"residual\n[{COMMAND_UNITS[one.model.axis]}]")
 
 
 def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> None:

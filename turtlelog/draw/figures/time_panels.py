@@ -13,16 +13,21 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts.curves import Curve, find_disturbance
 from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
-from turtlelog.charts.many_runs import choose_colors_by_value, describe_restless, find_restless
-from turtlelog.charts.palette import FEW, Color
+from turtlelog.charts.many_runs import (
+    MANY,
+    choose_colors_by_value,
+    describe_restless,
+    find_restless,
+)
+from turtlelog.charts.palette import Color
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
-    COMPARED,
     POINTS,
     CurveKind,
     PlottedCurve,
     Scale,
     TimePlot,
+    choose_kinds,
     leaves_out,
     list_own,
     list_plot_levels,
@@ -30,7 +35,7 @@ from turtlelog.charts.plotted_curves import (
     take_magnitude,
 )
 from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
-from turtlelog.charts.time_axes import find_range
+from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
 from turtlelog.draw.figures.page import (
@@ -181,17 +186,16 @@ def _draw_curves(
     axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, restless: frozenset[int]
 ) -> None:
     """Draw the curves of all runs; a reference that several share is drawn once."""
-    is_alone, is_many = len(runs) == 1, len(runs) > len(FEW)
+    is_alone, is_many = len(runs) == 1, len(runs) > MANY
     aims: list[Curve] = []
     colors = choose_colors_by_value(runs)
     for number, (run, looks) in enumerate(style_runs(runs)):
-        listed = list_plotted(run, plot, None if is_alone else COMPARED)
+        listed = list_plotted(run, plot, choose_kinds(number, len(runs)))
         is_answered = any(one.kind == "measured" for one in listed) and not is_alone
-        is_between = is_many and 0 < number < len(runs) - 1
         if number in restless and leaves_out(len(runs), plot):
             continue
         for found in listed:
-            if found.kind == "outlier" or (found.kind == "ideal" and is_between):
+            if found.kind == "outlier":
                 continue
             if found.kind == "aim" and _is_known(found.curve, aims):
                 continue
@@ -347,7 +351,6 @@ def count_plane_rows(panels: Sequence[object]) -> int:
 
 def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
     """Label the axes of a panel over time."""
-    firsts = dict.fromkeys(run.first_row for run in runs)
-    axes.set(xlabel=f"time from the first {' or '.join(firsts)} [s]", ylabel=label)
+    axes.set(xlabel=label_time(runs), ylabel=label)
     axes.margins(x=0.01)
     axes.locator_params(axis="x", nbins=6)

@@ -54,6 +54,9 @@ _WIDTHS: Final[Mapping[CurveKind, float]] = MappingProxyType(
 _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"})
 """Kinds of curves in a view of several runs: theory of each run would cover all others."""
 
+_COMMANDED_WIDTH: Final = 3.0
+"""Width of commands, so that they are visible on the noise of measured rates [points]."""
+
 _MARKERS: Final[Mapping[CurveKind, Literal["circle", "cross"]]] = MappingProxyType(
     {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}
 )
@@ -231,7 +234,7 @@ def _list_group(
             colors=tuple(choose_curve_color(first.kind, color, is_alone=True) for color in colors),
             time_ns=first.curve.time_ns,
             values=np.column_stack([one.curve.values for one in alike]),
-            width=_WIDTHS.get(first.kind, LINE_WIDTH),
+            width=_find_width(first, plots[0]),
             holds=first.curve.holds,
             is_main=first.kind in ("run", "measured"),
             is_measured=first.kind in OWN,
@@ -263,6 +266,12 @@ def _name_part(found: PlottedCurve) -> str:
     if found.kind == "outlier":
         return f"{entities.MEASURED}/{entities.OUTLIERS}"
     return found.entry.name
+
+
+def _find_width(found: PlottedCurve, plot: TimePlot) -> float:
+    if found.kind == "run" and plot.command is not None:
+        return _COMMANDED_WIDTH
+    return _WIDTHS.get(found.kind, LINE_WIDTH)
 
 
 def _list_state(run: Run, name: str) -> Iterator[Series]:

@@ -74,7 +74,7 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
         rrb.TimeSeriesView(
             origin="/",
             contents=[f"/{found.axis}/{_RESIDUAL}"],
-            name=f"motion - model: {title}",
+            name=f"residual: {title}",
             axis_x=link,
             plot_legend=rrb.PlotLegend(visible=False),
         ),
