@@ -84,6 +84,31 @@ def test_a_legend_of_a_run_alone_has_two_lines_at_most(kind: str) -> None:
         assert all(len(name) <= _LINE_LETTERS for name in names), names
 
 
+def test_marks_of_less_interest_leave_a_full_line_of_a_legend() -> None:
+    single = build_single(simulate_preset("paper-kp10"))
+    signs = {plot: {m.shape for m in single.marks if m.plot == plot} for plot in single.names}
+    assert signs["heading_deg"] == {"Cross", "Circle", "Square"}
+    assert signs["along_track"] == {"Circle", "Square"}
+
+
+@pytest.mark.parametrize(("count", "ideals"), [(7, 7), (8, 2)])
+def test_of_more_than_seven_runs_the_first_and_last_have_an_ideal_response(
+    count: int, ideals: int
+) -> None:
+    runs = [replace(RUNS[0], name=f"run {number}") for number in range(count)]
+    lines = tl.draw.draw_figure("heading", runs).axes[0].get_lines()
+    assert sum(str(line.get_label()).startswith("ideal") for line in lines) == ideals
+    data = draw_report(*runs).roots["plot-heading"].renderers[0].data_source.data
+    assert sum(color == to_hex(IDEAL) for color in data["color"]) == ideals
+
+
+def test_times_of_a_bag_are_from_its_first_pose_in_every_picture() -> None:
+    robot = make_robot()
+    label = "time from the first pose [s]"
+    assert tl.draw.draw_figure("heading", [robot]).axes[0].get_xlabel() == label
+    assert draw_report(robot).roots["plot-heading"].below[0].axis_label == label
+
+
 def lose_poses(run: Run, first: int, last: int) -> Run:
     kept = np.r_[0:first, last : len(run.poses)]
     return replace(run, poses=tl.run.take_rows(run.poses, kept))

@@ -1,5 +1,6 @@
 """What figures show, read from their structure."""
 
+import io
 import re
 import sys
 from collections.abc import Sequence
@@ -19,7 +20,8 @@ from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.draw import list_left_out
 from turtlelog.draw.figures.figure_curves import find_gains
-from turtlelog.draw.figures.page import PageKind, choose_lines
+from turtlelog.draw.figures.page import Page, PageKind, choose_lines
+from turtlelog.draw.figures.writing import save_figure
 from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
@@ -351,6 +353,13 @@ def test_theory_is_of_the_gains_of_the_runs_or_of_the_paper_s() -> None:
 
 def list_words(axes: Axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
+
+
+def test_a_slide_has_room_for_the_labels_of_planes() -> None:
+    figure = tl.draw.draw_figure("plane", RUNS, page=Page(kind="slide"))
+    save_figure(figure, io.BytesIO(), "png", Page(kind="slide"))
+    boxes = [axes.get_tightbbox() for axes in figure.axes]
+    assert all(box is not None and box.y0 >= 0.0 for box in boxes)
 
 
 def test_the_close_up_tells_how_far_each_run_ends_from_the_goal() -> None:
