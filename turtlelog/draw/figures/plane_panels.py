@@ -81,9 +81,7 @@ _FAINT: Final = 0.25
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the paths from start to goal, and beside them the ends of runs that arrive."""
-    close_up = find_close_up(runs)
-    if close_up is not None and 1 < len(runs) <= MANY:
-        close_up = name_ends(close_up, cut_alike(label_runs(runs)))
+    close_up = find_named_close_up(runs)
     worst = find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     draw_paths(grid[0], runs)
@@ -97,6 +95,14 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     if worst is not None:
         draw_paths(grid[1], runs)
         _show_worst(grid[1], runs, worst, _measure_letters(figure))
+
+
+def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
+    """Return the close-up of the goal, in which each of a few runs has its name."""
+    close_up = find_close_up(runs)
+    if close_up is None or not 1 < len(runs) <= MANY:
+        return close_up
+    return name_ends(close_up, cut_alike(label_runs(runs)))
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
