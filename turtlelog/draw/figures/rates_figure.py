@@ -265,7 +265,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
             looks = {**MODELLED, "linewidth": 0.9, "zorder": 2.4}
             _draw_followed(axes, change, fine_s, rate, (from_s, until_s), **looks)
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
-    axes.set_title(tell_model(one, len(changes)), fontsize=7.0)
+    axes.set_title(tell_model(one, len(changes)), fontsize=7.0, loc="right")
     axes.set_xlabel("time from the change [s]")
     axes.set_ylabel(f"part of the change\nof the {COMMAND_WORDS[one.model.axis]}")
     axes.locator_params(axis="x", nbins=5)
@@ -322,8 +322,8 @@ def tell_model(one: DrawnAxis, changes: int) -> str:
     told = f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
         return told
-    delays = f"dead time {_tell_ms(model.dead_time_s)}\ntime constant {_tell_ms(model.lag_s)}"
-    return f"{told}\ngain {format_gain(model.gain)}\n{delays}\n(in brackets: {one.brackets})"
+    delays = f"dead time {_tell_ms(model.dead_time_s)}, time constant {_tell_ms(model.lag_s)}"
+    return f"{told}, gain {format_gain(model.gain)}\n{delays}\nin brackets: {one.brackets}"
 
 
 def _tell_ms(found: Estimate) -> str:
