@@ -20,7 +20,7 @@ from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.draw import list_left_out
 from turtlelog.draw.figures.figure_curves import find_gains
-from turtlelog.draw.figures.page import Page, PageKind, choose_lines
+from turtlelog.draw.figures.page import Page, PageKind, break_label, choose_lines
 from turtlelog.draw.figures.writing import save_figure
 from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
@@ -353,6 +353,19 @@ def test_theory_is_of_the_gains_of_the_runs_or_of_the_paper_s() -> None:
 
 def list_words(axes: Axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
+
+
+@pytest.mark.parametrize(
+    ("label", "lines"),
+    [
+        ("turn rate [rad/s]", "turn rate\n[rad/s]"),
+        ("along-track error [m]", "along-track\nerror [m]"),
+        ("|heading error| [deg]", "|heading\nerror| [deg]"),
+        ("lyapunov", "lyapunov"),
+    ],
+)
+def test_labels_of_low_panels_have_two_lines_of_similar_length(label: str, lines: str) -> None:
+    assert break_label(label) == lines
 
 
 def test_a_slide_has_room_for_the_labels_of_planes() -> None:

@@ -253,7 +253,14 @@ class Page:
             for axes in figure.axes:
                 place = axes.get_subplotspec()
                 if place is not None and place.get_gridspec().nrows >= _LOW_ROWS:
-                    axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+                    axes.set_ylabel(break_label(axes.get_ylabel()))
+
+
+def break_label(label: str) -> str:
+    """Return the label of a low panel on two lines of similar length."""
+    words = label.split(" ")
+    pairs = [(" ".join(words[:count]), " ".join(words[count:])) for count in range(1, len(words))]
+    return "\n".join(min(pairs, key=lambda pair: max(map(len, pair)), default=(label,)))
 
 
 def choose_colors(count: int) -> list[tuple[float, ...]]:

@@ -43,6 +43,7 @@ from turtlelog.draw.figures.page import (
     PUSHED,
     REFERENCE,
     STROKES,
+    break_label,
     choose_lines,
     label_runs,
     style_runs,
@@ -338,7 +339,7 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
         panel(axes, runs)
         if rows == grid.nrows:
             # Low panels have no room for a unit beside its name.
-            axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+            axes.set_ylabel(break_label(axes.get_ylabel()))
         if row + 1 < grid.nrows:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
