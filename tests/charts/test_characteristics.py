@@ -81,6 +81,14 @@ def test_an_overshoot_goes_from_the_reference_to_the_peak() -> None:
     assert overshoot.level == pytest.approx(peak.value)
 
 
+@pytest.mark.parametrize(
+    ("percent", "text"),
+    [(-0.01, "no overshoot"), (0.0, "overshoot 0 %"), (1.5, "overshoot 1.5 %")],
+)
+def test_a_step_that_ends_below_its_reference_has_no_overshoot(percent: float, text: str) -> None:
+    assert replace(MARKS["rotate.overshoot"], value=percent).text == text
+
+
 def test_pause_dead_time_and_saturation_last_as_long_as_they_say() -> None:
     for name in ("run.pause", "rotate.dead_time", "translate.longest_saturation"):
         mark = MARKS[name]

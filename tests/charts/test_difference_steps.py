@@ -4,6 +4,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.charts.attribution_steps import list_difference_steps
+from turtlelog.charts.palette import FEW
 from turtlelog.explain import Depth, ExplainedDifference, explain_difference
 from turtlelog.scenario import get_preset
 
@@ -24,6 +25,7 @@ def test_the_steps_go_from_the_first_value_to_the_second(found: ExplainedDiffere
     assert between[0].end == between[1].start
     assert between[1].end == pytest.approx(second.end, abs=1e-12)
     texts = [step.text for step in (first, *between, second)]
+    assert (first.color, second.color) == FEW[:2]
     assert texts == ["1.0 mm", "+107.1 mm", "-1.4 mm", "106.7 mm"]
 
 

@@ -10,7 +10,7 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import read_static
 from turtlelog.charts.palette import choose_run_colors
 from turtlelog.charts.plane_scene import MANY_PATHS, find_gain_ends, outline_points
-from turtlelog.draw.figures.page import choose_lines
+from turtlelog.draw.figures.page import color_runs
 from turtlelog.draw.report.drawn import Drawn
 from turtlelog.draw.report.page_plots import draw_plots
 
@@ -69,7 +69,7 @@ def test_an_outline_has_the_corners_alone(
 def test_paths_of_more_than_24_runs_are_grey_and_their_ends_lie_above_them() -> None:
     for runs in (RUNS[:MANY_PATHS], RUNS[: MANY_PATHS + 1]):
         axes = tl.draw.draw_figure("plane", runs).axes[0]
-        colors = [looks["color"] for looks in choose_lines(len(runs))]
+        colors = color_runs(runs)
         dots = [line for line in axes.get_lines() if line.get_marker() == "o"]
         paths = [line for line in axes.get_lines() if str(line.get_label()).startswith("paper-")]
         is_grey = len(runs) > MANY_PATHS

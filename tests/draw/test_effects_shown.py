@@ -51,9 +51,9 @@ def test_a_figure_shows_what_was_sensed_as_points_and_drop_outs_as_strokes() -> 
     np.testing.assert_array_equal(lines["sensed"][0], time_s[is_there])
     expected = np.degrees(poses.sensed_heading_rad[is_there])
     np.testing.assert_allclose(lines["sensed"][1], expected, atol=1e-9)
-    np.testing.assert_array_equal(lines["dropped out"][0], time_s[~is_there])
+    np.testing.assert_array_equal(lines["dropped"][0], time_s[~is_there])
     styles = {line.get_label(): line.get_linestyle() for line in axes.get_lines()}
-    assert styles["sensed"] == styles["dropped out"] == "None"
+    assert styles["sensed"] == styles["dropped"] == "None"
 
 
 def test_the_plane_shows_where_the_controller_saw_the_robot() -> None:
@@ -78,7 +78,7 @@ def test_of_several_runs_and_of_runs_without_effects_none_of_it_is_shown(name: s
     for runs in ([simulate(), simulate_plain()], [simulate_plain()]):
         axes = draw_first(name, *runs)
         labels = {*read_lines(axes), *(patch.get_label() for patch in axes.patches)}
-        assert not labels & {"sensed", "dropped out", "shaped", "disturbance"}
+        assert not labels & {"sensed", "dropped", "shaped", "disturbance"}
 
 
 def test_the_axis_of_a_command_has_room_for_what_a_disturbance_adds() -> None:

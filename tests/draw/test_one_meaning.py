@@ -18,6 +18,7 @@ from turtlelog.charts.looks import choose_curve_color
 from turtlelog.charts.palette import IDEAL, Color, choose_run_colors
 from turtlelog.draw.report.drawn import Drawn, to_hex
 from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.rerun.legends import _LINE_LETTERS
 from turtlelog.draw.rerun.run_scene import build_single
 from turtlelog.run import Run
 
@@ -80,6 +81,32 @@ def test_a_legend_of_a_run_alone_has_two_lines_at_most(kind: str) -> None:
         names |= {line.name for line in single.references if line.plot == plot}
         names |= {mark.label for mark in single.marks if mark.plot == plot}
         assert len(names) <= 2, (plot, names)
+        assert all(len(name) <= _LINE_LETTERS for name in names), names
+
+
+def test_marks_of_less_interest_leave_a_full_line_of_a_legend() -> None:
+    single = build_single(simulate_preset("paper-kp10"))
+    signs = {plot: {m.shape for m in single.marks if m.plot == plot} for plot in single.names}
+    assert signs["heading_deg"] == {"Cross", "Circle", "Square"}
+    assert signs["along_track"] == {"Circle", "Square"}
+
+
+@pytest.mark.parametrize(("count", "ideals"), [(7, 7), (8, 2)])
+def test_of_more_than_seven_runs_the_first_and_last_have_an_ideal_response(
+    count: int, ideals: int
+) -> None:
+    runs = [replace(RUNS[0], name=f"run {number}") for number in range(count)]
+    lines = tl.draw.draw_figure("heading", runs).axes[0].get_lines()
+    assert sum(str(line.get_label()).startswith("ideal") for line in lines) == ideals
+    data = draw_report(*runs).roots["plot-heading"].renderers[0].data_source.data
+    assert sum(color == to_hex(IDEAL) for color in data["color"]) == ideals
+
+
+def test_times_of_a_bag_are_from_its_first_pose_in_every_picture() -> None:
+    robot = make_robot()
+    label = "time from the first pose [s]"
+    assert tl.draw.draw_figure("heading", [robot]).axes[0].get_xlabel() == label
+    assert draw_report(robot).roots["plot-heading"].below[0].axis_label == label
 
 
 def lose_poses(run: Run, first: int, last: int) -> Run:
@@ -97,6 +124,8 @@ def test_curves_break_where_a_robot_sent_no_poses() -> None:
     assert any("s without poses" in text.get_text() for text in axes.texts)
     (series,) = [s for s in build_single(gone).series if s.entity == "heading_deg"]
     assert np.isnan(series.values).sum() == 1
+    notes = build_single(gone).describe({}).notes
+    assert notes["heading_deg"] == notes["position"] == "2 s without poses"
     data = draw_report(gone).roots["plot-heading"].renderers[0].data_source.data
     assert sum(int(np.isnan(ys).sum()) for ys in data["ys"]) == 1
 

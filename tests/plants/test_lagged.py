@@ -340,7 +340,7 @@ def integrate(keys: LaggedKeys, commands: list[Command], end_ns: int) -> tuple[f
 
         span = 0.0, (end - begin) / 1e9
         found = solve_ivp(
-            change, span, state, method="DOP853", rtol=1e-10, atol=1e-11, max_step=0.02
+            change, span, state, method="DOP853", rtol=1e-13, atol=1e-13, max_step=0.02
         )
         state = found.y[:, -1]
     values: tuple[float, ...] = tuple(state.tolist())

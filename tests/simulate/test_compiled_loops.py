@@ -100,7 +100,7 @@ def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path
     (tmp_path / "small.py").write_text("def small(value):\n    return value + STAMP\n", "utf-8")
     code = (
         "from numba import types; import small\n"
-        "from turtlelog.simulate import compiled_loop\n"
+        "from turtlelog.simulate.compiled import compiled_loop\n"
         "kind = types.int64(types.int64)\n"
         "compiled_loop.compile_entry(small.small, 'rows_p_12', {'STAMP': 2}, kind)\n"
     )

@@ -287,7 +287,8 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
         return ()
     scale = _choose_difference_scale(found)
     colors = choose_cause_colors([one.name for one in found.contributions])
-    steps = [_make_total(found.first, scale, palette.REFERENCE)]
+    one_color, other_color = palette.choose_run_colors(2)
+    steps = [_make_total(found.first, scale, one_color)]
     at = first
     for one in found.contributions:
         end = at + (one.contribution or 0.0)
@@ -304,7 +305,7 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
             )
         )
         at = end
-    return (*steps, _make_total(found.second, scale, palette.MAIN))
+    return (*steps, _make_total(found.second, scale, other_color))
 
 
 def _make_total(side: Side, scale: StepScale, color: palette.Color) -> AttributionStep:

@@ -43,7 +43,7 @@ _SHAPES: Final[Mapping[str, MarkShape]] = MappingProxyType(
 Discs mark where a curve comes to rest, squares its extremes, crosses the end or start of a time. A
 peak is marked with its overshoot."""
 
-_SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
+SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
     {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
 )
 """Letters that Rerun's viewer can draw: other letters, such as the heavy multiplication sign, crash
@@ -101,7 +101,7 @@ class Characteristic:
     @property
     def sign(self) -> str:
         """The shape as a letter."""
-        return "" if self.shape is None else _SIGNS[self.shape]
+        return "" if self.shape is None else SIGNS[self.shape]
 
     @property
     def marked_s(self) -> float:
@@ -113,6 +113,8 @@ class Characteristic:
         """Text of its mark, with useful precision."""
         if self.kind == "dead_time":
             return f"{self.word} {1e3 * self.value:.3g} ms"
+        if self.kind == "overshoot" and self.value < 0.0:
+            return f"no {self.word}"
         digits = 4 if self.kind == "peak" else 2 if self.unit == "%" else 3
         return f"{self.word} {self.value:.{digits}g} {self.unit}"
 

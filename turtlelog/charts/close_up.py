@@ -271,7 +271,7 @@ def _place(
 
 
 def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) -> Label:
-    """Return the text for some ends, on the side away from the goal."""
+    """Return the text for some ends, on the side away from the goal if it fits there."""
     misses_m = sorted(end.miss_m for end in ends)
     ends = sorted(ends, key=lambda end: end.run)
     if len(ends) > _MOST_LISTED:
@@ -285,8 +285,9 @@ def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) ->
     aside_m = lettering.gap * close_up.half_m + half_width_m
     goal_x_m, reach_m = close_up.goal_xy_m[0], lettering.reach * close_up.half_m - half_width_m
     is_right = sum(xs_m) / len(xs_m) >= goal_x_m
-    x_m = max(xs_m) + aside_m if is_right else min(xs_m) - aside_m
-    x_m = min(max(x_m, goal_x_m - reach_m), goal_x_m + reach_m)
+    beside_m = sorted((max(xs_m) + aside_m, min(xs_m) - aside_m), reverse=is_right)
+    fitting_m = [x_m for x_m in beside_m if abs(x_m - goal_x_m) <= reach_m]
+    x_m = [*fitting_m, min(max(beside_m[0], goal_x_m - reach_m), goal_x_m + reach_m)][0]
     runs = tuple(end.run for end in ends)
     return Label(text=text, xy_m=(x_m, (min(ys_m) + max(ys_m)) / 2.0), runs=runs)
 

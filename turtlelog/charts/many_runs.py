@@ -1,6 +1,7 @@
 """Readable pictures of many runs: equal ones once, unsettled ones dimmed, short names."""
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -8,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.charts.curves import is_limit
-from turtlelog.charts.palette import FEW
+from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.compare import name_runs
 from turtlelog.compare.run_names import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
@@ -18,8 +19,8 @@ MANY: Final = len(FEW)
 """Largest number of runs with hues of their own; with more, colours follow their order, and a bar
 shows it."""
 
-_ARRIVED: Final = frozenset({"within_tolerance", "standstill"})
-"""Stop reasons of a run that came to rest by itself."""
+_ARRIVED: Final = frozenset({"within_tolerance", "standstill", "path_end"})
+"""Stop reasons of a run that came to rest, or to the end of its path, by itself."""
 
 _MOST_SWINGS: Final = 10
 """Largest number of sign changes of a command in the last half of a run that comes to rest. The
@@ -65,6 +66,18 @@ class GainScale:
         """Return the name of a run in a picture, from the value that its colour shows."""
         return f"{self.word} {self.values[number]:.3g}"
 
+    def list_ticks(self, most: int) -> list[tuple[float, str]]:
+        """Return the values to write at a bar of the runs, in even steps if there are more.
+
+        Returns:
+            Mean number of the runs of each value, and the value.
+        """
+        values = sorted({*self.values})
+        rows = np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(int)
+        shown = [values[row] for row in np.unique(rows)]
+        own = np.array(self.values)
+        return [(float(np.flatnonzero(own == one).mean()), f"{one:.3g}") for one in shown]
+
 
 def group_equal(runs: Sequence[Run]) -> list[list[int]]:
     """Return the numbers of runs in groups with equal rows, from time zero."""
@@ -84,30 +97,40 @@ def group_equal(runs: Sequence[Run]) -> list[list[int]]:
 
 
 def find_restless(runs: Sequence[Run]) -> frozenset[int]:
-    """Return the numbers of runs that never come to rest, if others do."""
+    """Return the numbers of runs that never come to rest, if at least as many do.
+
+    A picture without most of its runs would be untrue.
+    """
     found = frozenset(number for number, run in enumerate(runs) if _is_restless(run))
-    return found if len(found) < len(runs) else frozenset()
+    return found if 2 * len(found) <= len(runs) else frozenset()
 
 
 def describe_restless(runs: Sequence[Run]) -> str:
     """Return the runs that never come to rest in words; empty if there are none."""
     numbers = sorted(find_restless(runs))
-    scale = find_gain_scale(runs) if len(runs) > MANY else None
-    return join_run_names(numbers, name_runs(runs), scale)
+    return join_run_names(numbers, name_runs(runs), find_color_scale(runs))
 
 
 def join_run_names(numbers: Sequence[int], names: Sequence[str], scale: GainScale | None) -> str:
     """Return the names of several runs of a picture in words.
 
-    If they are the last in order, they are named by their smallest value.
+    If they are the last in order, they are named by their smallest value. Runs of one value are
+    counted: `14 of Kp 10`.
     """
+    if scale is None:
+        return _join_names([names[number] for number in numbers])
+    values = Counter(scale.values[number] for number in numbers)
+    if len({*scale.values}) < len(scale.values):
+        return _join_names([f"{values[one]} of {scale.word} {one:.3g}" for one in sorted(values)])
     are_last = [*numbers] == [*range(len(names) - len(numbers), len(names))]
-    if scale is not None and are_last and len(numbers) > 1:
+    if are_last and len(numbers) > 1:
         return f"{scale.word} from {scale.values[numbers[0]]:.3g} on"
-    labels = names if scale is None else [*map(scale.name_run, range(len(names)))]
-    told = ", ".join(labels[number] for number in numbers[:_MOST_NAMED])
-    more = len(numbers) - _MOST_NAMED
-    return f"{told} and {more} more" if more > 0 else told
+    return _join_names([*map(scale.name_run, numbers)])
+
+
+def _join_names(names: Sequence[str]) -> str:
+    more = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _is_restless(run: Run) -> bool:
@@ -122,6 +145,28 @@ def _is_restless(run: Run) -> bool:
 def _count_swings(values: "np.typing.NDArray[np.float64]") -> int:
     signs = np.sign(values[values != 0.0])
     return int(np.count_nonzero(np.diff(signs)))
+
+
+def choose_colors_by_value(runs: Sequence[Run]) -> tuple[Color, ...]:
+    """Return the colour of each run: many runs of one gain, or of one other number, share one."""
+    scale = find_color_scale(runs)
+    values = () if scale is None else scale.values
+    if len({*values}) < 2:
+        return choose_run_colors(len(runs))
+    places = sorted({*values})
+    colors = dict(zip(places, choose_run_colors(len(places)), strict=True))
+    return tuple(colors[value] for value in values)
+
+
+def find_color_scale(runs: Sequence[Run]) -> GainScale | None:
+    """Return the number that the colours of many runs show: what differs, or else their gain."""
+    if len(runs) <= MANY:
+        return None
+    found, groups = find_gain_scale(runs), group_by_gain(runs)
+    if found is not None or len(groups) < 2:
+        return found
+    gains = {number: gain for gain, numbers in groups.items() for number in numbers}
+    return GainScale(word="Kp", values=tuple(gains[number] for number in range(len(runs))))
 
 
 def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:

@@ -138,6 +138,16 @@ def list_plotted(
     return found if any(one.kind in _MEASURED for one in found) else []
 
 
+def choose_kinds(number: int, count: int) -> frozenset[CurveKind] | None:
+    """Return the kinds of curves of one of several runs in a plot; None for a run alone: all.
+
+    Of many runs only the first and the last have an ideal response: all would be a grey area.
+    """
+    if count == 1:
+        return None
+    return COMPARED - {"ideal"} if count > MANY and 0 < number < count - 1 else COMPARED
+
+
 def list_own(run: Run, plot: TimePlot) -> list[Curve]:
     """Return the run's own curves in a plot; its axis must include them."""
     return [one.curve for one in list_plotted(run, plot, OWN)]
@@ -167,9 +177,15 @@ def leaves_out(count: int, plot: TimePlot) -> bool:
     return count > MANY and plot.is_filled
 
 
+_LEAST_MAGNITUDE: Final = 1e-100
+"""Smallest magnitude on a logarithmic scale: far below the resolution of an error in 64 bits, and
+far above the smallest number, below which the axis would end at 0."""
+
+
 def take_magnitude(curve: Curve) -> Curve:
     """Return the magnitudes of a curve for a logarithmic scale: zeros are gaps."""
-    return replace(curve, values=np.where(curve.values == 0.0, np.nan, np.abs(curve.values)))
+    sizes = np.abs(curve.values)
+    return replace(curve, values=np.where(sizes < _LEAST_MAGNITUDE, np.nan, sizes))
 
 
 def _read_entries(run: Run, entries: Iterable[CurveEntry]) -> list[PlottedCurve]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Command, Curve, read_curve, select_curve_rows
+from turtlelog.compare.robot_comparison import SHOWN_UNITS, Quantity
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.measure import find_outliers
@@ -167,6 +168,18 @@ def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
         )
         for gap in sorted(longest, key=lambda gap: gap.start_ns)
     ]
+
+
+def label_error(quantity: Quantity) -> str:
+    """Return the axis label of a predicted error: `position error [mm]`."""
+    unit, _ = SHOWN_UNITS[quantity]
+    return f"{quantity} error [{unit}]"
+
+
+def tell_gap(runs: Sequence[Run]) -> str:
+    """Return the longest gap in the poses of a single run in words; empty if there is none."""
+    gaps = list_seen_gaps(runs[0]) if len(runs) == 1 else []
+    return max(gaps, key=lambda gap: gap[1] - gap[0])[2] if gaps else ""
 
 
 def _find_least_ns(run: Run) -> float:

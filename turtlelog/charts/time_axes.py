@@ -34,6 +34,11 @@ _LEAST_SIDE: Final = 0.15
 times `HEADROOM`."""
 
 
+def label_time(runs: Sequence[Run]) -> str:
+    """Return the label of a time axis; time zero is the first sample, or what a bag has instead."""
+    return f"time from the first {' or '.join(dict.fromkeys(run.first_row for run in runs))} [s]"
+
+
 def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float, float] | None:
     """Return the range of a plot that includes curves and level lines, with a margin.
 
@@ -58,16 +63,19 @@ def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float
 def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
     """Return the time from which all curves stay within 1 % of a height of their last values [s].
 
+    A robot may move in a gap, so the rest of a curve begins after its gaps.
+
     Args:
         curves: Times [s] and values of each.
         height: Height of the plot, in the unit of the values.
     """
     ends_s = [0.0]
     for time_s, values in curves:
-        known = np.isfinite(values)
-        time_s, values = time_s[known], values[known]
-        if len(values):
-            away = np.flatnonzero(np.abs(values - values[-1]) > _AT_REST * height)
+        known = np.flatnonzero(np.isfinite(values))
+        if len(known):
+            time_s, values = time_s[: known[-1] + 1], values[: known[-1] + 1]
+            is_near = np.abs(values - values[-1]) <= _AT_REST * height
+            away = np.flatnonzero(~is_near)
             ends_s.append(float(time_s[away[-1]]) if len(away) else 0.0)
     return max(ends_s)
 

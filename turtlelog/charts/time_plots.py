@@ -128,19 +128,19 @@ def _ideal(signal: str) -> CurveEntry:
     )
 
 
-def _sensed(signal: str, word: str) -> tuple[CurveEntry, ...]:
+def _sensed(signal: str) -> tuple[CurveEntry, ...]:
     """Return the signal that the controller read, and the poses that it did not receive."""
     return (
         CurveEntry(
             kind="sensed",
             name="sensed",
-            label=f"sensed {word}".strip(),
+            label="sensed",
             read=partial(_read_one, partial(read_sensed, signal=signal)),
         ),
         CurveEntry(
             kind="dropped_out",
             name="dropped_out",
-            label=f"{word} dropped out".strip(),
+            label="dropped",
             read=partial(_read_lost, signal=signal),
         ),
     )
@@ -222,7 +222,7 @@ def _plot_coordinate(axis: str) -> TimePlot:
     return TimePlot(
         title=axis,
         unit="m",
-        curves=(*_sensed(axis, axis), *_around(axis), _signal(axis, axis)),
+        curves=(*_sensed(axis), *_around(axis), _signal(axis, axis)),
         list_levels=partial(list_levels, signal=axis),
         figure="position",
         pair="position",
@@ -282,7 +282,7 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         "heading": TimePlot(
             title="heading",
             unit="deg",
-            curves=(*_sensed("heading", ""), *_around("heading"), _signal("heading", "heading")),
+            curves=(*_sensed("heading"), *_around("heading"), _signal("heading", "heading")),
             list_levels=partial(list_levels, signal="heading"),
             figure="heading",
             loop="heading",

@@ -220,10 +220,10 @@ def _find_large(path: Path, info: "RecordingInfo") -> str:
     if size > LARGEST_BYTES:
         return f"{size / 2**20:,.0f} MiB"
     transforms = sum(topic.count for topic in info.topics if topic.type == _TRANSFORMS)
+    if transforms <= _MOST_TRANSFORMS:
+        return ""  # which kinds of poses there are is not asked: it would load the room of bags
     others = any(_is_poses(topic) and topic.type != _TRANSFORMS for topic in info.topics)
-    if transforms > _MOST_TRANSFORMS and not others:
-        return f"{transforms:,} messages of transforms"
-    return ""
+    return "" if others else f"{transforms:,} messages of transforms"
 
 
 def _is_poses(topic: "TopicInfo") -> bool:

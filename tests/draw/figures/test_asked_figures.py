@@ -354,7 +354,8 @@ def robot() -> tl.Run:
 def test_rates_name_what_identification_found(robot: tl.Run) -> None:
     figure, model = make_figure(), identify_robot([robot])
     draw_rates(figure, [robot])
-    titles = [axes.get_title() for axes in figure.axes if "dead time" in axes.get_title()]
+    titles = [axes.get_title(loc="right") for axes in figure.axes]
+    titles = [title for title in titles if "dead time" in title]
     told = [[float(number) for number in re.findall(r"(\d[\d.]*) ms", title)] for title in titles]
     for (dead_ms, lag_ms), axis in zip(told, model.axes, strict=True):
         assert axis.dead_time_s is not None
@@ -377,7 +378,7 @@ def test_a_step_that_does_not_count_is_marked_where_it_is_off(robot: tl.Run) -> 
     ]
     assert len(marks) == sum(axis.outliers > 0 for axis in model.axes) > 0
     axes, line = marks[0]
-    assert axes.get_ylabel() == "motion - model\n[m/s]"
+    assert axes.get_ylabel() == "residual\n[m/s]"
     residual = np.concatenate([np.asarray(one.get_ydata()) for one in axes.get_lines()[1:2]])
     assert np.abs(np.asarray(line.get_ydata())).max() == np.abs(residual).max() > 0.5
     time_s, largest = max(np.asarray(line.get_xydata()).tolist(), key=lambda at: abs(at[1]))
@@ -419,7 +420,7 @@ def test_the_motion_after_every_change_lies_under_its_model_and_shows_the_spread
     """The queue of paper-kp10 lets the first command through at once, the others late."""
     figure = make_figure()
     draw_rates(figure, [read(10)])
-    (axes,) = [one for one in figure.axes if "speed: 4 changes" in one.get_title()]
+    (axes,) = [one for one in figure.axes if "speed: 4 changes" in one.get_title("right")]
     motions = [one for one in axes.get_lines() if one.get_color() == "0.6"]
     models = [one for one in axes.get_lines() if one.get_zorder() == 2.4]
     assert len(motions) == len(models) == 4

@@ -248,9 +248,18 @@ def test_every_start_is_marked() -> None:
     assert x_m == pytest.approx([5.5444446, 7.0])
 
 
+@pytest.mark.parametrize(("tolerance_m", "label"), [(0.0059, ""), (0.0061, "tolerance")])
+def test_the_tolerance_is_in_the_legend_where_it_is_larger_than_the_cross(
+    tolerance_m: float, label: str
+) -> None:
+    run = simulate(10)
+    parameters = {**run.parameters, "law.position_tolerance_m": tolerance_m}
+    figure = tl.draw.draw_figure("plane", [replace(run, parameters=parameters)])
+    assert figure.axes[1].patches[0].get_label() == label
+
+
 def test_the_tolerance_stands_around_the_goal_close_up() -> None:
     box = draw("plane").axes[1].patches[0]
-    assert box.get_label() == "tolerance"
     corners = box.get_path().vertices @ np.diag([0.002, 0.002]) + [1.999, 9.999]
     assert box.get_patch_transform().transform(box.get_path().vertices) == pytest.approx(corners)
 

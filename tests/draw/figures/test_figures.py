@@ -1,5 +1,6 @@
 """What figures show, read from their structure."""
 
+import io
 import re
 import sys
 from collections.abc import Sequence
@@ -19,7 +20,8 @@ from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.draw import list_left_out
 from turtlelog.draw.figures.figure_curves import find_gains
-from turtlelog.draw.figures.page import PageKind, choose_lines
+from turtlelog.draw.figures.page import Page, PageKind, break_label, choose_lines
+from turtlelog.draw.figures.writing import save_figure
 from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
@@ -353,9 +355,31 @@ def list_words(axes: Axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
 
 
+@pytest.mark.parametrize(
+    ("label", "lines"),
+    [
+        ("turn rate [rad/s]", "turn rate\n[rad/s]"),
+        ("along-track error [m]", "along-track\nerror [m]"),
+        ("|heading error| [deg]", "|heading\nerror| [deg]"),
+        ("lyapunov", "lyapunov"),
+    ],
+)
+def test_labels_of_low_panels_have_two_lines_of_similar_length(label: str, lines: str) -> None:
+    assert break_label(label) == lines
+
+
+def test_a_slide_has_room_for_the_labels_of_planes() -> None:
+    figure = tl.draw.draw_figure("plane", RUNS, page=Page(kind="slide"))
+    save_figure(figure, io.BytesIO(), "png", Page(kind="slide"))
+    boxes = [axes.get_tightbbox() for axes in figure.axes]
+    assert all(box is not None and box.y0 >= 0.0 for box in boxes)
+
+
 def test_the_close_up_tells_how_far_each_run_ends_from_the_goal() -> None:
     _, close = tl.draw.draw_figure("plane", RUNS).axes
-    assert list_words(close) == ["1.01, 2.52, 8.52 mm", "107 mm", "50 mm", "100 mm"]
+    assert list_words(close) == [
+        *("kp1: 2.52 mm\nkp2: 1.01 mm\nkp4: 8.52 mm", "kp10: 107 mm", "50 mm", "100 mm")
+    ]
     assert close.get_xlim() == pytest.approx((1.85, 2.15))
     assert close.get_ylim() == pytest.approx((9.85, 10.15))
 

@@ -97,7 +97,7 @@ def test_a_root_locus_holds_the_poles_and_where_they_leave_the_unit_circle() -> 
     ((_, most),) = LOOPS["rotate"].stable_gains
     poles = compute_pid_poles(PidGains(kp=most), period_s=0.016, dead_time_ticks=4)
     assert limit[0] == pytest.approx(poles[:2].real, abs=1e-6)
-    assert axes.get_title() == "heading\ndead time 64 ms"
+    assert axes.get_title() == "rotate\ndead time 64 ms"
 
 
 def test_a_root_locus_shows_the_ideal_loop_only_where_there_is_one() -> None:
@@ -175,6 +175,18 @@ def test_many_runs_are_named_by_a_bar_and_their_loops_by_dashes() -> None:
     figure = tl.draw.draw_figure("step", runs)
     assert list_legend(figure) == ["rotate", "translate", "2 % band"]
     assert figure.axes[-1].get_xlabel() == "8 runs, from run 0 to run 7"
+    locus = tl.draw.draw_figure("root-locus", runs)
+    assert list_legend(locus) == ["s = -Kp", "pole of 1/s", "unit circle", "limit of Kp"]
+    assert locus.axes[-1].get_xlabel() == "8 runs, from run 0 to run 7"
+
+
+@pytest.mark.parametrize(("kp", "times"), [(0.75, 5.0), (0.85, 4.7)])
+def test_one_slow_loop_makes_an_axis_at_most_five_times_as_long(kp: float, times: float) -> None:
+    fast = simulate(law__kp_linear=4.0, law__kp_angular=4.0)
+    slow = simulate(law__kp_linear=kp, law__kp_angular=kp)
+    usual_s = tl.draw.draw_figure("step", [fast]).axes[0].get_xlim()[1]
+    last_s = tl.draw.draw_figure("step", [fast, fast, slow]).axes[0].get_xlim()[1]
+    assert last_s / usual_s == pytest.approx(times, rel=0.05)
 
 
 def test_figures_of_sampled_loops_come_only_where_they_are_asked_for(tmp_path: Path) -> None:

@@ -45,6 +45,15 @@ def test_curves_rest_where_they_stay_within_a_hundredth(at_s: float, *, is_cut: 
     assert axes.get_xlim()[1] == pytest.approx(1.15 * at_s if is_cut else 10.0)
 
 
+def test_an_axis_does_not_end_before_a_gap_in_its_curves() -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0, 4.0, 10.0], [0.0, 1.0, np.nan, 1.0])
+    axes.set(xlim=(0.0, 10.0), ylim=(0.0, 1.0), xlabel="time from the first sample [s]")
+    cut_time_axes(figure, [RUN], Page())
+    assert axes.get_xlim()[1] == pytest.approx(1.15 * 4.0)
+
+
 def test_only_one_end_may_be_given() -> None:
     (axes,) = draw_figure("heading", [RUN], page=Page(from_s=2.0)).axes
     assert axes.get_xlim() == pytest.approx((2.0, 12.608))

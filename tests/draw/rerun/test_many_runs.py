@@ -17,12 +17,16 @@ from tests.draw.rerun.rrds import (
 )
 from turtlelog.charts.many_runs import (
     LONGEST_NAME,
+    choose_colors_by_value,
     cut_alike,
+    find_color_scale,
     find_gain_scale,
     find_restless,
     group_equal,
+    join_run_names,
     shorten_run_names,
 )
+from turtlelog.charts.palette import FEW
 from turtlelog.draw import write_comparison_rrd
 from turtlelog.draw.rerun.legends import arrange_names
 from turtlelog.run import Run
@@ -116,6 +120,28 @@ def test_a_run_is_restless_above_ten_swings(swings: int, expected: set[int]) -> 
     assert find_restless([run, swinging]) == expected
     assert find_restless([run, replace(swinging, stop_reason="standstill")]) == frozenset()
     assert find_restless([swinging, swinging]) == frozenset()
+    assert find_restless([run, swinging, swinging]) == frozenset()
+    assert find_restless([run, replace(swinging, stop_reason="path_end")]) == frozenset()
+
+
+def repeat_gains(counts: dict[float, int]) -> list[Run]:
+    run = simulate_preset("paper-kp1")
+    runs = [set_gain(run, kp) for kp, count in counts.items() for _ in range(count)]
+    return [
+        replace(run, parameters={**run.parameters, "seed": seed}) for seed, run in enumerate(runs)
+    ]
+
+
+def test_many_runs_of_one_gain_share_its_colour_and_its_tick() -> None:
+    runs = repeat_gains({1.0: 6, 4.0: 2, 10.0: 4})
+    one, two, three = FEW[:3]
+    assert choose_colors_by_value(runs) == (*[one] * 6, *[two] * 2, *[three] * 4)
+    scale = find_color_scale(runs)
+    assert scale is not None
+    assert scale.list_ticks(12) == [(2.5, "1"), (6.5, "4"), (9.5, "10")]
+    assert scale.list_ticks(2) == [(2.5, "1"), (9.5, "10")]
+    assert join_run_names([0, 3, 11], "abcdefghijkl", scale) == "2 of Kp 1, 1 of Kp 10"
+    assert choose_colors_by_value(runs[:7]) == FEW
 
 
 def test_equal_runs_are_drawn_once_and_said_to_be_equal(tmp_path: Path) -> None:

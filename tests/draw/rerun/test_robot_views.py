@@ -42,7 +42,7 @@ def test_an_outlier_is_kept_and_named_and_does_not_set_the_range(tmp_path: Path)
     entity = "/turn_rate/as_measured/outliers"
     assert np.array(read_rows(path, entity, "Scalars:scalars")).tolist() == [[OUTLIER]]
     [names] = [np.ravel(read_static(path, entity, "SeriesPoints:names")).tolist()]
-    assert names == ["measured, crosses: outlier -143.6 rad/s at 6.0 s"]
+    assert names == ["measured, \N{MULTIPLICATION SIGN} outlier -143.6 rad/s at 6.0 s"]
     low, high = build_single(make_robot()).describe({}).ranges["turn_rate"]
     assert -0.4 < low < high < 0.4
 

@@ -24,6 +24,7 @@ from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.looks import SUPPOSED_DASH
+from turtlelog.charts.time_axes import label_time
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, label_runs, to_rgb
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
@@ -243,7 +244,7 @@ def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
         room = 0.12 * (high - low) or 1.0
         axes.set(xlim=window_s, ylim=(low - room, high + room))
     ylabel = f"{words} [{find_unit(told.run, signal)}]"
-    axes.set(xlabel="time from the first sample [s]", ylabel=ylabel)
+    axes.set(xlabel=label_time([told.run]), ylabel=ylabel)
     axes.set_title(f"{_name(told)}{'' if window_s is None else ', the last tenth of the step'}")
 
 

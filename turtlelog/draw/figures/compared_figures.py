@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 
 from turtlelog.charts.attribution_steps import draw_up_difference
+from turtlelog.charts.robot_curves import label_error
+from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.compare.trajectory_errors import Values
@@ -25,7 +27,6 @@ from turtlelog.errors import ShowError
 from turtlelog.explain import ExplainedDifference
 from turtlelog.identify import AxisModel, AxisTraces, RobotModel
 from turtlelog.run import Run
-from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 _LINE_INCH = 0.27
 """Height of a bar with its text [inch]."""
@@ -154,7 +155,7 @@ def _draw_predicted(axes: Axes, found: RobotComparison) -> None:
 
 
 def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
-    unit, factor = SHOWN_UNITS[growth.quantity]
+    _, factor = SHOWN_UNITS[growth.quantity]
     low, median, high = factor * growth.recorded.T
     if growth.simulated is not None:
         least, middle, most = factor * growth.simulated.T
@@ -169,7 +170,7 @@ def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
             linewidth=0.6,
             label="central 95 % of recorded errors",
         )
-    axes.set_ylabel(f"{growth.quantity} error [{unit}]")
+    axes.set_ylabel(label_error(growth.quantity))
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
 
@@ -182,7 +183,7 @@ def _draw_rates(axes: Axes, traces: AxisTraces, start_s: float) -> None:
         (traces.modelled, MODELLED, _SIMULATED),
     ):
         draw_thinned(axes, time_s, values, values, **looks, label=label)
-    axes.set_ylabel(f"{COMMAND_WORDS[traces.axis]} [{COMMAND_UNITS[traces.axis]}]")
+    axes.set_ylabel(TIME_PLOTS[traces.axis].label)
     axes.margins(x=0.01)
 
 

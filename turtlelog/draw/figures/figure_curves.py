@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from turtlelog.charts.curves import MOST_POINTS, Curve, choose_rows
 from turtlelog.charts.looks import LOOP_DASHES
 from turtlelog.draw.figures.legend import name_some
-from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, choose_run_lines
 from turtlelog.run import Run
 from turtlelog.theory import (
     PLANT_INPUTS,
@@ -138,7 +138,7 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
 def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
     """Return the style of each gain: the colour of its first run, and dashes for others."""
     styled: dict[float, Mapping[str, Any]] = {}
-    for run, looks in zip(runs, choose_lines(len(runs)), strict=True):
+    for run, looks in zip(runs, choose_run_lines(runs), strict=True):
         for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
             styled.setdefault(gain, {**looks, "linestyle": STROKES[dash]})
     return styled
@@ -168,13 +168,12 @@ def list_paper_poles() -> list[Pole]:
 
 def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
     """Draw poles; if some are equal, the first are larger discs below the others."""
-    labels = name_some(axes, [pole.label for pole in poles])
-    for number, (pole, label) in enumerate(zip(poles, labels, strict=True)):
+    for number, pole in enumerate(poles):
         later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
         looks = {"marker": "o", "ms": 4.5, **pole.looks, "markevery": None, "linestyle": ""}
         looks["ms"] += _LARGER + _RING_POINTS * min(later, _MOST_RINGS)
         looks["zorder"] = 2.9 - 0.001 * later
-        axes.plot(pole.values.real, pole.values.imag, label=label, **looks)
+        axes.plot(pole.values.real, pole.values.imag, label=pole.label, **looks)
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:

@@ -15,9 +15,9 @@ from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
-from turtlelog.charts.many_runs import find_gain_scale, group_by_gain
+from turtlelog.charts.many_runs import find_color_scale
 from turtlelog.charts.palette import FEW
-from turtlelog.draw.figures.page import IDEAL_ENDS, choose_colors, label_runs
+from turtlelog.draw.figures.page import IDEAL_ENDS, color_runs, label_runs
 from turtlelog.run import Run
 
 _LINE_HEIGHT: Final = 1.45
@@ -130,7 +130,7 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     if len(runs) <= len(FEW) or not drawn:
         return frozenset()
     count = len(runs)
-    colors = ListedColormap(choose_colors(count))
+    colors = ListedColormap(color_runs(runs))
     norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _BAR_INCH)
@@ -144,23 +144,14 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     )
     bar.outline.set_visible(False)
     bar.ax.minorticks_off()
-    scale = find_gain_scale(runs)
-    if scale is not None:
-        shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_TICKS)).round().astype(int))
-        bar.set_ticks(shown.tolist(), labels=[f"{scale.values[row]:.3g}" for row in shown])
-        unit = f" [{scale.unit}]" if scale.unit else ""
-        bar.set_label(f"{scale.word} of {count} runs{unit}")
-    elif len(groups := group_by_gain(runs)) > 1:
-        gains = sorted(groups)
-        shown = np.unique(np.linspace(0, len(gains) - 1, min(len(gains), _MOST_TICKS)).round())
-        told = [gains[int(row)] for row in shown]
-        bar.set_ticks(
-            [float(np.mean(groups[kp])) for kp in told], labels=[f"{kp:.3g}" for kp in told]
-        )
-        bar.set_label(f"Kp of {count} runs")
-    else:
+    scale = find_color_scale(runs)
+    if scale is None:
         bar.set_ticks([])
         bar.set_label(f"{count} runs, from {names[0]} to {names[-1]}")
+    else:
+        places, labels = zip(*scale.list_ticks(_MOST_TICKS), strict=True)
+        bar.set_ticks(places, labels=labels)
+        bar.set_label(f"{scale.word} of {count} runs{f' [{scale.unit}]' if scale.unit else ''}")
     return frozenset(names)
 
 

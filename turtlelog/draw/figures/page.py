@@ -16,6 +16,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from turtlelog.charts import palette
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
 from turtlelog.charts.looks import SUPPOSED_DASH, Dash, Marker, choose_dash, choose_markers
+from turtlelog.charts.many_runs import choose_colors_by_value
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
@@ -167,7 +168,7 @@ _NAMES: Final = frozenset(
     {
         *("goal", "goal bearing", "goal heading", "zero", "limit", "path", "start"),
         *("ideal", IDEAL_ENDS),
-        *("tolerance", "sensed", "dropped out", "disturbance", "end", "outlier"),
+        *("tolerance", "sensed", "dropped", "disturbance", "end", "outlier"),
         *(AIMED, BEARING_NOW),
     }
 )
@@ -252,18 +253,36 @@ class Page:
             for axes in figure.axes:
                 place = axes.get_subplotspec()
                 if place is not None and place.get_gridspec().nrows >= _LOW_ROWS:
-                    axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+                    axes.set_ylabel(break_label(axes.get_ylabel()))
+
+
+def break_label(label: str) -> str:
+    """Return the label of a low panel on two lines of similar length."""
+    words = label.split(" ")
+    pairs = [(" ".join(words[:count]), " ".join(words[count:])) for count in range(1, len(words))]
+    return "\n".join(min(pairs, key=lambda pair: max(map(len, pair)), default=(label,)))
 
 
 def choose_colors(count: int) -> list[tuple[float, ...]]:
-    """Return the colour of each run, the same as on screen."""
+    """Return the colours of lines in order, the same as on screen."""
     return [*map(to_rgb, choose_run_colors(count))]
 
 
-def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
-    """Return colour and marker of each run.
+def color_runs(runs: Sequence[Run]) -> list[tuple[float, ...]]:
+    """Return the colour of each run, the same as on screen."""
+    return [*map(to_rgb, choose_colors_by_value(runs))]
 
-    If there are more runs than hues, the first are on top: the fast oscillations of a large gain
+
+def choose_run_lines(runs: Sequence[Run]) -> Sequence[Mapping[str, Any]]:
+    """Return colour and marker of each run."""
+    lines = zip(choose_lines(len(runs)), color_runs(runs), strict=True)
+    return [{**line, "color": color} for line, color in lines]
+
+
+def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
+    """Return colour and marker of each line.
+
+    If there are more lines than hues, the first are on top: the fast oscillations of a large gain
     would cover all others.
     """
     lines: list[dict[str, Any]] = [{"color": color} for color in choose_colors(count)]
@@ -288,7 +307,7 @@ def label_runs(runs: Sequence[Run]) -> list[str]:
 
 def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     """Return runs with the style of their lines, including the label in a legend."""
-    styled = zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True)
+    styled = zip(runs, label_runs(runs), choose_run_lines(runs), strict=True)
     return [(run, {**looks, "label": name}) for run, name, looks in styled]
 
 

@@ -20,9 +20,10 @@ from turtlelog.charts.close_up import (
     find_tolerance,
     list_miss_labels,
     list_ring_labels,
+    name_ends,
 )
 from turtlelog.charts.curves import REFERENCE as AIMED
-from turtlelog.charts.many_runs import find_restless
+from turtlelog.charts.many_runs import MANY, cut_alike, find_restless
 from turtlelog.charts.plane_scene import (
     LEAST_SHOWN_M,
     MEDIAN_LABEL,
@@ -35,7 +36,7 @@ from turtlelog.charts.plane_scene import (
     list_starts,
     tell_still,
 )
-from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path
+from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path, tell_gap
 from turtlelog.charts.tracked_path import (
     WorstPlace,
     find_worst_place,
@@ -46,7 +47,7 @@ from turtlelog.charts.tracked_path import (
     read_way_to_reference,
 )
 from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
-from turtlelog.draw.figures.page import AIM, REFERENCE, SENSED, choose_colors, style_runs
+from turtlelog.draw.figures.page import AIM, REFERENCE, SENSED, color_runs, label_runs, style_runs
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -67,6 +68,10 @@ _RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder":
 
 _MOST_TICKS: Final = 5
 
+_LEAST_TOLERANCE: Final = 0.04
+"""Smallest tolerance with an entry in the legend, as a share of half a close-up: a smaller square
+is below the goal's cross, which is 3 of 90 points wide on either side."""
+
 _PLANE: Final = "plane"
 """Label of axes that show paths."""
 
@@ -76,20 +81,28 @@ _FAINT: Final = 0.25
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the paths from start to goal, and beside them the ends of runs that arrive."""
-    close_up = find_close_up(runs)
+    close_up = find_named_close_up(runs)
     worst = find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     draw_paths(grid[0], runs)
     show_all(grid[0], runs)
-    still = tell_still(runs)
-    if still or len(grid) > 1 or not lack_samples(runs):
-        grid[0].set(title=still or "whole paths")
+    told = tell_still(runs) or tell_gap(runs)
+    if told or len(grid) > 1 or not lack_samples(runs):
+        grid[0].set(title=told or "whole paths")
     if close_up is not None:
         draw_paths(grid[1], runs)
         _close_up(grid[1], runs, close_up, _measure_letters(figure))
     if worst is not None:
         draw_paths(grid[1], runs)
         _show_worst(grid[1], runs, worst, _measure_letters(figure))
+
+
+def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
+    """Return the close-up of the goal, in which each of a few runs has its name."""
+    close_up = find_close_up(runs)
+    if close_up is None or not 1 < len(runs) <= MANY:
+        return close_up
+    return name_ends(close_up, cut_alike(label_runs(runs)))
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
@@ -137,13 +150,14 @@ def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
 def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the ends of runs above all paths; for many per gain also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
-    colors = choose_colors(len(runs))
+    colors = color_runs(runs)
     is_many = has_grey_paths(runs)
     # Random order, because in the order of gains the last runs would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
     for number in order:
-        looks: dict[str, Any] = {"color": colors[number], "ms": 2.2 if is_many else 3.0}
-        (end,) = axes.plot(*ends_m[number], "o", zorder=2.95, mew=0.0, **looks)
+        looks: dict[str, Any] = {"color": colors[number], "ms": 2.2 if is_many else 4.2}
+        looks |= {"mew": 0.0 if is_many else 0.5, "mec": "white"}
+        (end,) = axes.plot(*ends_m[number], "o", zorder=2.95, **looks)
         if lack_samples(runs) and len(runs) == 1:
             end.set_label("end")
     for group in find_gain_ends(runs) if is_many else ():
@@ -217,14 +231,14 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     for run in runs:
         if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None:
             corner = (run.goal_xy_m[0] - tolerance_m, run.goal_xy_m[1] - tolerance_m)
-            side_m = 2 * tolerance_m
-            axes.add_patch(
-                Rectangle(corner, side_m, side_m, fill=False, label="tolerance", **REFERENCE)
-            )
+            side_m, looks = 2 * tolerance_m, dict(REFERENCE)
+            if tolerance_m >= _LEAST_TOLERANCE * close_up.half_m:
+                looks["label"] = "tolerance"
+            axes.add_patch(Rectangle(corner, side_m, side_m, fill=False, **looks))
     for ring_m in close_up.rings_m:
         axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
     misses = list_miss_labels(close_up, lettering)
-    colors = choose_colors(len(runs))
+    colors = color_runs(runs)
     for label in misses:
         color = colors[label.runs[0]] if len(label.runs) == 1 else "0.2"
         _write(axes, label, color)
@@ -236,7 +250,7 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
 
 def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
     """Show the largest deviation from the path, with its size."""
-    center, color = np.array(worst.center_xy_m), choose_colors(len(runs))[worst.run]
+    center, color = np.array(worst.center_xy_m), color_runs(runs)[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
     _draw_worst_place(axes, worst, color)
     _write(axes, label_worst_place(worst, lettering), color)

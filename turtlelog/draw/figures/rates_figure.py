@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve, read_applied, read_command
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
+from turtlelog.charts.time_axes import label_time
+from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, label_runs
@@ -67,7 +69,7 @@ _DEAD: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "#e69f00", "alpha": 0.22, "linewidth": 0.0, "zorder": 0.6, "label": "dead time"}
 )
 _LAG: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#56b4e9", "alpha": 0.25, "linewidth": 0.0, "zorder": 0.6, "label": "lag"}
+    {"color": "#56b4e9", "alpha": 0.25, "linewidth": 0.0, "zorder": 0.6, "label": "time constant"}
 )
 
 
@@ -138,12 +140,8 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
             _draw_step(figure.add_subplot(grid[span, 1]), one, run)
         is_last = not any(later == "rates" for _, later, _ in rows[number + 1 :])
         if part == "left" or one.traces is None:
-            axes.set_xlabel(_tell_time(run) if is_last or not is_wide else "")
+            axes.set_xlabel(label_time([run]) if is_last or not is_wide else "")
         axes.tick_params(labelbottom=part == "left" or one.traces is None)
-
-
-def _tell_time(run: Run) -> str:
-    return f"time from the first {run.first_row} [s]"
 
 
 def lacks_commands(run: Run) -> bool:
@@ -189,7 +187,7 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
     if one.traces is not None:
         time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
         draw_thinned(axes, time_s, values, values, **MODELLED, label="model")
-    axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
+    axes.set_ylabel(TIME_PLOTS[one.model.axis].label)
     axes.margins(x=0.01)
     if one.traces is not None:
         axes.set_title(f"{label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
@@ -227,7 +225,7 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
         rows = near[np.arange(len(near)), np.abs(values[near]).argmax(axis=1)]
         axes.plot(time_s[rows], values[rows], "x", **_OUTLIER)
         _name_outliers(axes, time_s[rows], values[rows], COMMAND_UNITS[one.model.axis])
-    axes.set_ylabel(f"motion - model\n[{COMMAND_UNITS[one.model.axis]}]")
+    axes.set_ylabel(f"residual\n[{COMMAND_UNITS[one.model.axis]}]")
 
 
 def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> None:
@@ -267,7 +265,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
             looks = {**MODELLED, "linewidth": 0.9, "zorder": 2.4}
             _draw_followed(axes, change, fine_s, rate, (from_s, until_s), **looks)
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
-    axes.set_title(tell_model(one, len(changes)), fontsize=7.0)
+    axes.set_title(tell_model(one, len(changes)), fontsize=7.0, loc="right")
     axes.set_xlabel("time from the change [s]")
     axes.set_ylabel(f"part of the change\nof the {COMMAND_WORDS[one.model.axis]}")
     axes.locator_params(axis="x", nbins=5)
@@ -324,8 +322,8 @@ def tell_model(one: DrawnAxis, changes: int) -> str:
     told = f"{COMMAND_WORDS[model.axis]}: {describe_count(changes, 'change')}"
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
         return told
-    delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
-    return f"{told}\n(in brackets: {one.brackets})\n{delays}\ngain {format_gain(model.gain)}"
+    delays = f"dead time {_tell_ms(model.dead_time_s)}, time constant {_tell_ms(model.lag_s)}"
+    return f"{told}, gain {format_gain(model.gain)}\n{delays}\nin brackets: {one.brackets}"
 
 
 def _tell_ms(found: Estimate) -> str:

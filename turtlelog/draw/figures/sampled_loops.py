@@ -25,11 +25,10 @@ from turtlelog.draw.figures.figure_curves import (
     list_paper_poles,
 )
 from turtlelog.draw.figures.legend import name_some
-from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, label_runs
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
-from turtlelog.run.loops import SIGNAL_WORDS
 from turtlelog.theory import (
     LoopModel,
     PidLoop,
@@ -74,8 +73,8 @@ _LARGER: Final = 2.2
 
 _MOST_TOLD: Final = 6
 
-_PLANE_INCH: Final = 3.0
-"""Smallest width of a plane of poles with its text [inch]: two fit into a row of a page."""
+_PLANE_INCH: Final = 2.1
+"""Smallest width of a plane of poles with its text [inch]: three fit into a row of a page."""
 _LINE_SHARE: Final = 0.45
 """Height of the axis of ideal poles, as a share of a plane's."""
 _ROOM_INCH: Final = 0.35
@@ -85,6 +84,10 @@ _MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "lines
 
 _MOST_SAMPLES: Final = 20_000
 """Largest number of samples of a step response: more than a page resolves."""
+
+_LONGEST: Final = 5.0
+"""Largest length of the axis of step responses, as a multiple of their median: one loop near its
+limit of stability would hide the others. Of the paper's gains the slowest takes less."""
 
 _UNSTABLE_LENGTH: Final = 40.0
 """Drawn length of an unstable response, as a multiple of dead time plus sampling period."""
@@ -267,7 +270,7 @@ def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[Pol
     """Return the poles of ideal loops, in the colours of their runs."""
     if not runs:
         return list_paper_poles()
-    styled = zip(runs, names.values(), choose_lines(len(runs)), strict=True)
+    styled = zip(runs, names.values(), choose_run_lines(runs), strict=True)
     return [
         Pole(values=np.array([-kp]), looks=looks, label=name)
         for run, name, looks in styled
@@ -291,7 +294,8 @@ def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, 
 def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the sampled loops' responses to a reference step, without limits."""
     axes, curves = figure.subplots(), _style_loops(runs)
-    last_s = max(_choose_duration(curve.found) for curve in curves)
+    lasting_s = [_choose_duration(curve.found) for curve in curves]
+    last_s = min(max(lasting_s), _LONGEST * float(np.median(lasting_s)))
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
     lowest, highest = 0.0, 1.0
@@ -322,7 +326,7 @@ def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
             run_looks=looks,
         )
         for name, models, looks in zip(
-            _name_styled(runs), known, choose_lines(len(runs)), strict=True
+            _name_styled(runs), known, choose_run_lines(runs), strict=True
         )
         for model in models
     ]
@@ -473,7 +477,7 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
     ]
     draw_poles(axes, marked)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
-    axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}\ndead time {dead_time}")
+    axes.set_title(f"{first.model.loop.name}\ndead time {dead_time}")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
 

@@ -13,16 +13,21 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts.curves import Curve, find_disturbance
 from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
-from turtlelog.charts.many_runs import describe_restless, find_restless
-from turtlelog.charts.palette import FEW, Color, choose_run_colors
+from turtlelog.charts.many_runs import (
+    MANY,
+    choose_colors_by_value,
+    describe_restless,
+    find_restless,
+)
+from turtlelog.charts.palette import Color
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
-    COMPARED,
     POINTS,
     CurveKind,
     PlottedCurve,
     Scale,
     TimePlot,
+    choose_kinds,
     leaves_out,
     list_own,
     list_plot_levels,
@@ -30,7 +35,7 @@ from turtlelog.charts.plotted_curves import (
     take_magnitude,
 )
 from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
-from turtlelog.charts.time_axes import find_range
+from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
 from turtlelog.draw.figures.page import (
@@ -38,6 +43,7 @@ from turtlelog.draw.figures.page import (
     PUSHED,
     REFERENCE,
     STROKES,
+    break_label,
     choose_lines,
     label_runs,
     style_runs,
@@ -50,7 +56,7 @@ _LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
     {
         "beside": {"linewidth": 0.9, "zorder": 1.9},
         "measured": {"linewidth": 0.8, "zorder": 1.9},
-        "applied": {"linewidth": 0.8, "zorder": 2.1},
+        "applied": {"linewidth": 0.8, "zorder": 1.9},
         "shaped": {"linewidth": 0.9, "zorder": 1.9},
         "ideal": {"linewidth": 0.7, "zorder": 1.8},
         "aim": {"linewidth": 0.8, "zorder": 1.9},
@@ -83,7 +89,7 @@ _LOST: Final[Mapping[str, Any]] = MappingProxyType(
         "markersize": 3.5,
         "markeredgewidth": 0.4,
         "zorder": 1.7,
-        "label": "dropped out",
+        "label": "dropped",
     }
 )
 """Style of poses that the controller does not receive: strokes at the lower edge."""
@@ -181,17 +187,16 @@ def _draw_curves(
     axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, restless: frozenset[int]
 ) -> None:
     """Draw the curves of all runs; a reference that several share is drawn once."""
-    is_alone, is_many = len(runs) == 1, len(runs) > len(FEW)
+    is_alone, is_many = len(runs) == 1, len(runs) > MANY
     aims: list[Curve] = []
-    colors = choose_run_colors(len(runs))
+    colors = choose_colors_by_value(runs)
     for number, (run, looks) in enumerate(style_runs(runs)):
-        listed = list_plotted(run, plot, None if is_alone else COMPARED)
+        listed = list_plotted(run, plot, choose_kinds(number, len(runs)))
         is_answered = any(one.kind == "measured" for one in listed) and not is_alone
-        is_between = is_many and 0 < number < len(runs) - 1
         if number in restless and leaves_out(len(runs), plot):
             continue
         for found in listed:
-            if found.kind == "outlier" or (found.kind == "ideal" and is_between):
+            if found.kind == "outlier":
                 continue
             if found.kind == "aim" and _is_known(found.curve, aims):
                 continue
@@ -278,7 +283,7 @@ def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
 def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
     """Write the outliers beyond the axis, with a mark at the time of each."""
     lines = []
-    colors = choose_run_colors(len(runs))
+    colors = choose_colors_by_value(runs)
     for run, name, color in zip(runs, label_runs(runs), colors, strict=True):
         for found in list_plotted(run, plot):
             if found.kind != "outlier":
@@ -334,7 +339,7 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
         panel(axes, runs)
         if rows == grid.nrows:
             # Low panels have no room for a unit beside its name.
-            axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+            axes.set_ylabel(break_label(axes.get_ylabel()))
         if row + 1 < grid.nrows:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
@@ -347,7 +352,6 @@ def count_plane_rows(panels: Sequence[object]) -> int:
 
 def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
     """Label the axes of a panel over time."""
-    firsts = dict.fromkeys(run.first_row for run in runs)
-    axes.set(xlabel=f"time from the first {' or '.join(firsts)} [s]", ylabel=label)
+    axes.set(xlabel=label_time(runs), ylabel=label)
     axes.margins(x=0.01)
     axes.locator_params(axis="x", nbins=6)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.charts.looks import LIMIT_DASH
+from turtlelog.charts.time_axes import label_time
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
@@ -79,7 +80,7 @@ def draw_violation(
     _draw_band(axes, violated)
     draw_curve(axes, curve, **choose_lines(1)[0], label=label_runs(runs)[0])
     _draw_outside(axes, violated)
-    axes.set(xlabel="time from the first sample [s]", ylabel=violated.title.replace("_", " "))
+    axes.set(xlabel=label_time(runs), ylabel=violated.title.replace("_", " "))
     axes.margins(x=0.01, y=0.16)
     _keep_band_in_view(axes, violated)
     told = "holds" if holds else "violated"

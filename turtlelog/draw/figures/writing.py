@@ -229,8 +229,7 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
     with use_looks():
         # `savefig` would draw everything once more to compute the layout.
         figure.dpi = (page or Page()).pixels_per_inch
-        if (engine := figure.get_layout_engine()) is not None:
-            engine.execute(figure)
+        _arrange(figure)
         if form == "pdf":
             with _drop_unused_tables():
                 FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
@@ -238,6 +237,18 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
             FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
         else:
             FigureCanvasAgg(figure).print_png(data, metadata=_NO_DATE[form])
+
+
+_LAYOUTS: Final = 3
+"""Computations of a layout after which planes, which are square, leave room for all labels."""
+
+
+def _arrange(figure: Figure) -> None:
+    """Compute the places of panels; repeated for planes, whose squares change them."""
+    has_planes = any(axes.get_aspect() != "auto" for axes in figure.axes)
+    for _ in range(_LAYOUTS if has_planes else 1):
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
 
 
 def require_figure_path(path: str | Path) -> Path:
@@ -287,8 +298,7 @@ def _drop_unused_tables() -> Iterator[None]:
 def _settle_layout(figure: Figure) -> None:
     """Compute the layout of a figure once for all of its formats."""
     with use_looks():
-        if (engine := figure.get_layout_engine()) is not None:
-            engine.execute(figure)
+        _arrange(figure)
     figure.set_layout_engine("none")
 
 
@@ -355,8 +365,7 @@ class ShownFigure(Figure):
         with use_looks():
             try:
                 self.dpi = _DPI
-                if (engine := self.get_layout_engine()) is not None:
-                    engine.execute(self)
+                _arrange(self)
                 FigureCanvasAgg(self).print_png(data)
             finally:
                 self.dpi = dpi

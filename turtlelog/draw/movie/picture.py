@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from turtlelog.charts.close_up import (
     CloseUp,
     Lettering,
-    find_close_up,
     format_length,
     list_miss_labels,
 )
@@ -35,6 +34,7 @@ from turtlelog.charts.plane_scene import (
 )
 from turtlelog.charts.plotted_curves import (
     COMPARED,
+    choose_kinds,
     has_own,
     list_own,
     list_plot_levels,
@@ -44,7 +44,8 @@ from turtlelog.charts.robot_curves import part_path
 from turtlelog.charts.time_axes import TIMELINE, find_range, locate_run
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path
-from turtlelog.draw.figures.page import LOOKS, choose_lines, label_runs, use_looks
+from turtlelog.draw.figures.page import LOOKS, choose_run_lines, label_runs, use_looks
+from turtlelog.draw.figures.plane_panels import find_named_close_up
 from turtlelog.draw.movie.film import Film, Values
 from turtlelog.run import Run
 
@@ -181,8 +182,7 @@ Look = dict[str, Any]
 
 def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
     looks = [
-        {"color": line["color"], "zorder": line.get("zorder", 2)}
-        for line in choose_lines(len(runs))
+        {"color": line["color"], "zorder": line.get("zorder", 2)} for line in choose_run_lines(runs)
     ]
     pairs = list(zip(runs, film.zeros_ns, strict=True))
     stage = _Stage(
@@ -190,7 +190,7 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
         film=film,
         places=[locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
     )
-    close_up = find_close_up(runs)
+    close_up = find_named_close_up(runs)
     _set_plane(stage, runs, looks)
     for place, name in zip(
         _TALL_CURVES if close_up is None else _CURVES, _choose_plots(runs), strict=False
@@ -251,8 +251,9 @@ def _set_curve(
 ) -> None:
     """Draw a plot over time: the curves of runs grow, references are complete."""
     plot = TIME_PLOTS[name]
-    for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
-        for found in list_plotted(run, plot, COMPARED):
+    for number, (run, zero_ns) in enumerate(zip(runs, stage.film.zeros_ns, strict=True)):
+        look = looks[number]
+        for found in list_plotted(run, plot, choose_kinds(number, len(runs)) or COMPARED):
             time_s, values = _thin(found.curve, zero_ns)
             step: Look = {"drawstyle": "steps-post"} if found.curve.holds else {}
             if found.kind not in ("run", "measured"):

@@ -14,11 +14,11 @@ from turtlelog.charts.curves import Values
 from turtlelog.charts.looks import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.plotted_curves import (
-    COMPARED,
     POINTS,
     CurveKind,
     PlottedCurve,
     TimePlot,
+    choose_kinds,
     group_states,
     has_own,
     leaves_out,
@@ -27,7 +27,7 @@ from turtlelog.charts.plotted_curves import (
     list_plotted,
 )
 from turtlelog.charts.robot_curves import list_seen_gaps
-from turtlelog.charts.time_axes import find_range
+from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.report.drawn import MOST_POINTS, RING, Drawn, Plots, make_figure, thin, to_hex
@@ -181,7 +181,7 @@ def _draw_plot(
         label += f", without {without}"
     figure = make_figure(
         plots, f"plot-{name}", label, x_range=x_range, height=230,
-        x_axis_label="time from the first sample [s]",
+        x_axis_label=label_time([one.run for one in drawn]),
     )  # fmt: skip
     config: dict[str, Any] = {"title": label, "curves": []}
     plots.config["plots"].append(config)
@@ -234,16 +234,19 @@ def _concerns(found: Violation, name: str) -> bool:
 
 def _list_plotted(drawn: Sequence[Drawn], plot: TimePlot) -> list[tuple[int, PlottedCurve]]:
     """Return the curves of a plot with the indices of their runs, in the order of drawing."""
-    kinds = None if len(drawn) == 1 else COMPARED
     restless = _find_restless(drawn)
     listed = [
         (number, found)
         for number, one in enumerate(drawn)
         if one.is_plotted and not (number in restless and leaves_out(len(drawn), plot))
-        for found in list_plotted(one.run, plot, _GHOST if one.is_ghost else kinds)
+        for found in list_plotted(one.run, plot, _choose_kinds(one, number, len(drawn)))
         if found.kind not in POINTS
     ]
     return sorted(listed, key=lambda pair: (pair[0] not in restless, pair[1].kind == "run"))
+
+
+def _choose_kinds(one: Drawn, number: int, count: int) -> frozenset[CurveKind] | None:
+    return _GHOST if one.is_ghost else choose_kinds(number, count)
 
 
 def _list_curves(

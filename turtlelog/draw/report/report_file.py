@@ -13,8 +13,8 @@ from typing import Final
 from turtlelog.charts.captions import describe_runs
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.curves import require_near
-from turtlelog.charts.many_runs import group_equal
-from turtlelog.charts.palette import GHOST, choose_cause_colors, choose_run_colors
+from turtlelog.charts.many_runs import choose_colors_by_value, group_equal
+from turtlelog.charts.palette import GHOST, choose_cause_colors
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.compare import (
@@ -122,7 +122,7 @@ def write_report(
     near, origin = move_near(runs)
     drawn = [
         Drawn(run=run, name=name, color=color)
-        for run, name, color in zip(near, names, choose_run_colors(len(runs)), strict=True)
+        for run, name, color in zip(near, names, choose_colors_by_value(runs), strict=True)
     ]
     drawn += _list_ghosts(explanation)
     violations = [

@@ -14,14 +14,15 @@ from turtlelog.charts.looks import choose_turtle_size
 from turtlelog.charts.many_runs import (
     MANY,
     GainScale,
+    choose_colors_by_value,
     cut_alike,
-    find_gain_scale,
+    find_color_scale,
     find_restless,
     group_equal,
     join_run_names,
     shorten_run_names,
 )
-from turtlelog.charts.palette import Color, choose_run_colors
+from turtlelog.charts.palette import Color
 from turtlelog.charts.plane_scene import has_grey_paths, move_near
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import document_runs
@@ -179,7 +180,7 @@ class _Overlay:
             end_s=lasting if lasting < longest else None,
             length_s=longest,
             restless=join_run_names(sorted(self.restless), self.names, self.scale),
-            outliers={**content.outliers, **self._name_beyond(ranges)},
+            notes={**content.notes, **self._name_beyond(ranges)},
         )
 
     def _name_beyond(self, ranges: Mapping[str, tuple[float, float]]) -> dict[str, str]:
@@ -228,7 +229,7 @@ def _name_equal(name: str, names: Sequence[str]) -> str:
 
 def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
     """Return runs with their colours, curves and timelines."""
-    colors = choose_run_colors(len(runs))
+    colors = choose_colors_by_value(runs)
     restless = find_restless(runs) if len(runs) > MANY else frozenset()
     # The legend of the along-track plot has no room for more names than those of the runs.
     references = [found for found in list_references(runs) if found.plot != ALONG_TRACK]
@@ -246,7 +247,7 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
         ),
         references=tuple(references),
         restless=restless,
-        scale=find_gain_scale(runs) if len(runs) > MANY else None,
+        scale=find_color_scale(runs),
     )
 
 

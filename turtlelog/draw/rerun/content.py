@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.charts.close_up import CloseUp, find_close_up
 from turtlelog.charts.curves import find_end_of_turn
 from turtlelog.charts.plotted_curves import StateGroup, group_states
+from turtlelog.charts.robot_curves import tell_gap
 from turtlelog.charts.time_axes import TIMELINE, WALL_TIMELINE, find_range, name_phase_timeline
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.charts.tracked_path import WorstPlace, find_worst_place
@@ -19,6 +20,7 @@ from turtlelog.draw.rerun.plots import LevelLines, Series
 from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
 from turtlelog.measure import find_signal
 from turtlelog.run import Run
+from turtlelog.run.loops import PAUSE
 
 _CLOSE_UP = 2.0
 """Half-height of the close-up, as a multiple of the largest error in it, which fills half of it."""
@@ -49,6 +51,7 @@ class Content:
         steps_title: Title of the attribution; None without an attribution.
         luck_title: Title of the picture of values from other starts; None without this picture.
         starts: Text on other ends in the close-up of the goal, for its title.
+        has_pause: Whether a run has a pause.
         has_dead_time: Whether the first run's dead times are drawn.
         legend_names: Names of the runs if they need a view of their own, otherwise empty.
         with_phases: Number of runs with samples.
@@ -64,7 +67,7 @@ class Content:
         states: States of the laws, in groups.
         overlaid: Groups whose states share a plot.
         idle: Plots of states that are always 0 in every run, which need no view.
-        outliers: Text on outliers beyond the ranges, by plot.
+        notes: Text beside the title of a plot, on gaps and on outliers beyond its range.
         phase_rows: Prefixes of the runs whose phases are shown; empty: all.
         timelines: Names of all timelines, on each of which a trail grows to the cursor.
         ghosts: Entity prefixes of ghosts in the plane.
@@ -90,6 +93,7 @@ class Content:
     steps_title: str | None = None
     luck_title: str | None = None
     starts: str = ""
+    has_pause: bool = False
     has_dead_time: bool = False
     legend_names: tuple[str, ...]
     with_phases: int
@@ -105,7 +109,7 @@ class Content:
     states: tuple[StateGroup, ...] = ()
     overlaid: frozenset[StateGroup] = frozenset()
     idle: frozenset[str] = frozenset()
-    outliers: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
     arrows: str = ""
     origin: str = ""
@@ -158,6 +162,7 @@ def describe_content(
         references=frozenset(reference.plot for reference in references),
         legend_names=tuple(names) if len(names) > _MOST_IN_PLOT else (),
         with_phases=sum(len(run.samples) > 0 for run in runs),
+        has_pause=any(span.phase == PAUSE for run in runs for span in run.find_phase_spans()),
         has_several_phases=any(len(run.find_phase_spans()) > 1 for run in runs),
         has_events=any(run.events for run in runs),
         documents=tuple(documents),
@@ -173,7 +178,7 @@ def describe_content(
         },
         close_ups=frozenset(close_ups),
         timelines=_list_timelines(runs),
-        outliers=_count_outliers(series),
+        notes={**_note_gaps(runs, series), **_count_outliers(series)},
         controlled=frozenset(
             entities.name_plot(plot) for run in runs for plot in list_controlled(run)
         ),
@@ -183,6 +188,13 @@ def describe_content(
 def _list_timelines(runs: Sequence[Run]) -> tuple[str, ...]:
     phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
     return (TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases))
+
+
+def _note_gaps(runs: Sequence[Run], series: Sequence[Sequence[Series]]) -> dict[str, str]:
+    """Return the longest gap of a single run for each plot whose curve breaks there."""
+    words = tell_gap(runs)
+    curves = [one for one in series[0] if one.is_main and words]
+    return {one.plot: words for one in curves if np.isnan(one.values).any()}
 
 
 def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:

@@ -10,6 +10,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette
+from turtlelog.charts.characteristics import SIGNS
 from turtlelog.charts.curves import Level
 from turtlelog.charts.many_runs import GainScale
 from turtlelog.charts.palette import Color
@@ -40,6 +41,9 @@ _SCALE_HEIGHT: Final = 1.0
 
 _SCALE_LINES: Final = 8
 """Lines side by side that fill a cell: the viewer rounds the ends of a thick one."""
+
+_LINE_LETTERS: Final = 46
+"""Letters of a legend's line: the viewer breaks lines of more than 275 pixels, in any window."""
 
 _SCALE_LABELS: Final = 12
 """Largest number of values in a view 500 pixels wide: 40 pixels each."""
@@ -101,13 +105,12 @@ def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Co
         colors=palette.pack_colors([color for color in colors for _ in range(_SCALE_LINES)]),
     )
     stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
-    count = min(len(colors), _SCALE_LABELS)
-    shown = np.unique(np.linspace(0, len(colors) - 1, count).round().astype(int)).tolist()
+    ticks = scale.list_ticks(_SCALE_LABELS)
     labels = rr.Points2D(
-        [((number + 0.5) * width, _SCALE_HEIGHT) for number in shown],
+        [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks],
         radii=rr.Radius.ui_points(0.0),
-        colors=[colors[number] for number in shown],
-        labels=[f"{scale.values[number]:.3g}" for number in shown],
+        colors=[colors[round(place)] for place, _ in ticks],
+        labels=[value for _, value in ticks],
         show_labels=True,
     )
     stream.log(join_path(entities.LEGEND, "values"), labels, static=True)
@@ -201,7 +204,8 @@ def _name_plot(
             if one is main and label == main.labels[0]:
                 continue
             words.setdefault(_join_tint(color, main), []).append(_describe(one, said))
-    words[main.colors[0]] += ["  ".join(name_marks(marks))] if marks else []
+    marks = _choose_marks(marks, _LINE_LETTERS - len(", ".join([*words[main.colors[0]], ""])))
+    words[main.colors[0]] += [_join_marks(marks)] if marks else []
     levels = () if lines is None else lines.levels
     for level in levels:
         if level.kind in ("target", "tolerance"):
@@ -223,6 +227,18 @@ def _name_plot(
     )
 
 
+def _choose_marks(marks: Sequence[Mark], letters: int) -> Sequence[Mark]:
+    """Return the marks whose names fit a line, if those of less interest are left out."""
+    for least in [mark for mark in marks if mark.is_minor]:
+        if len(_join_marks(marks)) > letters:
+            marks = [mark for mark in marks if mark is not least]
+    return marks
+
+
+def _join_marks(marks: Sequence[Mark]) -> str:
+    return " ".join(name_marks(marks))
+
+
 def _part_levels(
     plot: str, levels: Sequence[Level], names: Mapping[Color, str], main: Series
 ) -> Iterator[LevelLines]:
@@ -242,4 +258,4 @@ def _describe(curves: Series, label: str) -> str:
     """Return the name of a curve; for points it describes their look."""
     if curves.marker is None:
         return label
-    return f"{'dots' if curves.marker == 'circle' else 'crosses'}: {label}"
+    return f"{SIGNS['disc' if curves.marker == 'circle' else 'cross']} {label}"

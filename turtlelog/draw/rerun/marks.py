@@ -25,6 +25,9 @@ Shape = Literal["Circle", "Square", "Cross"]
 _SHAPES: Final[Mapping[MarkShape, Shape]] = {"disc": "Circle", "square": "Square", "cross": "Cross"}
 """Mark shapes of the viewer."""
 
+_MINOR: Final = frozenset({"rise_time", "time_to_goal"})
+"""Metrics that others beside them bound: a rise ends before the curve settles."""
+
 _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
 _DECADES: Final = 10.0 ** -np.arange(8.0)
@@ -44,6 +47,7 @@ class Mark:
         shape: Rerun's name of a marker.
         time_ns: Time in the run's own time [ns].
         level: Value in the unit of the curve.
+        is_minor: Whether a full legend may leave it out.
     """
 
     plot: str
@@ -52,6 +56,7 @@ class Mark:
     shape: Shape
     time_ns: int
     level: float
+    is_minor: bool = False
 
     @property
     def entity(self) -> str:
@@ -79,6 +84,7 @@ def list_marks(
                 shape=_SHAPES[found.shape],
                 time_ns=run.start_ns + round(found.marked_s * 1e9),
                 level=found.level,
+                is_minor=found.kind in _MINOR,
             )
         )
     return tuple(marks)
@@ -239,7 +245,8 @@ def _compute_sampled(
     period_s = float(np.median(steps_ns[steps_ns > 0])) / 1e9
     delay = round(dead_time.value / period_s)
     count = int((step.end_ns - step.start_ns) / 1e9 / period_s) + 1
-    if count > _MOST_SAMPLES or delay > _MOST_DEAD_SAMPLES:
+    # Without a dead time it would be drawn over the ideal response.
+    if count > _MOST_SAMPLES or not 0 < delay <= _MOST_DEAD_SAMPLES:
         return
     values = compute_sampled_step_response(
         step.kp,
@@ -249,7 +256,7 @@ def _compute_sampled(
         initial=step.initial,
         reference=step.reference,
     )
-    label = f"with {dead_time.value * 1e3:.3g} ms dead time"
+    label = f"+ {dead_time.value * 1e3:.3g} ms dead time"
     time_s = np.arange(count) * period_s
     yield Series(
         entity="/".join(

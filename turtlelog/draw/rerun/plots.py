@@ -55,7 +55,7 @@ _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"
 """Kinds of curves in a view of several runs: theory of each run would cover all others."""
 
 _COMMANDED_WIDTH: Final = 3.0
-"""Width of commands, so that they are visible below the applied ones [points]."""
+"""Width of commands, so that they are visible on the noise of measured rates [points]."""
 
 _MARKERS: Final[Mapping[CurveKind, Literal["circle", "cross"]]] = MappingProxyType(
     {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}

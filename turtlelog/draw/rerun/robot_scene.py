@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color
+from turtlelog.charts.robot_curves import label_error
+from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.draw.rerun.content import find_emptiest_corner
@@ -19,7 +21,6 @@ from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces, RobotModel, trace_axis
 from turtlelog.run import Run
 
-_TITLES: Final = {"speed": "speed [m/s]", "turn_rate": "turn rate [rad/s]"}
 _TIMELINE: Final = "robot_time"
 _RESIDUAL: Final = "residual"
 
@@ -58,7 +59,7 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
 
 def _list_views(found: AxisTraces) -> list[rrb.View]:
     """Return a view of the rates of an axis, and one of the model's residuals."""
-    title = _TITLES[found.axis]
+    title = TIME_PLOTS[found.axis].label
     rates = [f"/{found.axis}/{name}" for name, _, _ in _CURVES if name != _RESIDUAL]
     link = rrb.TimeAxis(link="LinkToGlobal")
     low, high = np.nanmin(found.commanded), np.nanmax(found.commanded)
@@ -73,7 +74,7 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
         rrb.TimeSeriesView(
             origin="/",
             contents=[f"/{found.axis}/{_RESIDUAL}"],
-            name=f"motion - model: {title}",
+            name=f"residual: {title}",
             axis_x=link,
             plot_legend=rrb.PlotLegend(visible=False),
         ),
@@ -138,8 +139,7 @@ def _name_errors(band: ErrorBand) -> str:
 
 
 def _title_errors(band: ErrorBand) -> str:
-    unit, _ = SHOWN_UNITS[band.quantity]
-    return f"error of {band.quantity} after {band.horizon_s:g} s [{unit}]"
+    return f"{label_error(band.quantity)} after {band.horizon_s:g} s"
 
 
 def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:

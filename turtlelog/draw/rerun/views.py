@@ -95,8 +95,8 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: st
         contents.insert(0, f"{join_path(entities.REFERENCE, plot)}/**")
     contents += content.lines
     title, limits = name or entities.title_plot(plot), content.ranges.get(plot)
-    if plot in content.outliers:
-        title += f", {content.outliers[plot]}"
+    if plot in content.notes:
+        title += f", {content.notes[plot]}"
     if content.restless and plot in entities.RESTLESS:
         title += f", without {content.restless}"
     return rrb.TimeSeriesView(
@@ -114,14 +114,16 @@ def view_phases(content: Content) -> rrb.View:
     shown = content.phase_rows or content.prefixes
     contents = [locate_phases(prefix) for prefix in shown]
     of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
-    dead = ", pink: dead time" if content.has_dead_time else ""
+    colors = ["brown: pause"] if content.has_pause else []
+    colors += ["pink: dead time"] if content.has_dead_time else []
+    key = f" ({', '.join(colors)})" if colors else ""
     until = "" if content.end_s is None else f", {content.end_s:.0f} of {content.length_s:.0f} s"
     if content.has_dead_time:
         contents.insert(1, locate_dead_times(shown[0]))
     return rrb.StateTimelineView(
         origin="/",
         contents=contents,
-        name=f"Phases{of}{until} (brown: pause{dead})",
+        name=f"Phases{of}{until}{key}",
         time_view=rrb.TimeAxis(link="LinkToGlobal"),
     )
 
