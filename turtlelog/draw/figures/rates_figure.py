@@ -267,7 +267,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
     axes.set_title(tell_model(one, len(changes)), fontsize=7.0, loc="right")
     axes.set_xlabel("time from the change [s]")
-    axes.set_ylabel(f"part of the change\nof the {COMMAND_WORDS[one.model.axis]}")
+    axes.set_ylabel("part of\nthe change")
     axes.locator_params(axis="x", nbins=5)
 
 

@@ -77,7 +77,7 @@ _PLANE_INCH: Final = 2.1
 """Smallest width of a plane of poles with its text [inch]: three fit into a row of a page."""
 _LINE_SHARE: Final = 0.45
 """Height of the axis of ideal poles, as a share of a plane's."""
-_ROOM_INCH: Final = 0.35
+_ROOM_INCH: Final = 0.42
 """Height of the text above and below a plane [inch]."""
 
 _MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "linestyle": ":"})
