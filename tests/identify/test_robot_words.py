@@ -1,5 +1,7 @@
 """How a robot follows its commands in words, the same on the command line and in a notebook."""
 
+from dataclasses import replace
+
 import turtlelog as tl
 from turtlelog.identify import AxisModel, Estimate, format_delay, format_gain
 from turtlelog.identify.doubts import describe_rivals
@@ -26,7 +28,10 @@ def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
 def test_a_notebook_shows_the_answer_the_values_and_the_doubts() -> None:
     html = tl.RobotModel(files=("bag",), speed=DRIVEN, turn_rate=UNKNOWN)._repr_html_()
     answer = "bag: speed follows its commands with gain 0.900 and total delay 200 ms (190 to 210)."
-    assert f"<strong>{answer} The turn rate could not be identified.</strong>" in html
+    rest = "The turn rate could not be identified. In doubt: speed."
+    assert f"<strong>{answer} {rest}</strong>" in html
+    sure = tl.RobotModel(files=("bag",), speed=replace(DRIVEN, doubts=()), turn_rate=UNKNOWN)
+    assert "In doubt" not in sure._repr_html_()
     for text in ("dead time [ms]", "0.900 (0.880 to 0.920)", "80 (70 to 90)", "it never turns"):
         assert text in html
     assert "does not tell a &amp; b apart" in html

@@ -23,7 +23,7 @@ from turtlelog.cli.theory_loops import (
     tell_motion,
 )
 from turtlelog.cli.theory_tables import describe_sampling, summarise_gains, tabulate_theory
-from turtlelog.display import format_short, join_words
+from turtlelog.display import join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
@@ -259,9 +259,7 @@ def _show_range(answer: LoopAnswer) -> str:
     if found is None or not found.stable_gains:
         return "of no value"
     return " and ".join(
-        f"below {format_short(high)} 1/s"
-        if low == 0.0
-        else f"from {format_short(low)} to {format_short(high)} 1/s"
+        f"below {high:.4g} 1/s" if low == 0.0 else f"from {low:.4g} to {high:.4g} 1/s"
         for low, high in found.stable_gains
     )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, Final, Literal, SupportsFloat
 
-from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.display import fit_line, format_answer, format_html, join_words
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.held_response import Bound, Order, Structure
@@ -363,6 +363,9 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
     if not said:
         return f"{name}: no axis could be identified."
     rest = f" The {unknown[0]} could not be identified." if unknown else ""
+    doubted = [NAMES[axis.axis] for axis in axes if axis.is_known and axis.doubts]
+    if doubted:
+        rest += f" In doubt: {join_words(doubted)}."
     words = ", ".join(
         [said[0].format("follows its commands with "), *(one.format("with ") for one in said[1:])]
     )
