@@ -75,7 +75,7 @@ def test_text_tells_bounds_constraints_and_variants(call: Call) -> None:
     )
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith("law.kp_linear = 12: translate.settling_time is ")
-    assert "s, the smallest of 52\ncandidates." in done.out
+    assert "s, the smallest of the 51\nof 52 candidates that fulfil the constraints." in done.out
     assert "translate.stable == 1      1       0  yes" in done.out
     assert "4 variants of the best" in done.out
     assert "start.heading_rad from 0 to 0.5" in done.out
@@ -297,6 +297,16 @@ def test_kp_tunes_all_gains_together(call: Call) -> None:
     done = call("tune", "textbook", "--grid", "kp=1:4", *words)
     assert (done.code, done.err) == (0, "")
     best = done.json["best"]["kp"]
+    words = (
+        "--minimise",
+        "run.duration",
+        "--evaluations",
+        "8",
+        "--subject-to",
+        "law.kp_linear <= 9",
+    )
+    text = " ".join(call("tune", "textbook", "--grid", "kp=1:4", *words).out.split())
+    assert "candidates, which all fulfil the constraints." in text
     law = tl.load_scenario("best.toml").law.parameters
     assert law.kp_angular == law.kp_linear == best
     value = tl.measure_run(tl.simulate_run("best.toml"))["run.duration"].value

@@ -207,6 +207,10 @@ def _conclude(answer: Answer) -> str:
         same = f"all {tuned.feasible} candidates that can be compared"
         return f"{name} is {value} for {same}: no key changes it."
     word = "largest" if answer.goal.is_maximised else "smallest"
+    if answer.goal.constraints and tuned.feasible < tuned.evaluations:
+        count = f"the {tuned.feasible} of {count} that fulfil the constraints"
+    elif answer.goal.constraints:
+        count += ", which all fulfil the constraints"
     return f"{values}: {name} is {value}, the {word} of {count}."
 
 
