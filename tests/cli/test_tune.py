@@ -297,20 +297,14 @@ def test_kp_tunes_all_gains_together(call: Call) -> None:
     done = call("tune", "textbook", "--grid", "kp=1:4", *words)
     assert (done.code, done.err) == (0, "")
     best = done.json["best"]["kp"]
-    words = (
-        "--minimise",
-        "run.duration",
-        "--evaluations",
-        "8",
-        "--subject-to",
-        "law.kp_linear <= 9",
-    )
-    text = " ".join(call("tune", "textbook", "--grid", "kp=1:4", *words).out.split())
-    assert "candidates, which all fulfil the constraints." in text
     law = tl.load_scenario("best.toml").law.parameters
     assert law.kp_angular == law.kp_linear == best
     value = tl.measure_run(tl.simulate_run("best.toml"))["run.duration"].value
     assert value == done.json["objective"]
+    bound = ("--evaluations", "8", "--subject-to", "law.kp_linear <= 9")
+    done = call("tune", "textbook", "--grid", "kp=1:4", *words[:2], *bound)
+    text = " ".join(done.out.split())
+    assert "candidates, which all fulfil the constraints." in text
 
 
 @pytest.mark.parametrize(
