@@ -11,6 +11,12 @@ from .measured_files import (
     complete_summaries as complete_summaries,
     summarise_files as summarise_files,
 )
+from .metric_table import (
+    list_metric_units as list_metric_units,
+    list_reasons as list_reasons,
+    tabulate_measured as tabulate_measured,
+    tabulate_metrics as tabulate_metrics,
+)
 from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
@@ -52,13 +58,9 @@ from .run_table import (
     UNLOCKS as UNLOCKS,
     can_unlock as can_unlock,
     drop_absent as drop_absent,
-    list_metric_units as list_metric_units,
-    list_reasons as list_reasons,
     list_unlocks as list_unlocks,
     mark_metric as mark_metric,
     order_parameters as order_parameters,
-    tabulate_measured as tabulate_measured,
-    tabulate_metrics as tabulate_metrics,
     tabulate_runs as tabulate_runs,
 )
 from .signal_comparison import (

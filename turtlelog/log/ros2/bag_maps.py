@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, rotate
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame
+from turtlelog.log.ros2.rigid_transforms import rotate
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]

@@ -14,7 +14,8 @@ from turtlelog.log.read_choice import ReadChoice, parse_goal_option
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_first_names
-from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, rotate
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame
+from turtlelog.log.ros2.rigid_transforms import rotate
 from turtlelog.run import Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 

@@ -21,8 +21,8 @@ from turtlelog.log.ros2.bag_transforms import (
     find_carrier,
     is_robot_frame,
     locate_frame,
-    rotate,
 )
+from turtlelog.log.ros2.rigid_transforms import rotate
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle

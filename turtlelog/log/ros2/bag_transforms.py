@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.ros2.bag_topics import FRAME_TRANSFORM, TRANSFORMS, list_numbers
+from turtlelog.log.ros2.rigid_transforms import compose, invert, turn_between
 
 Values = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ class Link:
         span_ns = int(self.stamp_ns[last] - self.stamp_ns[first])
         share = float(np.clip((stamp_ns - int(self.stamp_ns[first])) / max(span_ns, 1), 0.0, 1.0))
         place_m = (1.0 - share) * self.place_m[first] + share * self.place_m[last]
-        turn = _turn_between(self.turn[first], self.turn[last], share)
+        turn = turn_between(self.turn[first], self.turn[last], share)
         return place_m[np.newaxis], turn[np.newaxis]
 
     def describe(self) -> str:
@@ -98,21 +99,6 @@ class Link:
 _LONGEST_HELD_NS: Final = 1_000_000_000
 """Time that a transform is held before its first and after its last message [ns]."""
 
-
-def _turn_between(first: Values, last: Values, share: float) -> Values:
-    """Return a rotation on the shortest arc between two quaternions."""
-    first, last = _normalise(np.stack([first, last]))
-    cosine = float(first @ last)
-    last, cosine = (-last, -cosine) if cosine < 0.0 else (last, cosine)
-    angle = float(np.arccos(min(cosine, 1.0)))
-    if angle < _SMALL_RAD:
-        return np.asarray((1.0 - share) * first + share * last)
-    weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
-    return np.asarray(weights[0] * first + weights[1] * last)
-
-
-_SMALL_RAD: Final = 1e-6
-"""Below this angle an arc is a line to the last bit."""
 
 Tree = Mapping[tuple[str, str], Link]
 """Links by parent and child."""
@@ -470,43 +456,10 @@ def compose_way(
     for link, is_down in steps:
         found = link.interpolate(stamp_ns) if stamp_ns is not None and link.moves else None
         place_m, turn = link.hold(time_ns) if found is None else found
-        parts.append((place_m, turn) if is_down else _invert(place_m, turn))
+        parts.append((place_m, turn) if is_down else invert(place_m, turn))
     if len(parts) == 1:
         return parts[0]  # exact, whatever the length of its quaternions
     return reduce(lambda left, right: compose(*left, *right), parts, none)
-
-
-def compose(
-    place_m: Values, turn: Values, next_m: Values, next_turn: Values
-) -> tuple[Values, Values]:
-    """Return a transform followed by another; positions have shape (n, 3), rotations (n, 4)."""
-    return place_m + rotate(turn, next_m), _multiply(_normalise(turn), _normalise(next_turn))
-
-
-def rotate(turn: Values, vector: Values) -> Values:
-    """Return vectors rotated by quaternions of any length except 0."""
-    unit = _normalise(turn)
-    axis, w = unit[:, :3], unit[:, 3:]
-    across = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + w * across + np.cross(axis, across))
-
-
-def _invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
-    back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
-    return -rotate(back, place_m), back
-
-
-def _multiply(left: Values, right: Values) -> Values:
-    a, b = left[:, :3], right[:, :3]
-    v, w = left[:, 3:], right[:, 3:]
-    vector = v * b + w * a + np.cross(a, b)
-    return np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
-
-
-def _normalise(turn: Values) -> Values:
-    length = np.linalg.norm(turn, axis=1, keepdims=True)
-    # Quaternions that were never set stay 0; the computation of headings reports them.
-    return np.asarray(turn / np.where(length == 0.0, 1.0, length))
 
 
 def build_link_columns(link: Link, topic: str) -> TopicColumns:
