@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,15 +109,7 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
 
     The inverse regression would make every gain too small.
     """
-    square = float(command @ command)
-    rows = len(command)
-    slope = float(error @ command) / square if square > 0.0 else 0.0
-    left = error - slope * command
-    noise = float(np.sqrt(left @ left / max(rows - 1, 1)))
-    changes = np.diff(left)
-    whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
-    spread = noise / math.sqrt(square) if square > 0.0 else math.inf
-    reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
+    slope, reach, noise, whiteness = _fit_slope(command, error)
     return GainFit(
         value=1.0 / slope if slope else 0.0,
         is_exact=False,
@@ -128,8 +120,30 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
         else (0.0, math.inf),
         noise=noise,
         whiteness=whiteness,
-        rows=rows,
+        rows=len(command),
     )
+
+
+class _Slope(NamedTuple):
+    """A slope through 0, half of its 95 % interval, and size and whiteness of its residual."""
+
+    value: float
+    reach: float
+    noise: float
+    whiteness: float
+
+
+def _fit_slope(exact: Values, noisy: Values) -> _Slope:
+    """Regress noisy values on exact ones."""
+    square, rows = float(exact @ exact), len(exact)
+    slope = float(noisy @ exact) / square if square > 0.0 else 0.0
+    left = noisy - slope * exact
+    noise = float(np.sqrt(left @ left / max(rows - 1, 1)))
+    changes = np.diff(left)
+    whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
+    spread = noise / math.sqrt(square) if square > 0.0 else math.inf
+    reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
+    return _Slope(slope, reach, noise, whiteness)
 
 
 def find_quantile(rows: int) -> float:
@@ -335,14 +349,7 @@ def _fit_read(command: Values, error: Values, fit: GainFit, limit: float) -> Gai
 
 def _regress(command: Values, error: Values) -> GainFit:
     """Return the gain from noisy commands whose noise is independent of earlier errors."""
-    square, rows = float(error @ error), len(command)
-    gain = float(error @ command) / square if square > 0.0 else 0.0
-    left = command - gain * error
-    noise = float(np.sqrt(left @ left / max(rows - 1, 1)))
-    changes = np.diff(left)
-    whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
-    spread = noise / math.sqrt(square) if square > 0.0 else math.inf
-    reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
+    gain, reach, noise, whiteness = _fit_slope(error, command)
     return GainFit(
         value=gain,
         is_exact=False,
@@ -350,7 +357,7 @@ def _regress(command: Values, error: Values) -> GainFit:
         interval=(gain - reach, gain + reach),
         noise=noise / abs(gain) if gain else math.inf,
         whiteness=whiteness,
-        rows=rows,
+        rows=len(command),
     )
 
 
