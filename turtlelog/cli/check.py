@@ -257,7 +257,7 @@ def _write_first(
     checks = describe_count(text.count("\n[checks."), "check")
     spec = escape_controls(shlex.quote(str(output)))
     lines = [
-        f"{output.name}: {checks} read off {file.name}, each with 10 to 20 % to spare.",
+        f"{output.name}: {checks} read off {file.name}, each bound with its reason.",
         f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...",
     ]
     print_text(fill_lines(lines))
