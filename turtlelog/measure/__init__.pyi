@@ -9,7 +9,6 @@ from .dead_time import (
     DeadTime as DeadTime,
     DeadTimeChange as DeadTimeChange,
     find_dead_time as find_dead_time,
-    model_run_loops as model_run_loops,
 )
 from .measure_settings import (
     MeasureSettings as MeasureSettings,
@@ -40,6 +39,9 @@ from .metric_list import (
     list_metrics as list_metrics,
     measure_run as measure_run,
     miss_metric as miss_metric,
+)
+from .modelled_loops import (
+    model_run_loops as model_run_loops,
 )
 from .outliers import (
     Outlier as Outlier,
