@@ -176,7 +176,9 @@ def test_a_first_spec_is_passed_by_the_run_that_it_was_read_off(
     target = tmp_path / "first.toml"
     first = call("check", "--init", kp4, "-o", target)
     assert first.code == 0
-    assert first.out.startswith(f"first.toml: 13 checks read off {kp4.name}, each with 10 to 20 %")
+    assert first.out.startswith(
+        f"first.toml: 13 checks read off {kp4.name}, each bound with its reason."
+    )
     assert f"Then: turtlelog check {target} FILE..." in first.flat
     tables = tomllib.loads(target.read_text("utf-8"))
     assert all(check["observed"] for check in tables["checks"].values())

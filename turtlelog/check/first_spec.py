@@ -50,7 +50,7 @@ platforms, which is 1e-4 % of an angle of a radian. For times it is a tick."""
 def format_first_spec(
     run: Run, *, reference: str, partial: str = "", read: ReadChoice | None = None
 ) -> str:
-    """Return a specification that a run passes, with a margin of 10 to 20 % of each value.
+    """Return a specification that a run passes; each reason says how far the bound is.
 
     Args:
         run: Good run.
