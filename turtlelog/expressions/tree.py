@@ -82,7 +82,7 @@ class Prefix(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arithmetic(Node):
-    """Two numbers and an operator; `column` is that of the operator."""
+    """Two numbers and an operator; `column` is the column of the operator."""
 
     operator: ArithmeticOperator
     left: Node
@@ -182,7 +182,8 @@ class Expression:
 
     @property
     def is_temporal(self) -> bool:
-        """Whether it contains `always`, `eventually` or `until` and so needs signals over time."""
+        """Whether the expression contains `always`, `eventually` or `until`, and so needs signals.
+        """
         return any(isinstance(node, Temporal | Until) for node in iterate_nodes(self.root))
 
     def __repr__(self) -> str:

@@ -10,11 +10,11 @@ if TYPE_CHECKING:
 
 _REACHED: Final = "within_tolerance"
 _MISSED: Final = ("standstill", "settled", "timeout", "max_duration")
-"""Reasons to stop of built-in laws that do not reach the goal."""
+"""Stop reasons of built-in laws in runs that do not reach the goal."""
 
 
 def find_goal_error(run: "Run") -> float | None:
-    """Return the metric `final.position_error` [m]; None if the run had no goal to reach."""
+    """Return the metric `final.position_error` [m]; None if the run had no goal."""
     if run.goal_xy_m is None or not run.declaration.uses_goal:
         return None
     return math.dist(run.goal_xy_m, run.poses.xy_m[-1])
@@ -51,7 +51,7 @@ def allow_position(heading_rad: float, position_m: float, distance_m: float) -> 
 
 
 def _allow(run: "Run") -> float:
-    """Return the distance to the goal that the tolerances of the law allow [m]; 0 without them."""
+    """Return the distance to the goal that the law's tolerances allow [m]; 0 without tolerances."""
     heading_rad = run.parameters.get("law.heading_tolerance_rad")
     position_m = run.parameters.get("law.position_tolerance_m")
     if not isinstance(heading_rad, float | int) or not isinstance(position_m, float | int):
