@@ -182,8 +182,7 @@ class Expression:
 
     @property
     def is_temporal(self) -> bool:
-        """Whether the expression contains `always`, `eventually` or `until`, and so needs signals.
-        """
+        """Whether the expression contains `always`, `eventually` or `until` and needs signals."""
         return any(isinstance(node, Temporal | Until) for node in iterate_nodes(self.root))
 
     def __repr__(self) -> str:

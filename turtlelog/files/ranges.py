@@ -129,8 +129,7 @@ class RemoteFile:
         return self._copy.seek(0, os.SEEK_END)
 
     def find_held(self, place: int) -> tuple[int, bytes] | None:
-        """Return the start and data of the fetched end of the file if a byte is in it; else None.
-        """
+        """Return the start and data of the fetched end of the file with a byte; None if missing."""
         for start, data in self._ends.items():
             if start <= place < start + len(data):
                 return start, data

@@ -1,4 +1,4 @@
-"""A Run driven again: through the plant, through a law, in closed loop, with changes.
+"""Replay of a Run: through the plant, through a law, in closed loop, or with changes.
 
 The public names are in `__init__.pyi` and load on first use.
 """

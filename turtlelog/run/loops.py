@@ -334,8 +334,7 @@ class Declaration:
         return tuple(dict.fromkeys(loop.gain for loop in loops if loop.gain is not None))
 
     def list_limits(self, command: str) -> tuple[str, ...]:
-        """Return the scenario keys of a command's limits: those of its loops, or else the default.
-        """
+        """Return the scenario keys of limits of a command: of its loops, or else the default."""
         keys = [loop.limit_key for loop in self.loops if loop.command == command]
         return tuple(dict.fromkeys(keys)) or (LIMIT_KEYS[command],)
 
