@@ -39,9 +39,9 @@ class SignalKind:
 
     Attributes:
         unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
-        source: Rows of the values: `pose`: one per pose row; `sample`: one per sample; `command`:
-            one per published command, for runs without samples; `sensed pose`: one per sensed pose
-            that did not drop out.
+        source: Rows of the values. `pose`: one value per pose row. `sample`: one per sample.
+            `command`: one per published command, for runs without samples. `sensed pose`: one per
+            sensed pose that did not drop out.
         resampling: `line`: linear interpolation; `hold`: the last value is held.
         compared_as: `number`; `angle`: differences in [-pi, pi); `label`: equal (0) or not (1).
         meaning: One sentence.
@@ -90,7 +90,7 @@ class Signal:
     def to_pandas(self) -> Any:
         """Return the values as a `pandas.Series` over the time from the first sample [s].
 
-        Its `attrs` contain the `unit`.
+        The `attrs` contain the `unit`.
 
         Raises:
             LibraryError: If pandas is not installed; turtlelog does not install it.
@@ -137,11 +137,12 @@ class Signal:
 
 
 _MOST_SHOWN: Final = 400
-"""Largest number of values of the curve in a notebook: more are less than a pixel apart."""
+"""Largest number of values of the curve in a notebook: with more, values are less than a pixel
+apart."""
 
 
 def _read_nothing(_: Run) -> None:
-    """Return None: a pickled signal has no access to other runs."""
+    """Return None, because a pickled signal has no access to other runs."""
 
 
 def _rebuild(
@@ -151,7 +152,7 @@ def _rebuild(
 
 
 def could_be_signal(name: str) -> bool:
-    """Return whether a name is that of a signal, or could be that of a law's state."""
+    """Return whether a name is the name of a signal, or could name a state of a law."""
     return name in SIGNALS or re.fullmatch(STATE_PATTERN, name) is not None
 
 
@@ -254,7 +255,7 @@ def _read_sensed(run: Run, axis: int) -> Values | None:
 
 
 def _read_sensed_heading(run: Run) -> Values | None:
-    """Return the sensed heading within half a turn of the heading: noise adds no full turn."""
+    """Return the sensed heading within half a turn of the true one, so that noise adds no turn."""
     sensed_rad, heading_rad = run.poses.sensed_heading_rad, _read_heading(run)
     if sensed_rad is None:
         return None
@@ -430,4 +431,4 @@ COMMANDED: Final[Mapping[str, SignalKind]] = MappingProxyType(
         ),
     }
 )
-"""Signals of a run without samples: its commands as published, from the first one on."""
+"""Signals of a run without samples: the published commands, from the first command on."""

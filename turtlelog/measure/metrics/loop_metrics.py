@@ -1,4 +1,4 @@
-"""Step and error metrics of a loop, each a function of its curve, plain and compiled."""
+"""Step and error metrics of a loop, each a function of its curve that runs plain and compiled."""
 
 import math
 from typing import Final
@@ -93,7 +93,7 @@ def find_delay_time(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def find_rise_time(curve: Response) -> Outcome:
-    """Return the time from 10 % to 90 % of the step; its time is the end."""
+    """Return the time from 10 % to 90 % of the step. The time of the metric is the end."""
     if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
         return math.nan, math.nan, _BEGINS_BEYOND
     begin_s, end_s = find_rise(curve.time_s, curve.values, curve.initial, curve.reference)
@@ -141,7 +141,7 @@ def find_peak_time(curve: Response) -> Outcome:
     applies=has_sides,
 )
 def measure_overshoot(curve: Response) -> Outcome:
-    """See `find_overshoot`; its time is the peak."""
+    """See `find_overshoot`. The time of the metric is the peak."""
     share = find_overshoot(curve.values, curve.initial, curve.reference)
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
@@ -172,7 +172,7 @@ def measure_undershoot(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def measure_settling_time(curve: Response) -> Outcome:
-    """See `find_settling_time`; a response ended from outside must have stayed in the band."""
+    """See `find_settling_time`. A response ended from outside must have stayed in the band."""
     time_s, values, reference = curve.time_s, curve.values, curve.reference
     settled_s = find_settling_time(time_s, values, curve.initial, reference, curve.band)
     if math.isnan(settled_s):
@@ -188,7 +188,7 @@ def measure_settling_time(curve: Response) -> Outcome:
 def find_needed_hold(time_s: Values, values: Values, reference: float, half_width: float) -> float:
     """Return the time that a response ended from outside must stay in the band to have settled [s].
 
-    At least `step_response.SHORTEST_HOLD_S` and one period of the remaining oscillation.
+    This is at least `step_response.SHORTEST_HOLD_S` and one period of the remaining oscillation.
     """
     return max(SHORTEST_HOLD_S, find_swing_period(time_s, values, reference, half_width))
 
@@ -197,7 +197,7 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
     "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
 )
 def count_crossings(curve: Response) -> Outcome:
-    """Return the number of crossings; the time is that of the first."""
+    """Return the number of crossings. The time of the metric is the first crossing."""
     rows = find_crossing_rows(curve.error, 0.0, curve.memory)
     at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
     return float(len(rows)), at_s, FOUND
@@ -229,7 +229,7 @@ def measure_decay_ratio(curve: Response) -> Outcome:
     applies=has_sides,
 )
 def judge_stability(curve: Response) -> Outcome:
-    """See `judge_swings`, for the poses up to the last answered one."""
+    """See `judge_swings`; poses after the last answered one are ignored."""
     error = curve.error[: curve.answered]
     if len(error) < 2:
         return math.nan, math.nan, _ONE_ANSWER
@@ -282,7 +282,7 @@ def _fold_error(curve: Response) -> tuple[Values, Values, Values]:
 
 @compiled_as(_fold_error)
 def fold_error(curve: Response) -> tuple[Values, Values, Values]:
-    """Return times, time steps and magnitudes of the error, as stored with the run."""
+    """Return times, time steps and magnitudes of the error, cached for the run."""
     return curve.folded_error
 
 

@@ -1,4 +1,4 @@
-"""The metrics of a whole run: its duration, path length, distance to the goal and commands."""
+"""Metrics of a whole run: duration, path length, distance to the goal, and commands."""
 
 import math
 from collections.abc import Callable
@@ -269,7 +269,7 @@ _enter_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s")
 
 
 def _moves_along(loop: ControlLoop) -> bool:
-    """Return whether a loop moves the robot along the line; one that turns the robot does not."""
+    """Return whether a loop moves the robot along the line, unlike a loop that turns the robot."""
     return loop.command == "speed"
 
 
