@@ -119,8 +119,7 @@ class RunCollector:
             self._stop_reason = tick.stop_reason
 
     def end_late(self, err: StepBudgetError) -> None:
-        """Record the failure of a loop whose step could not be ended, so that it has no last tick.
-        """
+        """Record the failure of a loop whose step could not be ended; there is no last tick."""
         if self._stop_reason is None and self._poses:
             last_ns = int.from_bytes(self._poses[-_POSE_ROW.size :][:8], "little", signed=True)
             text = describe_stop(STEP_BUDGET, f": {err}")

@@ -151,8 +151,7 @@ class ManyRuns(Iterator[Simulated]):
         return again
 
     def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledLoops | None) -> Simulated:
-        """Simulate in Python, and decide whether loading a compiled loop is worthwhile for others.
-        """
+        """Simulate in Python, and decide whether a compiled loop is worth loading for others."""
         with self._counting:
             self.interpreted += 1
         found = self._simulate(scenario, plant)

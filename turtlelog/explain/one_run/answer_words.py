@@ -1,4 +1,4 @@
-"""An attribution in sentences that are true of the run."""
+"""An attribution in sentences that hold for the run."""
 
 import math
 from typing import Final
@@ -16,11 +16,11 @@ from turtlelog.explain.one_run.attribution import (
 )
 
 _NAMED: Final = 0.1
-"""Share of the contributions' total magnitude above which a cause, or a joint part, is named. A
-design parameter is named above this share of the value."""
+"""Share of the contributions' total magnitude above which a cause or joint part is named. A design
+parameter is named above the same share of the value."""
 
 _MOST_TOGETHER: Final = 3
-"""Largest number of joint parts in one sentence; four causes have eleven."""
+"""Largest number of joint parts in one sentence; four causes have eleven joint parts."""
 
 _SAME: Final = 1e-6
 """Share of a value below which a difference between log and re-simulation is not mentioned."""
@@ -29,18 +29,18 @@ _ALIKE: Final = 1.25
 """Largest ratio of contributions that count as about equal."""
 
 _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
-"""Numbers of effects in words; more than six take part only if they are chosen."""
+"""Numbers of effects in words. More than six effects take part only if the user chooses them."""
 
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
-    """Return sentences: the value, its causes, their dependences, and other causes of change."""
+    """Return sentences on the value, its causes, their dependences, and other causes of change."""
     parts = [write_part(found, one) for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
     return (write_value(found), *causes, *write_reasons(found))
 
 
 def write_headline(found: Attribution) -> str:
-    """Return the value with the largest contributions, or the value alone if none is named.
+    """Return the value with the largest contributions, or the value alone if no cause is named.
 
     The re-simulation's value follows in brackets if it differs from the log's.
     """
@@ -53,7 +53,7 @@ def write_headline(found: Attribution) -> str:
 
 
 def write_value(found: Attribution) -> str:
-    """Return the value of the log, and that of the re-simulation if they differ."""
+    """Return the value of the log, and the re-simulated value if it differs."""
     logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
         return f"{found.metric} has no value: {found.reason}."
@@ -73,7 +73,7 @@ def write_value(found: Attribution) -> str:
 
 
 def write_cause_head(found: Attribution) -> str:
-    """Return how many effects and design parameters cause the value, as the head of a list."""
+    """Return how many effects and design parameters cause the value, as the title of a list."""
     named = choose_named(found)
     sizes = [one.contribution or 0.0 for one in named]
     count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
@@ -89,7 +89,7 @@ def write_cause_head(found: Attribution) -> str:
 
 
 def write_main(found: Attribution) -> str:
-    """Return the largest contribution and those about equal to it."""
+    """Return the largest contribution, and contributions about equal to it."""
     named = choose_named(found)
     largest = abs(named[0].contribution or 0.0)
     main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
@@ -119,13 +119,13 @@ def write_part(found: Attribution, one: Contribution) -> str:
 
 
 def format_contribution(found: Attribution, one: Contribution) -> str:
-    """Return a contribution with its sign, unit, and standard error if it has one."""
+    """Return a contribution with its sign, its unit and its standard error, if any."""
     value = one.contribution or 0.0
     return f"{'+' if value >= 0.0 else ''}{format_value(found, value, one.standard_error)}"
 
 
 def write_reasons(found: Attribution) -> tuple[str, ...]:
-    """Return the total of the causes, what they depend on, and what else changes the value."""
+    """Return the total of the causes, their dependences, and what else changes the value."""
     if found.without_value:
         sentences = [_write_missing(found)]
     elif found.withheld:
@@ -162,7 +162,7 @@ def _name_set(found: Attribution, case: ValueSet) -> str:
 
 
 def _is_negligible(found: Attribution) -> bool:
-    """Return whether each effect and their total are within the resolution."""
+    """Return whether each effect, and their total, is within the resolution."""
     largest = max((abs(one.contribution or 0.0) for one in found.contributions), default=0.0)
     return max(largest, abs(_sum_effects(found))) <= found.resolution.size
 
@@ -172,7 +172,7 @@ def _sum_effects(found: Attribution) -> float:
 
 
 def _write_rest(found: Attribution) -> str:
-    """Return the value without the effects, or that they change little."""
+    """Return the value without the effects, or a sentence that they change it little."""
     if not found.causes:
         return "No effect of the implementation is in this run."
     if not found.acting and found.seeds is not None and [*found.causes] == _list_idle(found):
@@ -197,7 +197,7 @@ def _write_rest(found: Attribution) -> str:
 
 
 def _name_acting(found: Attribution) -> str:
-    """Return the acting causes by name, or `both` if the list has just named them."""
+    """Return the names of the acting causes, or `both` if the list has just named them."""
     if len(found.acting) == 2 == len(choose_named(found)):
         return "both"
     return join_words(found.acting)
@@ -208,7 +208,7 @@ def _describe_resolution(found: Attribution) -> str:
 
 
 def _write_bound(found: Attribution) -> str:
-    """Return whether the tolerances allow the value, for final errors that they bound."""
+    """Return whether the tolerances allow the value, for final errors with such a bound."""
     is_bounded = found.metric in {"final.position_error", "final.heading_error"}
     is_bounded = is_bounded and "tolerance" not in found.causes
     if not is_bounded or found.without_all is None or found.without_all > found.resolution.size:
@@ -229,7 +229,7 @@ def _sum_contributions(found: Attribution) -> float:
 
 
 def _write_together(found: Attribution) -> str:
-    """Return the part that arises only if several causes act; empty if it is small."""
+    """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
@@ -277,7 +277,7 @@ def _write_seeds(found: Attribution) -> str:
 
 
 def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
-    """Return that no seed changes the value, and which random effects are therefore inactive."""
+    """Return a sentence that no seed changes the value, with the random effects that do not act."""
     idle = _list_idle(found)
     if seeds.used < seeds.count:
         return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
@@ -291,12 +291,12 @@ def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
 
 
 def _list_idle(found: Attribution) -> list[str]:
-    """Return the random effects that change the value in no combination."""
+    """Return the random effects that never change the value, in any combination."""
     return [name for name in found.causes if name in RANDOM_EFFECTS - {*found.acting}]
 
 
 def _write_unclear(found: Attribution) -> str:
-    """Return the contributions that are too close to 0 to be distinguished from chance."""
+    """Return the contributions that chance alone may explain, because they are close to 0."""
     unclear = [one for one in _list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
@@ -333,7 +333,7 @@ def _write_starts(found: Attribution) -> str:
 
 
 def _write_parts(starts: StartRange) -> str:
-    """Return each cause's part of their total; the last part follows from the others."""
+    """Return each cause's part of the total; the last part follows from the others."""
     names = [part.cause for part in starts.parts]
     parts = [
         f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
@@ -356,7 +356,7 @@ def _format_span(found: Attribution, low: float, high: float) -> str:
 
 
 def _write_others(found: Attribution) -> list[str]:
-    """Return the causes that alone change the value, without those that lower a large value."""
+    """Return the causes that change the value alone, except those that lower a large value."""
     told = [one for one in found.others if _is_told(found, one)]
     lowering = [one for one in told if _lowers(found, one)]
     others = [_write_alone(found, one) for one in told if one not in lowering]
@@ -381,7 +381,7 @@ def _is_told(found: Attribution, one: Contribution) -> bool:
 
 
 def _lowers(found: Attribution, one: Contribution) -> bool:
-    """Return whether the value is larger without a design parameter, as without the effects."""
+    """Return whether the value is larger without a design parameter than without the effects."""
     is_design = one.cause not in found.effects and one.alone is not None and not one.ending
     return is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found)
 
@@ -398,7 +398,7 @@ def _write_alone(found: Attribution, one: Contribution) -> str:
 def format_value(
     found: Attribution, value: float | None, standard_error: float | None = None
 ) -> str:
-    """Return a value with four digits and the metric's unit, and its standard error if given."""
+    """Return a value with four digits, the metric's unit, and a given standard error."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
 
