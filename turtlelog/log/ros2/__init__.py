@@ -1,4 +1,4 @@
-"""Reading of third-party bags as runs; detection of bag folders.
+"""Reading of third-party bags as runs, and detection of bag folders.
 
 The modules, in the order in which they read a bag: `bag_metadata` and `bag` find its files and open
 them. `bag_topics` chooses topics; `bag_poses`, `bag_transforms` and `computed_poses` find the
