@@ -1,4 +1,4 @@
-"""Runs and pictures in sentences: how runs ended, and text alternatives of pictures."""
+"""Sentences on runs and pictures: how runs ended, and text alternatives of pictures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -18,7 +18,7 @@ _DURATION: Final = "run.duration"
 
 
 def describe_runs(runs: Sequence[Run]) -> str:
-    """Return how a run ended, or the range of the distances from the goal of several runs."""
+    """Return how a run ended, or for several runs the range of their distances from the goal."""
     names = name_runs(runs)
     if len(runs) == 1:
         return f"{names[0]}: {describe_end(runs[0])}."
@@ -69,7 +69,7 @@ def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]])
 
     Args:
         title: Title of the plot, with the unit of its values.
-        curves: Name and values of each run, shape (n,); values that are not finite are gaps.
+        curves: Name and values of each run, shape (n,). Values that are not finite are gaps.
     """
     finite = [(name, values[np.isfinite(values)]) for name, values in curves]
     known = [(name, values) for name, values in finite if len(values)]
@@ -101,7 +101,7 @@ def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) 
 
     Args:
         title: Title of the plane.
-        ends: Name of each run, and its poses [m], shape (n, 2).
+        ends: Name of each run, with its poses [m], shape (n, 2).
     """
     if len(ends) > _MOST_NAMED:
         return f"{title}: the paths of {describe_count(len(ends), 'run')} in the plane."

@@ -147,8 +147,7 @@ class WordSpace:
         height_mm: float,
         away_mm: tuple[float, ...] = _AWAY_MM,
     ) -> tuple[Values, float]:
-        """Return the middle of the box near a dot that covers least, and how many points it covers.
-        """
+        """Return the middle of the box near a dot that covers least, and the points covered."""
         scale = self.half / self.half_mm
         half = np.array([width_mm, height_mm]) / 2.0 * scale
         points = np.concatenate(self.taken) if self.taken else np.empty((0, 2))

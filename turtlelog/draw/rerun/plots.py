@@ -155,8 +155,7 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
 
 
 def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
-    """Return references of loops, goals, limits and zeros of errors, without duplicates per plot.
-    """
+    """Return references of loops, goals, limits and zeros of errors; each once per plot."""
     found = []
     for name, plots in entities.GROUPS.items():
         shown = [run for run in runs if any(has_own(run, plot) for plot in plots)]
