@@ -38,7 +38,7 @@ _DETAILS: Final = "Every cause, setting and its evidence: --details"
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplainOptions:
-    """Files to write, which code may run, and in how many processes.
+    """Files to write, code that may run, and number of processes.
 
     Attributes:
         details: Also print every cause, and every setting with its evidence.
@@ -164,7 +164,7 @@ def _draw(
 def _measure_luck(
     run: "Run", found: "Identification", attribution: "Attribution", jobs: int | None
 ) -> "Luck | None":
-    """Return the values from other starts; None if there are none, as the text explains."""
+    """Return the values from other starts; None without such values, as the text explains."""
     with show_progress("simulated", 100.0, "%") as progress:
         work = tl.explain.Work(jobs=jobs, report=progress.count)
         try:

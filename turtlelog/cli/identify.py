@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenOptions:
-    """Files to write beside the answer.
+    """Files to write next to the answer.
 
     Attributes:
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
@@ -113,7 +113,7 @@ def _write_scenario(robot: "RobotScenario", path: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """A value and its 95 % interval."""
+    """A value with its 95 % interval."""
 
     value: float
     low: float
@@ -122,7 +122,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisAnswer:
-    """One axis; fields as in `AxisModel`, None if nothing is known."""
+    """One axis. The fields are those of `AxisModel`, or None if nothing is known."""
 
     axis: str
     status: str
@@ -156,7 +156,7 @@ class AxisAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventAnswer:
-    """A place in the log that no command explains; fields as in `RobotEvent`."""
+    """A place in the log that no command explains. The fields are those of `RobotEvent`."""
 
     file: str
     axis: str
@@ -167,7 +167,7 @@ class EventAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioAnswer:
-    """The scenario that was written, and the sources of its numbers."""
+    """The written scenario, with the sources of its numbers."""
 
     file: str
     notes: tuple[str, ...]

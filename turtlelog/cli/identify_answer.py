@@ -21,13 +21,13 @@ _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
 
 _MOST_EVENTS: Final = 5
 _RARE: Final = 0.01
-"""Share of the steps above which outliers are not single faults, such as a jump."""
+"""Share of the steps above which outliers are not single faults, for example jumps."""
 
 _CURVE: Final = 0.5
-"""Whiteness below which the residual is a curve: neighbours share half of their error."""
+"""Whiteness below which the residual is a curve: neighbouring values share half of their error."""
 
 _LITTLE: Final = 0.5
-"""Explained share below which most changes of the motion are not caused by the commands."""
+"""Explained share below which commands do not cause most changes of the motion."""
 
 _AS_COMMANDED: Final = 1e-3
 """Largest deviation of a gain from 1 that is not mentioned [1]."""

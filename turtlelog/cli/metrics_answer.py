@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from turtlelog.compare import Cell, RunSummary, Table
 
 _MOST_COLUMNS: Final = 6
-"""Largest number of runs, or metrics, side by side; more runs are rows."""
+"""Largest number of runs, or metrics, side by side; more runs become rows."""
 
 _MOST_SAID: Final = 3
 """Largest number of metrics with values in the first line."""
@@ -62,7 +62,7 @@ def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
 
 
 def print_essential(summaries: "Sequence[RunSummary]", kind: str) -> None:
-    """Print the essential metrics: sentences for one run, a row each for several."""
+    """Print the essential metrics: sentences for one run, a row per run for several."""
     if kind != "txt":
         print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
     elif len(summaries) == 1:
@@ -83,7 +83,7 @@ def _drop_words(summary: "RunSummary") -> "RunSummary":
 def print_chosen(
     summaries: "Sequence[RunSummary]", kind: str, *, is_essential: bool = False
 ) -> None:
-    """Print the metrics of runs as a table by id; text begins with the answer."""
+    """Print the metrics of runs as a table by id; as text, the answer comes first."""
     if not summaries:
         return
     declarations = [found.declaration for found in summaries]
@@ -122,7 +122,7 @@ def _format(table: "Table") -> str:
 
 
 def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> str:
-    """Return the values of a few metrics; for more, the end of the run or their number."""
+    """Return the values of a few metrics; for more metrics, the end of the run or their number."""
     who = (
         tl.compare.label_file(summaries[0].file)
         if len(summaries) == 1
@@ -142,11 +142,12 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
 
 
 _FIRST: Final = ("final.position_error", "run.duration")
-"""Metrics for the first line of many metrics of several runs: the first available one."""
+"""Metrics for the first line about many metrics of several runs; the first available metric is
+used."""
 
 
 def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
-    """Return the value of one run, or the least and the greatest of several with their names."""
+    """Return the value of one run; for several, the smallest and largest values with their runs."""
     found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
     if not values:
@@ -170,7 +171,7 @@ def _find_value(summary: "RunSummary", name: str) -> float | None:
 
 
 def _describe_end(summary: "RunSummary") -> str:
-    """Return place and time of a run's end; without a goal the length of its path."""
+    """Return place and time of a run's end; without a goal, the length of its path."""
 
     def show(name: str) -> str | None:
         metric = summary.metrics.get(name)
@@ -250,7 +251,7 @@ def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
 
 
 _SEEN: Final = 0.005
-"""Share of the samples that is printed as more than 0 % [1]."""
+"""Share of the samples from which more than 0 % is printed [1]."""
 
 
 def _list_missing(
@@ -324,7 +325,7 @@ def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "T
 
 
 def _name_row(summary: "RunSummary", name: str) -> str:
-    """Return a metric in words; without samples its times are those of commands."""
+    """Return a metric as text. Without samples, its times are those of commands."""
     words = _name_metric(name)
     return words.replace("sample", "command") if summary.is_lawless else words
 
@@ -384,7 +385,7 @@ _OF_ROW: Final = ("settling_time", "overshoot", "rms_error")
 
 
 def _tabulate_runs(summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]]":
-    """Return a row for each run, with the metrics that fit a line, and their ids."""
+    """Return a row for each run, with the metrics that fit a line, and the ids of these metrics."""
     chosen = _choose_columns(summaries)
     table = tl.tabulate_runs(summaries, only=chosen)
     table = replace(table, rows=tuple(tuple(map(_round, row)) for row in table.rows), marks={})

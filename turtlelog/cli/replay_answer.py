@@ -35,7 +35,7 @@ class DifferenceAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseErrorAnswer:
-    """The largest differences of a pose [m, rad]; null if poses were given, not computed."""
+    """Largest differences of a pose [m, rad]; null if poses were given instead of computed."""
 
     x: float | None = None
     y: float | None = None
@@ -57,7 +57,7 @@ class SignalAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CountAnswer:
-    """Numbers of rows, or stop reasons, of the recording and of the replay."""
+    """Numbers of rows, or stop reasons, in the recording and in the replay."""
 
     recorded: Any
     replayed: Any
@@ -72,13 +72,13 @@ class ReplayAnswer:
         name: Name of the run.
         mode: Kind of the replay: loop, law or plant.
         samples: Number of compared samples.
-        max_abs_error: The largest differences of the pose.
-        first_difference: First difference of the replay; None if there is none.
+        max_abs_error: Largest differences of the pose.
+        first_difference: First difference of the replay; None if nothing differs.
         stretches: Segments of a replay through the plant.
         jumps: Jumps of the robot to another place.
         gaps: Gaps in the poses.
-        verdict: Verdict of --expect-equal; None without it.
-        results: Results of --expect-equal; None without it.
+        verdict: Verdict of --expect-equal; None without this option.
+        results: Results of --expect-equal; None without this option.
     """
 
     file: str
@@ -159,7 +159,7 @@ class LawReplayAnswer(ReplayAnswer):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopReplayAnswer(ReplayAnswer):
-    """A scenario that was simulated again."""
+    """Replay of a scenario that was simulated again."""
 
     replay: str
     by: str
@@ -174,7 +174,7 @@ class LoopReplayAnswer(ReplayAnswer):
 
 
 def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
-    """Return a difference for an answer; time counts from the first sample."""
+    """Return a difference for an answer. Its time counts from the first sample."""
     if found is None:
         return None
     return DifferenceAnswer(
@@ -251,7 +251,7 @@ def _compare_software(run: "Run", found: "LawReplay | LoopReplay") -> "tuple[Sof
 
 
 def _describe_software(run: "Run", found: "LawReplay | LoopReplay") -> list[str]:
-    """Return whether a run and its replay come from the same software, if the file contains it."""
+    """Return whether a run and its replay come from the same software, if the file shows this."""
     changes = _compare_software(run, found)
     if not run.simulated_by:
         return []
@@ -292,7 +292,7 @@ def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> 
 
 
 def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
-    """Return the declaration of the replayed law if a different one was recorded."""
+    """Return the declaration of the replayed law if another declaration was recorded."""
     told = found.declaration
     if told is None:
         return []
@@ -342,7 +342,7 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
 def _format_signals(
     run: "Run", found: "LawReplay | LoopReplay", title: str, *, details: bool
 ) -> str:
-    """Return the table of signals, or how many differ and how to show them."""
+    """Return the table of signals, or the number of differing signals and how to show them."""
     if details:
         rest = fill_lines(_describe_rest(found.signals, found.absent))
         return f"\n{fit_table(_tabulate(run, found.signals, title))}\n{rest}".rstrip()
@@ -391,7 +391,7 @@ def _tabulate(run: "Run", signals: "Sequence[SignalDifference]", title: str) -> 
 
 
 def _show(found: "SignalDifference") -> tuple[str, float]:
-    """Return unit and largest difference for display; a count has no unit."""
+    """Return unit and largest difference for display. A count has no unit."""
     largest, unit = show_angle(found.largest, found.unit)
     return "" if unit == "1" else unit, largest
 
@@ -412,7 +412,7 @@ def _is_printed(found: "SignalDifference") -> bool:
 
 
 def _list_counts(run: "Run", found: "LoopReplay") -> list[str]:
-    """Return the numbers of rows, and the stop reasons of both."""
+    """Return the numbers of rows, and the stop reasons, of recording and replay."""
     counts = [
         f"{count.recorded} {name}"
         if count.recorded == count.replayed

@@ -146,7 +146,7 @@ class ReportAnswer:
 def build_check_lines(
     results: "Sequence[CheckResult]", names: "Mapping[str, str]", runs: "Mapping[str, Run]"
 ) -> "list[CheckLine]":
-    """Return results as a report shows them.
+    """Return results in the form for a report.
 
     Args:
         results: Results of checks.

@@ -54,7 +54,7 @@ _ADVICE: Final = (
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions:
-    """Options for actions while the loop runs, and after it.
+    """Options while the loop runs and after it.
 
     Attributes:
         watch: Run again when the file of the law or the scenario file is saved, and show what
@@ -119,7 +119,7 @@ def run(
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
-            scenario is simulated again. Default: paper, or textbook with --law.
+            scenario is simulated again. Default: paper; with --law: textbook.
         json: Print one JSON object instead of tables.
     """
     record, live, source = record or RecordOptions(), live or LiveOptions(), source or RowOptions()
@@ -153,7 +153,7 @@ def scenario(
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
-            Default: paper, or textbook with --law.
+            Default: paper; with --law: textbook.
     """
     chosen = load_changed_scenario(scenario, options)
     print_text(tl.format_scenario(chosen))
@@ -247,7 +247,7 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
 
 
 def _strip(run: "Run", path: Path) -> "Run":
-    """Return a run with only its observable data: rows, goal, end, and loops."""
+    """Return a run with only observable data: rows, goal, end, and loops."""
     known = tl.run.paths.PATH_KEYS  # a path is observable like the goal: errors refer to it
     return replace(
         run,
@@ -268,7 +268,7 @@ def _simulate(scenario: "Scenario", step_budget_s: float) -> "Run":
 
 @contextmanager
 def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str | None]]":
-    """Yield the window if one is requested, and the address at which the viewer receives data."""
+    """Yield the requested window, if any, and the address at which the viewer receives data."""
     if live.connect is not None or not live.live:
         yield None, live.connect
         return
@@ -277,7 +277,7 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
 
 
 def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: str | None) -> "Run":
-    """Return the run; if a law fails, write the part before."""
+    """Return the run. If a law fails, write the part before the failure."""
     try:
         return _drive(scenario, record.output, live, url)
     except SimulationError as err:
@@ -330,7 +330,7 @@ class _Watcher:
 
 
 _LONGEST: Final = 24
-"""Longest name in a table [characters]; the changes in a longer one have a line of their own."""
+"""Longest name in a table [characters]. The changes in a longer name have a separate line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -339,8 +339,8 @@ class RunAnswer:
 
     Attributes:
         name: Name of the run.
-        file: Written recording; None without one.
-        rrd: Written Rerun recording; None without one.
+        file: Written recording; None without a recording.
+        rrd: Written Rerun recording; None without a Rerun recording.
         samples: Number of samples.
         stop_reason: Reason why the run ended.
         metrics: All metrics of the run.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from turtlelog.theory import Recommendation, SampledLoop
 
 _MOST_COLUMNS: Final = 3
-"""Loops side by side in a table: a line has no space for more."""
+"""Largest number of loops side by side in a table; more loops do not fit a line."""
 
 _IDEAL: Final = "without command limits"
 """Condition of recommended gains."""
@@ -45,7 +45,7 @@ def format_integrator(
 
     Args:
         loops: Loops at each gain.
-        recommended: Gains for that plant and dead time.
+        recommended: Gains for this plant and dead time.
         wishes: Requirements for the gains.
         shows_all: Whether to show the plant, the ideal loop, limits at other dead times and
             published rules.
@@ -77,9 +77,9 @@ def format_terms(
 
     Args:
         answers: Answers at each Kp.
-        recommended: Gains for that plant and dead time.
+        recommended: Gains for this plant and dead time.
         wishes: Requirements for the gains.
-        shows_all: Whether to show published rules, and the reasons of rules without gains.
+        shows_all: Whether to show published rules, and why rules give no gains.
     """
     head = [
         *_list_recommended(recommended, wishes),
@@ -112,8 +112,8 @@ def format_file(
     Args:
         name: Name of the scenario or the run.
         word: Scenario or recording as typed.
-        answers: Answers of each loop.
-        groups: Recommended gains; equal loops share them.
+        answers: Answer for each loop.
+        groups: Recommended gains. Equal loops share them.
         wishes: Requirements for the gains.
         shows_all: Whether to show published rules, and the sources of values.
     """
@@ -145,7 +145,7 @@ def format_file(
 
 
 class _Advice(NamedTuple):
-    """Recommended gains of a loop with its own gains, and whether its own need no change."""
+    """Recommended gains of a loop, its own gains, and whether its own gains need no change."""
 
     loop: str
     best: "Recommendation | None"
@@ -205,7 +205,7 @@ def _narrow(table: "Table") -> "Table":
 def _list_recommended(
     recommended: Recommended, wishes: Wishes, *, ideal: str = _IDEAL
 ) -> Iterator[str]:
-    """Yield whether given gains need a change, and recommended gains; or a reason why not.
+    """Yield whether given gains need a change, and recommended gains, or why there are none.
 
     Args:
         recommended: Gains for a plant.
@@ -235,7 +235,7 @@ def _list_stable(answers: Sequence[LoopAnswer]) -> Iterator[str]:
 
 
 def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
-    """Yield the response of the loop at each Kp; gains with similar responses share a sentence."""
+    """Yield the response of the loop at each Kp. Gains with similar responses share a sentence."""
     known = [(one.title.removeprefix("Kp = "), one.found) for one in answers if one.found]
     groups: dict[str, list[str]] = {}
     for kp, found in known:
@@ -251,7 +251,7 @@ def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
 
 
 _MOST_SAID: Final = 4
-"""Largest number of gains with a sentence each."""
+"""Largest number of gains with separate sentences."""
 
 
 def _show_range(answer: LoopAnswer) -> str:
