@@ -202,7 +202,7 @@ def _escape(text: str) -> str:
 
 
 class NamedValues(Mapping[str, Value]):
-    """Read-only values by name. Their display shows the names only."""
+    """Read-only values by name. The display shows only the names."""
 
     __slots__ = ("_kind", "_values")
 

@@ -10,8 +10,8 @@ from typing import Final
 _UNUSUAL: Final = re.compile(r"[^ -~]")
 _HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Unicode categories: control characters, invisible marks (of direction, width, joining),
-surrogates, and separators of lines and paragraphs. None is visible, and some change how other text
-looks."""
+surrogates, and separators of lines and paragraphs. These characters are invisible, and some change
+how other text looks."""
 
 _INLINE: Final = re.compile(
     r"[\\`*|~$]"  # code, emphasis, cells, mathematics
@@ -25,9 +25,9 @@ _FORMULA: Final = re.compile(r"\s*+(?:'++\s*+)?[=+\-@\uff0b\uff0d\uff1d\uff20]")
 _HARMLESS: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|-")
 
 _SCHEME: Final = r"[A-Za-z][A-Za-z0-9+._-]{1,40}"
-"""Scheme of a URL. It has at least two letters, because `C:` is a drive. fsspec has schemes with
-`_`, for example `async_wrapper`. Known schemes have up to 20 letters. Without a limit, the search
-in a long word starts again at each letter."""
+"""Scheme of a URL. A scheme has at least two letters, because `C:` is a drive. fsspec has schemes
+with `_`, for example `async_wrapper`. Known schemes have up to 20 letters. Without a limit, the
+search in a long word starts again at each letter."""
 
 URL: Final = re.compile(rf"(?:{_SCHEME}::){{0,8}}{_SCHEME}://")
 """Beginning of a URL. URLs can be nested: `simplecache::https://`, rarely in a third. The limit
@@ -145,8 +145,8 @@ def hide_secrets(text: str, url: str = "") -> str:
 
     Args:
         text: Text from a library or the user.
-        url: URL that the message is about. Its user, password and query are also hidden outside a
-            URL.
+        url: URL that the message is about. The user, password and query of this URL are also hidden
+            outside a URL.
     """
     text = _LONG_WORD.sub(lambda found: _drop_logins(found[0]), text)
     text = _IN_TEXT.sub(lambda found: show_url(found[0]), text)

@@ -1,10 +1,10 @@
 """The parts of the closed loop: the declarations of a control law, a plant and an effect.
 
-A part is one file. Its `step` is a function of numbers in the subset of Python that numba compiles.
-Plain Python runs `step` over objects with slots; compiled code runs it over records with the same
-fields. `step` reads `settings`, the scenario as numbers, for example `settings.law.kp_linear` or
-`settings.sensing.bias_heading_rad`. A word is represented by its position in its `Literal`, a
-missing value by NaN or -1.
+A part is one file. The `step` of a part is a function of numbers in the subset of Python that numba
+compiles. Plain Python runs `step` over objects with slots; compiled code runs it over records with
+the same fields. `step` reads `settings`, the scenario as numbers, for example
+`settings.law.kp_linear` or `settings.sensing.bias_heading_rad`. A word is represented by its
+position in its `Literal`, a missing value by NaN or -1.
 """
 
 import dataclasses
@@ -123,9 +123,9 @@ class Action:
     """Action of an effect at one place.
 
     Attributes:
-        step: Function of numbers. Its arguments are chosen by the names of its parameters:
+        step: Function of numbers. The arguments are chosen by the names of the parameters:
             `settings`, `state` (of the effect), `drawn` (random numbers), `value`, and the values
-            of the place. It returns the new value; with neutral keys, the value that it received.
+            of the place. The function returns the new value; with neutral keys, the received value.
         stream: Random numbers of the action.
         keys: Keys of which at least one must differ from its neutral value for the action to act;
             (): any key of the effect.

@@ -146,8 +146,9 @@ def read_command(run: Run, command: Command) -> Curve | None:
 def read_applied(run: Run, command: Command) -> Curve | None:
     """Return the applied `speed` or `turn_rate` of the plant; None if not recorded.
 
-    turtlesim publishes the magnitude of the applied speed, without its direction. Its applied
-    values are constant over a tick; the robot model reports the rates at the time of the pose.
+    turtlesim publishes the magnitude of the applied speed, without its direction. The applied
+    values of turtlesim are constant over a tick; the robot model reports the rates at the time of
+    the pose.
     """
     poses = run.poses
     values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s

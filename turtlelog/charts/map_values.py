@@ -14,8 +14,8 @@ from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
 Values = NDArray[np.float64]
 
 VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Colours of unstable, between and stable. They also differ in lightness, and are light enough for
-theory's lines."""
+"""Colours of unstable, between and stable. The colours also differ in lightness, and are light
+enough for theory's lines."""
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 

@@ -28,7 +28,7 @@ class MeasuredRate:
     Attributes:
         command: Command that the rate responds to.
         curve: All other values.
-        outliers: Values that would flatten every other curve. They stay in the data.
+        outliers: Values that would flatten every other curve. The data keep these values.
     """
 
     command: Command
@@ -63,8 +63,8 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
 def part_path(run: Run) -> Values:
     """Return the positions of a run [m], shape (n, 2), with NaN before each break of its poses.
 
-    The robot did not drive between the poses before and after a reset or teleport. Its position is
-    unknown while it sent no poses.
+    The robot did not drive between the poses before and after a reset or teleport. The robot's
+    position is unknown while it sent no poses.
     """
     return np.insert(run.poses.xy_m, find_break_rows(run), np.nan, axis=0)
 

@@ -18,8 +18,8 @@ Values = NDArray[np.float64]
 Point = tuple[float, float]
 
 _POINTS_PER_TURN: Final = 1440
-"""Points of a drawn circle. It differs from the exact circle by 2.4e-6 of the radius, about the
-rounding of poses."""
+"""Points of a drawn circle. The drawn circle differs from the exact one by 2.4e-6 of the radius,
+about the rounding of poses."""
 
 ON_PATH_M: Final = 1e-3
 """Largest deviation from a path that is not shown [m]. Corners of a path are drawn sharp, and in

@@ -56,7 +56,7 @@ class Watch(Protocol):
 class UnknownMetricError(CheckError, AttributeError):
     """A metric that a loop does not have.
 
-    It is an AttributeError, because metrics are attributes.
+    The error is an AttributeError, because metrics are attributes.
     """
 
 

@@ -105,7 +105,7 @@ def compare_with_reference(
 
     Args:
         paths: Path of the reference, then paths of the other runs.
-        held: Runs that are read already. They are then compared in this process.
+        held: Runs that are read already. These runs are compared in this process.
         kind: Format of the answer.
         manner: Settings of the comparison.
     """

@@ -174,7 +174,7 @@ class LoopReplayAnswer(ReplayAnswer):
 
 
 def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
-    """Return a difference for an answer. Its time counts from the first sample."""
+    """Return a difference for an answer, with its time from the first sample."""
     if found is None:
         return None
     return DifferenceAnswer(

@@ -258,8 +258,8 @@ def measure_errors(actual: Values, predicted: Values) -> Values:
 
     Args:
         actual: States at the beginnings and ends of pieces, shape (2, n, 3).
-        predicted: Predicted states, shape (2, n, 3). They are moved so that they begin at the
-            actual state.
+        predicted: Predicted states, shape (2, n, 3). The predictions are moved so that they begin
+            at the actual state.
 
     Returns:
         Errors, shape (2, n).

@@ -326,7 +326,7 @@ def list_usual_of_run(run: Run | RunSummary) -> tuple[str, ...]:
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
     """Return the ids of the metrics that characterise runs of these laws.
 
-    They describe the final state and the response of the loops that turn the robot; for laws
+    The metrics describe the final state and the response of the loops that turn the robot; for laws
     without such loops, the response of all loops. The final position shows the response of the
     driving loops. For laws without a goal, the distance driven is included.
     """

@@ -14,7 +14,7 @@ from turtlelog.log import replace_when_complete
 
 @contextmanager
 def replace_file(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name in the folder of `path`. It replaces `path` if the block succeeds.
+    """Yield a temporary file name; this file replaces `path` if the block succeeds.
 
     Raises:
         ShowError: If the folder cannot be written.

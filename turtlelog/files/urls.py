@@ -164,7 +164,7 @@ class RemotePath(_LocalPath):
     def file(self) -> "RemoteFile":
         """File object that fetches the data.
 
-        It is kept, so that the ends of the file are fetched once.
+        The object is kept, so that the file's ends are fetched once.
 
         Raises:
             RemoteError: If the file does not exist or cannot be reached.

@@ -88,8 +88,8 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
     """Widen intervals to a time constant of 0 if no time constant fits as well.
 
     A time constant much shorter than the steps is visible only in steps in which the command
-    changes. Its errors are therefore not normal, and the cost is more reliable than the curvature
-    of the cost.
+    changes. The errors of such a time constant are not normal, so the cost is more reliable than
+    its curvature.
     """
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
     if fit.model.structure != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:

@@ -317,7 +317,8 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
     Commands are averaged over each step between poses, so that nothing is resampled.
 
     Returns:
-        None, and a sentence with the reason, if the correlation shows no delay.
+        The delay and an empty text. If the correlation shows no delay, None and a sentence with the
+        reason.
     """
     motions = [motion for motion in motions if len(motion.moved)]
     most = _MOST_STEPS // max(len(motions), 1)

@@ -124,7 +124,7 @@ def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> No
     """Return the growth of a model's error [m or rad per root of a second].
 
     Returns:
-        None if the axis has no model, or no run is long enough.
+        The noise; None if the axis has no model, or no run is long enough.
     """
     if not getattr(model, axis).is_known:
         return None

@@ -157,7 +157,7 @@ class LawPart:
     """A control law as a function of numbers, which runs in plain Python and compiled.
 
     `step` answers one pose: it writes computed values into `row` and returns the wanted speed [m/s]
-    and turn rate [rad/s]. Its parameters, in any order, are chosen by name:
+    and turn rate [rad/s]. The parameters of `step`, in any order, are chosen by name:
 
     - `settings`: the scenario as numbers: `settings.law` from `prepare`, `settings.goal` (`x_m`,
       `y_m`, `heading_rad`; NaN without a goal), `settings.limits`, `settings.path`;

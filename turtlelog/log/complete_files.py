@@ -18,7 +18,7 @@ from turtlelog.log.error_boundary import name_file
 
 @contextmanager
 def replace_when_complete(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name next to `path` for writing. It is renamed when the block succeeds.
+    """Yield a temporary file name next to `path`; the file is renamed when the block succeeds.
 
     If the block fails, the temporary file is removed and an existing file stays. A replaced file
     keeps its permissions and, if the system allows it, its owner. If `path` is a symbolic link, the

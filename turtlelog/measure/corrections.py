@@ -68,8 +68,8 @@ it."""
 
 _AROUND: Final = 5
 _BLOCK: Final = 12
-"""Number of steps on either side whose median is the motion without noise. It is also the size of a
-block of noise, which with its neighbouring blocks is a second at 36 Hz."""
+"""Number of steps on either side whose median is the motion without noise. The same number is the
+size of a block of noise, which with its neighbouring blocks is a second at 36 Hz."""
 
 _ROUNDING: Final = 1e-9
 """Size below which a step is 64-bit rounding [m, rad]."""

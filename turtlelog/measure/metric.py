@@ -237,7 +237,7 @@ class Metric(Numeric):
     def __abs__(self) -> "Metric":
         """Return the magnitude of the metric.
 
-        Its comparisons are watched like those of the metric.
+        Comparisons of the magnitude are watched like those of the metric.
         """
         watch = None if self.watch is None else self.watch.negate(self)
         return replace(self, value=abs(float(self)), watch=watch)

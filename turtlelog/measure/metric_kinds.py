@@ -237,8 +237,8 @@ def curve_metric(
 ) -> Callable[[_OfCurve], _OfCurve]:
     """Enter a function of numbers as a metric of every loop to which it applies.
 
-    The function runs in ordinary Python and compiled. Its curve parameters are fields of
-    `Response`.
+    The function runs in ordinary Python and compiled. The curve parameters of the function are
+    fields of `Response`.
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
@@ -274,8 +274,8 @@ def course_metric(
 ) -> Callable[[_OfCourse], _OfCourse]:
     """Enter a function of numbers by its id, as a metric of the whole run or of its end.
 
-    The function runs in ordinary Python and compiled. Its course parameters are fields of
-    `RunContext`.
+    The function runs in ordinary Python and compiled. The course parameters of the function are
+    fields of `RunContext`.
     """
 
     def enter(numbers: _OfCourse) -> _OfCourse:

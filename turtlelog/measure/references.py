@@ -53,9 +53,9 @@ def read_heading_reference(run: Run) -> float | Values | None:
     """Return the reference heading of the loop that acts, or acted last [rad].
 
     Before any loop acts, the result belongs to the first loop that acts; if no loop ever acts, to
-    the first declared loop. It is a number if the reference is constant, otherwise one value per
-    pose. Without samples and loops, the result is the heading of the goal. Without a heading loop,
-    it is None.
+    the first declared loop. The result is a number if the reference is constant, otherwise one
+    value per pose. Without samples and loops, the result is the heading of the goal. Without a
+    heading loop, it is None.
     """
     declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
     loops = [(loop, read_reference(run, loop)) for loop in declared]

@@ -106,9 +106,9 @@ def find_overshoot(values: Values, initial: float, reference: float) -> float:
 def find_undershoot(values: Values, initial: float, reference: float) -> tuple[float, int]:
     """Return how far the response goes against the step, as a fraction of it [1], and the row.
 
-    The undershoot is measured from the initial value. It is 0 if the response never goes below this
-    value, and negative if every value is already beyond it in the direction of the step.
-    Precondition: the step is not 0.
+    The undershoot is measured from the initial value. The undershoot is 0 if the response never
+    goes below the initial value, and negative if every value is already beyond it in the direction
+    of the step. Precondition: the step is not 0.
     """
     row = find_furthest_row(values, -1.0 if reference >= initial else 1.0)
     return (initial - values[row]) / (reference - initial), row

@@ -203,9 +203,9 @@ def sense_driven(
 ) -> NDArray[np.float64]:
     """Return the sensed poses, at given times, of a robot that commands drive from the origin.
 
-    The plant, transport, disturbance, sensing and seed of the scenario are used. Its start, law and
-    limits are not used. Sensed poses are neither delayed nor lost: the result is sorted by the time
-    of the pose.
+    The plant, transport, disturbance, sensing and seed of the scenario are used. The scenario's
+    start, law and limits are not used. Sensed poses are neither delayed nor lost: the result is
+    sorted by the time of the pose.
 
     Args:
         scenario: Scenario with a robot model.

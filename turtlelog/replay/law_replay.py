@@ -66,8 +66,8 @@ class LawReplay:
         samples: Number of compared samples: all, or those up to the stop of the replayed law.
         missing_samples: Number of recorded samples that are lost: the law did not read their poses.
         signals: Differences by signal, commands first.
-        commands: Difference of the counts, unless one command per sample was published. None if so,
-            or if rows are lost.
+        commands: Difference of the counts, unless one command per sample was published. None if
+            there was one command per sample, or if rows are lost.
         stop: Difference of the ends, if the law ends the run at another sample or for another
             reason; else None.
         declaration: Difference of the declarations, if the law declares other loops, phases or

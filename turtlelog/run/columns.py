@@ -159,8 +159,8 @@ class SampleColumns:
         pose_sequence: Row of `Run.poses` that the sample read, shape (n,).
         phase: Index into `Run.phase_names` of the phase in which the command was computed,
             shape (n,).
-        bearing_rad: Goal bearing [rad], shape (n,). None if not recorded; the next two fields
-            likewise.
+        bearing_rad: Goal bearing [rad], shape (n,). None if not recorded. The next two fields are
+            None in the same case.
         heading_error_rad: Goal bearing minus heading [rad], shape (n,).
         error_xy_m: Goal minus position, world frame [m], shape (n, 2).
         distance_m: Length of `error_xy_m` [m], shape (n,); None if not recorded.

@@ -58,7 +58,7 @@ def rotate_to_turtle(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.
 def project_on_heading(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
     """Return the forward part of a world-frame vector, in the same unit, shape (...).
 
-    The forward part is the dot product with the heading's unit vector (cos, sin) (16). It is
+    The forward part is the dot product with the heading's unit vector (cos, sin) (16). This part is
     negative if the vector points behind the turtle, which then drives in reverse (17).
 
     Args:

@@ -302,8 +302,8 @@ class Run:
     def to_pandas(self, table: str = "poses") -> Any:
         """Return a table of this run as a `pandas.DataFrame`; pandas must be installed separately.
 
-        Its `attrs` contain the `units` of its columns and, under `turtlelog`, the run's name, goal
-        and scenario.
+        The `attrs` of the table contain the `units` of the columns and, under `turtlelog`, the
+        run's name, goal and scenario.
 
         Args:
             table: `poses`, `commands`, `samples` or `events`.
@@ -317,10 +317,10 @@ class Run:
     def to_xarray(self, table: str = "poses") -> Any:
         """Return a table of this run as an `xarray.Dataset`; xarray must be installed separately.
 
-        Its dimension is `time_s`, the time from the first sample [s]: `sel(time_s=5.0,
-        method="nearest")` selects the pose nearest to 5 s. Several samples may have the same time.
-        The `attrs` of each variable contain its `units`; the `attrs` of the dataset contain the
-        run's name, goal and scenario.
+        The dimension of the dataset is `time_s`, the time from the first sample [s]:
+        `sel(time_s=5.0, method="nearest")` selects the pose nearest to 5 s. Several samples may
+        have the same time. The `attrs` of each variable contain its `units`; the `attrs` of the
+        dataset contain the run's name, goal and scenario.
 
         Args:
             table: `poses`, `commands`, `samples` or `events`.

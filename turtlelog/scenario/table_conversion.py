@@ -184,7 +184,7 @@ def nest_scenario(scenario: Scenario) -> dict[str, Any]:
 def _nest_values(value: Any) -> Any:
     """Return a value in the form of a file: dataclasses as tables, tuples as lists.
 
-    None is left out. Keys that files omit are left out if they have their defaults.
+    Values of None are left out. Keys that files omit are left out if they have their defaults.
     """
     if type(value) in _PLAIN:
         return value

@@ -217,8 +217,8 @@ def find_borders(
         limits: Result of `find_loop_limits`.
 
     Returns:
-        A border for each value of the other axis. None if the metric is not true or false, if its
-            loop's gain is not an axis, or if rows were chosen at random.
+        A border for each value of the other axis. The result is None if the metric is not true or
+            false, if its loop's gain is not an axis, or if rows were chosen at random.
     """
     own = next((one for one in limits if one.loop == metric.loop), None)
     if not metric.is_verdict or own is None or view.results.is_sampled:

@@ -146,8 +146,8 @@ def measure_step_motion(
             the overshoot is known.
 
     Returns:
-        None if the motion goes beyond 1e9 steps, or if after 200,000 samples the motion is neither
-        at rest nor past its furthest point.
+        The motion; None if it goes beyond 1e9 steps, or if after 200,000 samples it is neither at
+        rest nor past its furthest point.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.

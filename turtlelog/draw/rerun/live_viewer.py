@@ -143,7 +143,7 @@ class LiveViewer:
 
 @contextmanager
 def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
-    """Open a viewer without a recording, and yield it with its address. It ends with the block.
+    """Open a viewer without a recording until the block ends, and yield it with its address.
 
     Args:
         advice: Advice if no window can be opened, in one clause.

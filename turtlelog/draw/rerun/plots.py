@@ -67,8 +67,8 @@ class Series:
     """Curves that share their times and plot.
 
     Attributes:
-        entity: Entity path below the run's prefix. Its first part names the plot; for a state of a
-            law, its first two parts.
+        entity: Entity path below the run's prefix. The first part of the path names the plot; for a
+            state of a law, the first two parts.
         labels: Legend, one per curve.
         colors: Colour of each curve.
         time_ns: The run's own time [ns], shape (n,), not decreasing.

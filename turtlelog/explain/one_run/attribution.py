@@ -152,8 +152,8 @@ class Together:
 
     Attributes:
         causes: Names of at least two causes.
-        value: Part that fewer of these causes do not add, in the metric's unit. It is divided
-            equally among their contributions.
+        value: Part that fewer of these causes do not add, in the metric's unit. The part is divided
+            equally among the contributions of the causes.
         standard_error: Standard error with random effects; None otherwise.
     """
 
@@ -259,9 +259,10 @@ class Attribution:
         without_all: Value re-simulated without all causes that take part; None without a value. If
             the rest of the scenario is random, the mean over seeds.
         causes: Causes that take part: the value is divided among them.
-        contributions: Contributions of these causes, in the same order; empty if withheld. Their
-            `math.fsum` is resimulated - without_all: see `compute_contributions`. With random
-            effects the contributions are means over seeds, and `this_seed` is the difference.
+        contributions: Contributions of these causes, in the same order; empty if withheld. The
+            `math.fsum` of the contributions is resimulated - without_all: see
+            `compute_contributions`. With random effects the contributions are means over seeds, and
+            `this_seed` is the difference.
         others: Other causes in the scenario, each removed alone.
         resolution: Largest change that is negligible.
         withheld: Reason why there are no contributions, in one clause; None if there are

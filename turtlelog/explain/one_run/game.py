@@ -33,8 +33,8 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_many
 
 SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
-"""Seeds for means. They are the same for all runs, so that runs with different seeds have equal
-contributions, and they differ from the usual seeds."""
+"""Seeds for means. The seeds are the same for all runs, so that runs with different seeds have
+equal contributions. The seeds differ from the usual seeds."""
 
 _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
 """Metrics that depend on the dead time, which is searched up to 40 poses. A finer clock has 40

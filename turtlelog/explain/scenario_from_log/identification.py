@@ -33,7 +33,7 @@ class Certainty(enum.StrEnum):
     BOUNDED = "bounded"
     """Every value in an interval fits; the given value is the roundest."""
     AMBIGUOUS = "ambiguous"
-    """Several values fit equally well. They are the candidates; the given value is the most
+    """Several values fit equally well. These values are the candidates; the given value is the most
     likely."""
     RECORDED = "as recorded"
     """Value of the recorded scenario, whose re-simulation reproduces every sample. The samples

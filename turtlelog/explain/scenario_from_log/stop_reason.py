@@ -25,7 +25,8 @@ RULE_KEYS: Final = (
     *("law.timeout_s", "law.settled_within_m", "law.settled_for_s"),
     *("law.standstill_samples", "law.standstill_below"),
 )
-"""Parameters of the rules that end a run. They have their defaults unless the log contradicts."""
+"""Parameters of the rules that end a run. These parameters have their defaults unless the log
+contradicts."""
 
 _SLACK_NS: Final = 1.5 * TICK_NS
 """Largest difference between the clocks of log and law: a callback may be a tick late."""

@@ -121,7 +121,7 @@ def unpack_chunk(
         size: Claimed size [bytes].
         largest: Largest size of any unpacked chunk [bytes].
         spend: Function that is called with the number of unpacked bytes, also for damaged streams.
-            It may raise an error.
+            The function may raise an error.
 
     Raises:
         LogError: If the stream is damaged, or unpacks to far more than claimed or to more than

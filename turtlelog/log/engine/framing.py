@@ -16,8 +16,8 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance, measure_stored
 
 MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
-"""Magic bytes at the start and end of a file. They are defined here, because mcap.writer takes 20
-ms to load."""
+"""Magic bytes at the start and end of a file. The constant is defined here, because mcap.writer
+takes 20 ms to load."""
 
 RECORD: Final = struct.Struct("<BQ")
 """Opcode, and length of the body [bytes]."""

@@ -71,7 +71,7 @@ class Loss:
     Attributes:
         start: Offset of the first byte in the file.
         end: Offset after the last byte; equal to `start` if bytes are missing there.
-        reason: What was expected and what was found, in one clause.
+        reason: Expected and found content, in one clause.
     """
 
     start: int

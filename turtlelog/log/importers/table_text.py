@@ -28,8 +28,8 @@ KITTI_COLUMNS: Final = (
 )
 """Columns of a KITTI trajectory, which has neither header nor times.
 
-They contain the first three rows, one after another, of the matrix from the robot's frame to the
-world frame."""
+The columns contain the first three rows, one after another, of the matrix from the robot's frame to
+the world frame."""
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
 _LONGEST_HEAD: Final = 64 * 1024

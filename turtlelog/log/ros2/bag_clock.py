@@ -1,10 +1,10 @@
 """Times of the poses and commands of a bag: stamps compared with the recorder's clock.
 
 A message has two times: its stamp, set by the publisher, and its log time, when the recorder
-received it. They differ by the offset of two clocks and the transport delay. Stamps have less
-jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed by
-their stamps, mapped to the recorder's clock by the messages with the shortest transport delay. The
-shortest delay is unknown, so all pose times are late by this delay.
+received it. The two times differ by the offset of two clocks and the transport delay. Stamps have
+less jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed
+by their stamps, mapped to the recorder's clock by the messages with the shortest transport delay.
+The shortest delay is unknown, so all pose times are late by this delay.
 """
 
 from collections.abc import Mapping

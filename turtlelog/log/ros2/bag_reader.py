@@ -351,8 +351,8 @@ def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
 def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values | None:
     """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
 
-    None if there are no sensed poses, or their times do not identify the poses, as with a wall
-    clock.
+    The result is None if there are no sensed poses, or their times do not identify the poses, as
+    with a wall clock.
     """
     kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     if moved or not any(SENSED.name in of_file for of_file in found):

@@ -458,7 +458,7 @@ def _take_last(topic: str) -> str:
 def list_numbers(name: str) -> list[tuple[int, str]]:
     """Return the numbers in a name as a sort key.
 
-    They remain texts, because they may be very long.
+    The numbers remain texts, because they may be very long.
     """
     digits = (found.lstrip("0") for found in _NUMBER.findall(name))
     return [(len(found), found) for found in digits]

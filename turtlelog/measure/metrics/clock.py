@@ -210,7 +210,7 @@ def tell_sample(course: RunContext, row: int) -> float:
     "run.largest_gap", "s", "Longest time without a sample.", grows=True, needs_poses=False
 )
 def measure_largest_gap(course: RunContext) -> Outcome:
-    """Return the longest period. Its time is the beginning of the period."""
+    """Return the longest period. The time of the metric is the beginning of the period."""
     if course.sample_count == 0:
         return math.nan, math.nan, _ROWS_UNKNOWN
     periods_s = get_sample_periods(course)

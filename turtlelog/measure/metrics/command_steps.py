@@ -26,8 +26,8 @@ Values = NDArray[np.float64]
 HELD_BEFORE_S: Final = 0.5
 HELD_AFTER_S: Final = 1.0
 """Time for which a command is held before and after a step [s]: five and ten time constants of 0.1
-s, the usual value for small wheeled robots (a TurtleBot3: 0.07 to 0.09 s). It is longer than the
-0.1 s between messages of a ramp."""
+s, the usual value for small wheeled robots (a TurtleBot3: 0.07 to 0.09 s). This time is longer than
+the 0.1 s between messages of a ramp."""
 
 LEAST_STEP: Final = 0.1
 """Smallest step as a share of the run's largest command; noise hides smaller steps."""

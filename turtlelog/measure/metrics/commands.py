@@ -125,7 +125,7 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
 def measure_saturated_share(curve: Response) -> Outcome:
     """Return the fraction of samples at the limit.
 
-    Its time is that of the first saturated sample.
+    The time of the metric is that of the first saturated sample.
     """
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
@@ -141,7 +141,7 @@ def measure_saturated_share(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def measure_saturated_time_share(commands: CommandStretch) -> Result:
-    """Return the fraction of time at the limit. Its time is that of the first saturated sample."""
+    """Return the fraction of time at the limit, and the time of the first saturated sample."""
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT
@@ -180,8 +180,8 @@ def _tell_first(commands: CommandStretch) -> float | None:
 def compute_effort(held_s: Values, values: Values) -> float:
     """Return the integral of the squared command [unit^2 s]: the energy of the input signal.
 
-    It is the input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore, Optimal
-    Control). `held_s` is the hold time of each value [s].
+    The effort is the input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore,
+    Optimal Control). `held_s` is the hold time of each value [s].
     """
     return sum_products(held_s, values, values)
 
@@ -189,7 +189,7 @@ def compute_effort(held_s: Values, values: Values) -> float:
 def compute_total_variation(values: Values) -> float:
     """Return the sum of the magnitudes of all changes (total variation) [unit].
 
-    It is the measure TV of S. Skogestad, "Simple analytic rules for model reduction and PID
+    The sum is the measure TV of S. Skogestad, "Simple analytic rules for model reduction and PID
     controller tuning", J. Process Control 13 (2003).
     """
     return float(np.abs(np.diff(values)).sum())

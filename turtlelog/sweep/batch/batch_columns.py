@@ -1,6 +1,7 @@
 """The metrics that the batch computes, their columns and their compilation.
 
-They are the registered metrics that are functions of numbers; no metric is named here.
+The batch computes the registered metrics that are functions of numbers; this module names none of
+them.
 """
 
 from collections.abc import Mapping

@@ -91,7 +91,7 @@ _COLUMNS_LOOKED: Final = 512
 
 
 class FileRows:
-    """Known facts of files. Their rows are in the existing table and the partial file.
+    """Known facts of files. The rows of files are in the existing table and the partial file.
 
     Attributes:
         read: Number of files that were read.

@@ -48,7 +48,7 @@ class RecordingTable:
         work: Function that returns the rows of a file, at least one; it must be picklable. For a
             file that cannot be read, it returns a row with `ERROR`. An exception from it ends the
             work.
-        order: Function that returns the keys of columns, without those of `HEAD`. Its arguments are
+        order: Function that returns the keys of columns, without those of `HEAD`. The arguments are
             the existing keys and the keys that have a cell with a value.
     """
 
