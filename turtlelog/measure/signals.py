@@ -320,11 +320,11 @@ def _sample(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> Si
 SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
     "signal",
     {
-        "x": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 0]),
-        "y": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 1]),
+        "x": _pose("m", "Coordinate x in the world frame.", lambda run: run.poses.xy_m[:, 0]),
+        "y": _pose("m", "Coordinate y in the world frame.", lambda run: run.poses.xy_m[:, 1]),
         "heading": _pose(
             "rad",
-            "Counter-clockwise from +x, without jumps at a full turn.",
+            "Heading, counter-clockwise from the x axis, without jumps at a full turn.",
             _read_heading,
         ),
         "speed": _sample(
@@ -355,17 +355,17 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
         ),
         "applied_speed": _applied(
             "m/s",
-            "Magnitude of the speed that the plant integrated, a disturbance included.",
+            "Magnitude of the speed that the plant integrated, including a disturbance.",
             lambda run: run.poses.speed_m_s,
         ),
         "applied_turn_rate": _applied(
             "rad/s",
-            "Turn rate that the plant integrated, a disturbance included.",
+            "Turn rate that the plant integrated, including a disturbance.",
             lambda run: run.poses.turn_rate_rad_s,
         ),
         "measured_speed": _applied(
             "m/s",
-            "Forward speed that the robot reports, backward negative.",
+            "Forward speed that the robot reports, negative backward.",
             lambda run: run.poses.measured_speed_m_s,
         ),
         "measured_turn_rate": _applied(
@@ -374,21 +374,25 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
             lambda run: run.poses.measured_turn_rate_rad_s,
         ),
         "sensed_x": _sensed(
-            "m", "Position that the controller reads.", lambda run: _read_sensed(run, 0)
+            "m", "Coordinate x that the controller reads.", lambda run: _read_sensed(run, 0)
         ),
         "sensed_y": _sensed(
-            "m", "Position that the controller reads.", lambda run: _read_sensed(run, 1)
+            "m", "Coordinate y that the controller reads.", lambda run: _read_sensed(run, 1)
         ),
         "sensed_heading": _sensed(
             "rad",
-            "Heading that the controller reads, with the turns of the heading.",
+            "Heading that the controller reads, within half a turn of the signal `heading`.",
             _read_sensed_heading,
         ),
         "error_x": _pose(
-            "m", "Goal minus position in the world frame.", lambda run: _read_error(run, 0)
+            "m",
+            "Coordinate x of goal minus position, in the world frame.",
+            lambda run: _read_error(run, 0),
         ),
         "error_y": _pose(
-            "m", "Goal minus position in the world frame.", lambda run: _read_error(run, 1)
+            "m",
+            "Coordinate y of goal minus position, in the world frame.",
+            lambda run: _read_error(run, 1),
         ),
         "distance": _pose("m", "Distance to the goal.", _read_distance),
         "heading_error": _pose(
@@ -414,7 +418,7 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
             source="sample",
             resampling="hold",
             compared_as="label",
-            meaning="Index of the sample's phase among those that its law declares.",
+            meaning="Index of the sample's phase among the phases that the law declares.",
             read=lambda run: run.samples.phase.astype(np.float64),
         ),
     },

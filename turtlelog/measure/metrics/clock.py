@@ -170,7 +170,7 @@ for _percent in _PERCENTS:
     run_metric(
         f"run.sample_period_p{_percent}",
         "s",
-        f"{_percent} % of the times between samples are no longer than this.",
+        f"{_percent}th percentile of the time from one sample to the next.",
         better=None if _percent == 50 else "lower",
         needs_poses=False,
     )(_pick(_percent))
@@ -223,7 +223,7 @@ def measure_largest_gap(course: RunContext) -> Outcome:
 run_metric(
     "run.burst_samples",
     "1",
-    "Samples that share their time with the one before.",
+    "Number of samples that have the same time as the sample before.",
     grows=True,
     needs_poses=False,
 )(_on_periods("sample", lambda periods_s: float(count_burst_rows(periods_s)), fewest=0))
@@ -231,7 +231,7 @@ run_metric(
 run_metric(
     "run.dropped_samples",
     "1",
-    "Sequence numbers that are missing between the first and the last sample.",
+    "Number of missing sequence numbers between the first and the last sample.",
     grows=True,
 )(_count_missing)
 
@@ -256,7 +256,7 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
 run_metric(
     "run.duplicates",
     "1",
-    "Duplicate rows of the imported file, which were dropped.",
+    "Number of duplicate rows of the imported file, which were dropped.",
     grows=True,
     needs_poses=False,
 )(_read_note("dropped_duplicates"))
@@ -264,7 +264,7 @@ run_metric(
 run_metric(
     "run.disorder",
     "1",
-    "Rows of the imported file that were out of order and were sorted.",
+    "Number of rows of the imported file that were out of order, and were sorted.",
     grows=True,
     needs_poses=False,
 )(_read_note("sorted_rows"))

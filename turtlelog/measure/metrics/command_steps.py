@@ -251,7 +251,7 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.{_axis}_steps",
         "1",
-        f"Steps of the published {_words}: held for 0.5 s before, and for 1 s after.",
+        f"Number of steps of the published {_words}: constant for 0.5 s before and 1 s after.",
         better=None,
         needs_poses=False,
     )(_count_steps(_name))

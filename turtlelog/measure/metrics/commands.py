@@ -91,7 +91,7 @@ def measure_largest_jump(commands: CommandStretch) -> Result:
 @_command_metric(
     "largest_slew_rate",
     "{command}/s^2",
-    "Largest change of the {command} per time; samples with one time count as one.",
+    "Largest change of the {command} per time; samples with the same time count as one sample.",
     grows=True,
 )
 def measure_largest_slew_rate(commands: CommandStretch) -> Result:
@@ -100,7 +100,9 @@ def measure_largest_slew_rate(commands: CommandStretch) -> Result:
     return _ONE_TIME if found is None else Found(found[0], float(commands.time_s[found[1]]))
 
 
-@_command_metric("reversals", "1", "How often the {command} changes its sign.", grows=True)
+@_command_metric(
+    "reversals", "1", "Number of times that the {command} changes its sign.", grows=True
+)
 def measure_reversals(commands: CommandStretch) -> Result:
     """See `count_reversals`."""
     return Found(float(count_reversals(commands.values)))

@@ -49,7 +49,7 @@ def get_heading_error(course: RunContext) -> float:
 @course_metric(
     "final.heading_error",
     "deg",
-    "Magnitude of reference heading minus heading at the end.",
+    "Magnitude of the reference heading minus the heading at the end.",
 )
 def measure_heading_error(course: RunContext) -> Outcome:
     """Return the magnitude of the heading error."""
@@ -85,7 +85,7 @@ def measure_last_cross_track(course: RunContext) -> Outcome:
 @course_metric(
     "final.goal_heading_error",
     "deg",
-    "Magnitude of the goal's heading minus heading at the end.",
+    "Magnitude of the goal's heading minus the heading at the end.",
 )
 def measure_goal_heading_error(course: RunContext) -> Outcome:
     """Return the magnitude of the heading error relative to the goal's heading."""
@@ -111,7 +111,7 @@ def _compute_heading_error_at_15s(context: RunContext) -> Result:
 @run_metric(
     "final.position_error_at_15s",
     "m",
-    "Distance to the goal 15 s after the first sample, or at the end: the paper's.",
+    "Distance to the goal 15 s after the first sample, or at the end: the paper's definition.",
 )
 def _compute_position_error_at_15s(context: RunContext) -> Result:
     goal_xy_m, time_s = context.run.goal_xy_m, context.pose_time_s

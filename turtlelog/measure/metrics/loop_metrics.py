@@ -86,7 +86,7 @@ def find_delay_time(curve: Response) -> Outcome:
 @curve_metric(
     "rise_time",
     "s",
-    "Time from 10 % to 90 % of the step, each first reached.",
+    "Time from first reaching 10 % of the step to first reaching 90 %.",
     needs_step=True,
     applies=has_step,
     is_awaited=True,
@@ -105,7 +105,7 @@ def find_rise_time(curve: Response) -> Outcome:
 @curve_metric(
     "peak",
     "{value}",
-    "The {signal} where it is furthest in the direction of the step.",
+    "Furthest value of the {signal} in the direction of the step.",
     needs_step=True,
     applies=has_step,
     better=None,
@@ -134,7 +134,8 @@ def find_peak_time(curve: Response) -> Outcome:
 @curve_metric(
     "overshoot",
     "%",
-    "Furthest {signal} beyond the {goal}, as a share of the step; negative if it stays short.",
+    "Furthest {signal} beyond the {goal}, as a share of the step; negative if the {signal} stays"
+    " short.",
     needs_step=True,
     floor=0.0,
     grows=True,
@@ -150,7 +151,8 @@ def measure_overshoot(curve: Response) -> Outcome:
 @curve_metric(
     "undershoot",
     "%",
-    "Furthest {signal} behind its initial value, as a share of the step; negative if never.",
+    "Furthest {signal} behind its initial value, as a share of the step; negative if the {signal}"
+    " is always beyond that value.",
     needs_step=True,
     applies=has_step,
     floor=0.0,
@@ -194,7 +196,11 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
 
 
 @curve_metric(
-    "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
+    "crossings",
+    "1",
+    "Number of times that the {signal} passes the {goal}.",
+    grows=True,
+    applies=has_sides,
 )
 def count_crossings(curve: Response) -> Outcome:
     """Return the number of crossings. The time of the metric is the first crossing."""
@@ -253,7 +259,7 @@ def find_final_error(curve: Response) -> Outcome:
 @curve_metric(
     "steady_state_error",
     "{value}",
-    "Reference minus final {signal}: positive if short of it, negative if past it.",
+    "Reference minus final {signal}: positive short of the reference, negative past it.",
     better=None,
     applies=has_step,
 )

@@ -107,7 +107,8 @@ def _compute_misfit(time_s: Values, reference: Values, signal: Values, shift_s: 
 @loop_metric(
     "corner_overshoot",
     "m",
-    "Furthest past a corner, up to half way to the next, on its outer side; negative: inside.",
+    "Largest distance past a corner on its outer side, up to half way to the next corner; negative"
+    " on the inner side.",
     floor=0.0,
     grows=True,
     applies=_has_corners,

@@ -110,7 +110,7 @@ def measure_path_length(course: RunContext) -> Outcome:
 @run_metric(
     "run.straightness",
     "1",
-    "Path length over the distance from first to last pose: 1 is a straight line.",
+    "Path length divided by the distance from first to last pose: 1 for a straight line.",
     floor=1.0,
 )
 def _compute_straightness(context: RunContext) -> Result:
@@ -253,7 +253,12 @@ def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> No
             measure_largest_slew_rate,
             "Largest change of the published {} per time.",
         ),
-        ("reversals", "1", measure_reversals, "How often the published {} changes its sign."),
+        (
+            "reversals",
+            "1",
+            measure_reversals,
+            "Number of times that the published {} changes its sign.",
+        ),
     ):
         run_metric(
             f"run.{name}_{figure}",
