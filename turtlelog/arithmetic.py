@@ -23,7 +23,7 @@ fmod = math.fmod
 
 
 floor, ceil = math.floor, math.ceil
-"""Whole numbers. In compiled code they are floats, so that no large value overflows."""
+"""Whole numbers. In compiled code, whole numbers are floats, so that no large value overflows."""
 
 
 def called(function: _Function) -> _Function:
@@ -153,7 +153,7 @@ def message_to_float32(
 def begin_row(rows: Any, new: Any, number: int) -> Any:
     """Return the row of a number, with defaults.
 
-    Plain code makes it with `new`; compiled code copies it.
+    Plain code makes the row with `new`; compiled code copies the row.
     """
     row = rows[number] = new()
     return row

@@ -61,9 +61,9 @@ class Characteristic:
         word: Word for a label: `rise`, `settled`, `overshoot`.
         value: Value in `unit`.
         unit: Unit of the metric.
-        at_s: Time of the metric, from the first sample [s]. For a pause or a saturation, its start.
-            For a dead time, the pose that the loop answers by its largest change of command, which
-            the robot follows after the dead time.
+        at_s: Time of the metric, from the first sample [s]. A pause or a saturation has the time of
+            its start. A dead time has the time of the pose that the loop answers by its largest
+            change of command; the robot follows that change after the dead time.
         level: Value of the curve at that time, in the unit of the curve (headings in deg); None for
             a pause, which has no curve.
         span_s: Start and end of the metric's interval [s]. A rise lasts from 10 % to 90 %. A

@@ -68,15 +68,16 @@ def explain(
 ) -> None:
     """Explain a metric of a run: which effect of the implementation contributes how much.
 
-    First it identifies gains, limits, tolerances, dead times, queues and the pause from the samples
-    of the controller: the poses that it read and the commands that it gave. It simulates the
-    identified scenario and compares the result with the log, sample by sample.
+    First the command identifies gains, limits, tolerances, dead times, queues and the pause from
+    the samples of the controller: the poses that it read and the commands that it gave. The
+    identified scenario is simulated and compared with the log, sample by sample.
 
-    Then it simulates that scenario without its effects, in every combination, and divides the
-    metric among them. Contributions are Shapley values: their sum is the metric with all effects
-    minus the metric without them. They are shown if the re-simulation agrees with the log. Effects
-    come from the implementation, such as queue, delay, jitter, loss, noise or pause. Design
-    parameters, such as saturation, sampling or tolerance, are removed one at a time.
+    Then the scenario is simulated without its effects, in every combination, and the metric is
+    divided among the effects. Contributions are Shapley values: their sum is the metric with all
+    effects minus the metric without effects. The contributions are shown if the re-simulation
+    agrees with the log. Effects come from the implementation, such as queue, delay, jitter, loss,
+    noise or pause. Design parameters, such as saturation, sampling or tolerance, are removed one at
+    a time.
 
     Parameters are identified only for the law sequential-p. For another law, the recorded scenario
     is used, if it reproduces every sample. If that law is not built in, this runs the code that the

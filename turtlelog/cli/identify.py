@@ -51,10 +51,10 @@ def identify(
     between two poses is compared with the model's response to the commands (zero-order hold): rate
     = gain exp(-dead_time s) / (lag s + 1). Intervals contain the true value for 95 of 100 robots.
     Further models have a second time constant, a limit of acceleration or speed, a deadband,
-    friction or a different gain backwards. They are accepted only if they change a rate by 2 % and
-    predict a held-back part of the log better. If no model explains the motion, intervals are wider
-    and the output contains a doubt. If a parameter cannot be identified, the output gives the
-    reason and suggests a test drive. Several files of one robot are fitted together, and
+    friction or a different gain backwards. A further model is accepted only if it changes a rate by
+    2 % and predicts a held-back part of the log better. If no model explains the motion, intervals
+    are wider and the output contains a doubt. If a parameter cannot be identified, the output gives
+    the reason and suggests a test drive. Several files of one robot are fitted together, and
     differences between them are listed.
 
     Turtlesim needs no fit: each pose shows which command was applied in its tick.

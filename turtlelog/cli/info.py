@@ -70,9 +70,10 @@ def info(
 ) -> int:
     """Describe files: a recording, a robot's bag or a table, its data, and what is missing.
 
-    The poses and commands of bags of up to 64 MiB are read: the answer shows the clock that times
-    them, jumps, gaps and unusual rates. It lists what a file lacks, and how to add it. Files that
-    cannot be read are reported on stderr. The others are described, and the exit code is 2.
+    The poses and commands of bags of up to 64 MiB are read: the answer shows the clock of their
+    times, jumps, gaps and unusual rates. The answer lists what a file lacks and how to add it.
+    Files that cannot be read are reported on stderr. The others are described, and the exit code is
+    2.
 
     Example: turtlelog info kp1.mcap
 

@@ -312,7 +312,7 @@ class WorkOptions:
 
     Attributes:
         jobs: Number of processes. Default: one per core if that is faster.
-        scheduler: Use the Dask cluster of this scheduler. Its workers must find the files at the
+        scheduler: Use the Dask cluster of this scheduler. The workers must find the files at the
             same paths. Example: tcp://host:8786.
     """
 

@@ -111,11 +111,11 @@ def run(
     With --realtime, the recording is written to a new file while the loop runs. That file is
     readable up to the last second, however the run ends. Ctrl-C or a terminal that closes ends the
     run and completes the file (exit code 130). With --live a viewer shows the run; closing the
-    viewer does not end it. If a law fails, the samples before the failure are written (exit code
-    2).
+    viewer does not end the run. If a law fails, the samples before the failure are written (exit
+    code 2).
 
     Notes on stderr report a gain above the stability limit, which theory gives for the dead time of
-    these settings. They also report a goal, goal heading or path that the law ignores.
+    these settings. Further notes report a goal, goal heading or path that the law ignores.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose

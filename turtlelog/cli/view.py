@@ -54,7 +54,7 @@ class PictureOptions:
             display.
         at: Time of the picture, from the first sample [s]. Default: the end of the longest run.
         timeline: Timeline of --at and of a movie: sim_time, or for several runs also PHASE_time, as
-            in translate_time. It begins at the start of a later phase of each run.
+            in translate_time. PHASE_time begins at the start of a later phase of each run.
         size: Width and height of the picture [pixels], at least 480x320. Below 1000x700, legends,
             phases and tables are left out, so that curves have room.
         no_scans: Leave out the laser scans and the map of a bag.

@@ -176,8 +176,8 @@ _JUMP_NOISE: Final = 12.0
 never reaches it."""
 
 _GRAIN: Final = 1e-6
-"""Smallest size of a jump, the 32-bit resolution [m] or [rad]. Without it, a robot without noise
-would jump."""
+"""Smallest size of a jump, the 32-bit resolution [m] or [rad]. Without this size, the rounding of a
+robot without noise would be a jump."""
 
 _NORMAL_MAD: Final = 1.4826
 """Ratio of standard deviation to median magnitude of normal noise."""

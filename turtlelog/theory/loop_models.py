@@ -231,7 +231,7 @@ move the point of rest; limits bound the amplitude of an oscillation."""
 _RAMP: Final = 0.2
 """Increase of the time constant by an acceleration limit, as a share of the time for the largest
 change. With this share, the recommended gain for 5 % overshot turns of 0.1 to 3.1 rad by at most
-3.2 %, on 80 robots. With a tenth, it overshot by 21 %."""
+3.2 %, on 80 robots. With a share of a tenth, this gain overshot by 21 %."""
 
 _KINDS: Final = (TURTLESIM.name, LAGGED)
 

@@ -69,8 +69,8 @@ def recommend_gains(
         filter_s: Time constant of the derivative's filter [s]; 0: the difference of two samples
             without a filter.
         overshoot_percent: Wanted overshoot [% of the step], from 0 to below 100; None: any.
-        phase_margin_rad: Wanted phase margin [rad], above 0 and below pi; None: any. Without it,
-            the PD for an overshoot has a phase margin of 60 deg.
+        phase_margin_rad: Wanted phase margin [rad], above 0 and below pi; None: any. Without this
+            margin, the PD for an overshoot has a phase margin of 60 deg.
 
     Returns:
         The exact gains for the wanted values, then those of published rules.

@@ -58,7 +58,7 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
 
 @contextmanager
 def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a file that must not be SQLite. Its errors do not contain the file's name yet."""
+    """Open a file that must not be SQLite. Errors do not contain the file's name yet."""
     with _open_content(make_path(path)) as (stream, _):
         if _read_head(stream) == SQLITE_MAGIC:
             raise NoMcapError("expected an MCAP file, found a bag in SQLite")
@@ -110,7 +110,7 @@ class Damaged:
 
 @contextmanager
 def open_damaged(path: Path) -> Iterator[Damaged]:
-    """Open a file for recovery. Its errors do not contain the file's name yet.
+    """Open a file for recovery. Errors do not contain the file's name yet.
 
     Raises:
         LogError: If nothing in the file can be read.
