@@ -11,7 +11,7 @@ from turtlelog.display import describe_count, format_short
 from turtlelog.explain import choose_metric
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
-from turtlelog.run.ending import describe_goal_end
+from turtlelog.run.ending import find_goal_end
 
 _ERROR: Final = "final.position_error"
 _DURATION: Final = "run.duration"
@@ -41,7 +41,10 @@ def describe_end(run: Run) -> str:
     """Return the distance to the goal at the end; for a run without a goal, its motion."""
     if not len(run.poses):
         return f"commands for {run.duration_s:.3g} s, no poses"
+    end = find_goal_end(run)
     metric = choose_metric(run.declaration)
+    if end is not None and metric == _ERROR:
+        return end.describe()
     found = _measure(run, metric, _DURATION, "run.path_length")
     value, duration_s = found[metric].value, found[_DURATION].value
     after = "" if duration_s is None else f" after {duration_s:.3g} s"
@@ -50,10 +53,7 @@ def describe_end(run: Run) -> str:
         if not len(run.samples) and length_m is not None:
             return f"drove {format_short(length_m, 'm')} in {duration_s:.3g} s"
         return f"ended{after}; {metric} has no value: {found[metric].reason}"
-    size = format_short(value, found[metric].unit)
-    if metric != _ERROR:
-        return f"ended{after}, {metric} {size}"
-    return describe_goal_end(run, value, duration_s)
+    return f"ended{after}, {metric} {format_short(value, found[metric].unit)}"
 
 
 def _measure(run: Run, *names: str) -> Mapping[str, Metric]:

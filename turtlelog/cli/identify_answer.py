@@ -60,7 +60,8 @@ def format_robot(
         brackets = model.brackets
         if any(axis.doubts for axis in known):
             brackets += ", wider where a doubt is named below"
-        parts += [f"{_format_values(known)}\nIn brackets: {brackets}.\n"]
+        told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
+        parts += [f"{_format_values(known)}\n{fill_lines([' '.join(told)])}\n"]
         parts += [fill_lines([_describe_motion(known)])]
     trust = [*_list_trust(model), *_list_unknown(model)]
     trust += _list_details(model) if shows_details else []

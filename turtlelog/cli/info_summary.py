@@ -11,7 +11,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.files.urls import RemotePath
 from turtlelog.processes import count_bytes
-from turtlelog.run.ending import describe_goal_end, find_goal_error
+from turtlelog.run.ending import find_goal_end
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -208,8 +208,12 @@ def _find_ending(path: Path, info: "RecordingInfo", *, is_asked: bool) -> str | 
         run = tl.log.read_run(path)
     except TurtlelogError:
         return None  # the readable part is described, and `metrics` reports the rest
-    error_m = find_goal_error(run)
-    return None if error_m is None else describe_goal_end(run, error_m, run.duration_s)
+    return _describe_ending(run)
+
+
+def _describe_ending(run: "Run") -> str | None:
+    end = find_goal_end(run)
+    return None if end is None else end.describe()
 
 
 def _find_large(path: Path, info: "RecordingInfo") -> str:
@@ -347,9 +351,7 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     clock = run.clock
     return Summary(
         text=_describe_run(run),
-        ending=None
-        if (error_m := find_goal_error(run)) is None
-        else describe_goal_end(run, error_m, run.duration_s),
+        ending=_describe_ending(run),
         run=ReadRun(
             kind=_describe_kind(run),
             duration_s=run.duration_s,

@@ -109,18 +109,25 @@ class MeasuredFile:
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
+        ending: End of the run at its goal, in words; None without a goal.
         metrics: Requested metrics. Default: all metrics.
     """
 
     file: str
     name: str
+    ending: str | None
     metrics: list[dict[str, Any]]
 
 
 def _build_answer(summary: "RunSummary") -> MeasuredFile:
     """Return the JSON answer for one file."""
-    metrics = describe_metrics(summary.metrics)
-    return MeasuredFile(file=summary.file, name=summary.name, metrics=metrics)
+    end = summary.goal_end
+    return MeasuredFile(
+        file=summary.file,
+        name=summary.name,
+        ending=None if end is None else end.describe(),
+        metrics=describe_metrics(summary.metrics),
+    )
 
 
 def metrics(

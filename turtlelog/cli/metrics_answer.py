@@ -66,7 +66,7 @@ def print_essential(summaries: "Sequence[RunSummary]", kind: str) -> None:
     if kind != "txt":
         print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
     elif len(summaries) == 1:
-        print_text(_format_run(summaries[0]))
+        print_text(format_run(summaries[0], tl.compare.label_file(summaries[0].file)))
     elif summaries:
         print_text(_format_runs(summaries))
 
@@ -180,28 +180,31 @@ def _describe_end(summary: "RunSummary") -> str:
         return format_short(metric.value, metric.unit)
 
     length, off = show("run.path_length"), show("run.cross_track_max")
-    position, heading = show("final.position_error"), show("final.heading_error")
     duration = show("run.duration")
     if "poses" in summary.lacks:
         return f"commands for {duration}, no poses"
-    if position is not None and not _ignores_goal(summary):
-        turned = "" if heading is None else f", heading error {heading},"
-        return f"ends {position} from the goal{turned} after {duration}"
+    if summary.goal_end is not None:
+        return summary.goal_end.describe()
     if off is not None and not summary.is_lawless:
-        return f"largest cross-track error {off} on a path of {length}, in {duration}"
+        crossing = [one.name for one in summary.declaration.loops if one.signal == "cross_track"]
+        rms = show(f"{crossing[0]}.rms_error") if crossing else None
+        sizes = f"{off} at most" if rms is None else f"{rms} RMS, {off} at most"
+        return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
     return f"the path is {length} long and takes {duration}"
 
 
-def _ignores_goal(summary: "RunSummary") -> bool:
-    return not summary.is_lawless and not summary.declaration.uses_goal
+def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
+    """Return the end of a run, remarks, and its loops side by side.
 
-
-def _format_run(summary: "RunSummary") -> str:
-    """Return the end of a run, remarks, and its loops side by side."""
+    Args:
+        summary: The run, with the metrics of `list_needed`. Its file is empty if there is none.
+        who: Name of the run or of its file, for the first line.
+        facts: Sentences after the first line.
+    """
     essential = _drop_words(summary).metrics
-    head = [f"{tl.compare.label_file(summary.file)}: {_describe_end(summary)}."]
+    head = [f"{who}: {_describe_end(summary)}.", *facts]
     loops = [loop.name for loop in summary.declaration.loops]
     shown = [loop for loop in loops if _has_value(summary, loop)]
     remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
@@ -232,7 +235,10 @@ def _has_value(summary: "RunSummary", loop: str) -> bool:
 
 
 def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield remarks: clipping, oscillation, loops that do not settle."""
+    """Yield remarks: final heading, clipping, oscillation, loops that do not settle."""
+    heading = summary.metrics.get("final.heading_error")
+    if heading is not None and heading.value is not None and summary.goal_end is not None:
+        yield f"Final heading error: {_show(heading)}."
     clipped = {loop: _find_value(summary, f"{loop}.saturated_share") or 0.0 for loop in loops}
     said = [f"{loop} {100.0 * share:.0f} %" for loop, share in clipped.items() if share >= _SEEN]
     if said:
@@ -336,18 +342,17 @@ def _is_of_run(name: str) -> bool:
 
 def _list_next(summary: "RunSummary", count: int) -> list[str]:
     """Return the next commands to type."""
+    if not summary.file:
+        return ["To explain, plot or compare this run, record it: -o FILE.mcap"]
     file = escape_controls(shlex.quote(summary.file))
-    more = f"All {count} metrics with their ids: --all"
+    more = f"All {count} metrics with their ids: turtlelog metrics {file} --all"
     if not summary.is_lawless:
-        first = f"Why? turtlelog explain {file}"
-    elif "poses" in summary.lacks:
-        first = f"Where they lead: turtlelog replay {file}"
-    elif "commands" not in summary.lacks:
-        first = f"Dead time and time constants: turtlelog identify {file}"
-    else:
-        return [more]
-    line = f"{first}      {more}"
-    return [line] if len(line) <= find_width() else [first, more]
+        return [f"Why? turtlelog explain {file}", more]
+    if "poses" in summary.lacks:
+        return [f"Where they lead: turtlelog replay {file}", more]
+    if "commands" not in summary.lacks:
+        return [f"Dead time and time constants: turtlelog identify {file}", more]
+    return [more]
 
 
 def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
@@ -424,11 +429,16 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
 
 def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
     """Return the ranges of the runs' final distances from the goal and durations."""
-    aiming = [one for one in summaries if not _ignores_goal(one)]
+    ends = [one.goal_end for one in summaries if one.goal_end is not None]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"
-    if len(aiming) == len(summaries) and all(
+    if len(ends) == len(summaries) and all(
         _find_value(one, "final.position_error") is not None for one in summaries
     ):
         far = _describe_range(summaries, "final.position_error")
-        return f"they end {far} from the goal, {lasting}"
+        judged = all(end.verdict != "ended" for end in ends)
+        reached = sum(end.verdict == "reached" for end in ends)
+        count = {0: "none reaches the goal; ", len(ends): "all reach the goal; "}.get(
+            reached, f"{reached} reach{'es' if reached == 1 else ''} the goal; "
+        )
+        return f"{count if judged else ''}they end {far} from the goal, {lasting}"
     return f"they last {_describe_range(summaries, 'run.duration')}"

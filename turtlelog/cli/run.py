@@ -10,13 +10,13 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
+from turtlelog.cli.metrics_answer import format_run, list_needed
 from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
     describe_metrics,
     fill_lines,
-    fit_table,
     flush_stdout,
     print_json,
     print_note,
@@ -35,6 +35,7 @@ from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, UsageError
 from turtlelog.files.urls import make_path
+from turtlelog.run.ending import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
@@ -227,8 +228,7 @@ def _answer(
     if json:
         print_json(build_answer(result, output=record.output, rrd=record.rrd))
     else:
-        table = _format_run(result) if before is None else describe_change(result, before)
-        print_text(f"{_write_end(result)}\n\n{table}")
+        print_text(_describe_ending(result, file=record.output, before=before))
     return code
 
 
@@ -343,6 +343,7 @@ class RunAnswer:
         rrd: Written Rerun recording; None without a Rerun recording.
         samples: Number of samples.
         stop_reason: Reason why the run ended.
+        ending: End of the run at its goal, in words; None without a goal.
         metrics: All metrics of the run.
     """
 
@@ -351,38 +352,40 @@ class RunAnswer:
     rrd: str | None
     samples: int
     stop_reason: str | None
+    ending: str | None
     metrics: list[dict[str, Any]]
 
 
 def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
     """Return the answer."""
+    end = find_goal_end(run)
     return RunAnswer(
         name=run.name,
         file=None if output is None else str(output),
         rrd=None if rrd is None else str(rrd),
         samples=len(run.samples),
         stop_reason=run.stop_reason,
+        ending=None if end is None else end.describe(),
         metrics=describe_metrics(tl.measure_run(run)),
     )
 
 
-def _write_end(run: "Run") -> str:
-    """Return a run's final distance from the goal, its time, and its stop reason."""
+def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> str:
+    """Return how a run ended, and its essential metrics; after a change, those that changed."""
     name, changes = _split_name(run)
-    lines = [f"{name}: {tl.charts.describe_end(run)}."]
-    lines += [f"Changed: {changes}"] if changes else []
-    lines += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
-    return fill_lines(lines)
+    facts = [f"Changed: {changes}"] if changes else []
+    facts += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
+    if before is not None:
+        head = fill_lines([f"{name}: {tl.charts.describe_end(run)}.", *facts])
+        return f"{head}\n\n{describe_change(run, before)}"
+    needed = list_needed(run, has_path=False)
+    summary = tl.compare.summarise_run(
+        run, file="" if file is None else str(file), metrics=tl.measure_run(run, only=needed)
+    )
+    return format_run(summary, name, facts=facts)
 
 
 def _split_name(run: "Run") -> tuple[str, str]:
     """Return a name that fits a table, and the changes that a longer name contains."""
     base, _, changes = run.name.partition(" ")
     return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
-
-
-def _format_run(run: "Run") -> str:
-    """Return the essential metrics as a table."""
-    only = tl.measure.list_essential_metrics(run.declaration)
-    named = replace(run, name=_split_name(run)[0])
-    return fit_table(tl.compare.tabulate_metrics([named], only=only))

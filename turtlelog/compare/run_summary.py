@@ -27,6 +27,7 @@ from turtlelog.measure import (
 )
 from turtlelog.measure.metric import Status
 from turtlelog.run import Parameter, Run, require_run
+from turtlelog.run.ending import GoalEnd, find_goal_end
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Start
 
@@ -71,6 +72,7 @@ class RunSummary:
         declaration: Declaration of the law, as in `Run`.
         lacks: Elements of `HOLDINGS` that the run lacks.
         conditions: Conditions that must agree before runs are ranked; None: unknown.
+        goal_end: End of the run at its goal; None without poses or a goal.
     """
 
     name: str
@@ -83,6 +85,7 @@ class RunSummary:
     declaration: Declaration = field(default_factory=Declaration)
     lacks: tuple[str, ...] = ()
     conditions: Conditions | None = None
+    goal_end: GoalEnd | None = None
 
     def __post_init__(self) -> None:
         for name in _MAPPINGS:
@@ -224,6 +227,7 @@ def summarise_measured(
         declaration=run.declaration,
         lacks=list_lacks(run),
         conditions=find_conditions(run, known) if len(run.poses) else None,
+        goal_end=find_goal_end(run),
     )
 
 

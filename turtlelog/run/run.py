@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.display import describe_count, fit_line, format_answer, format_html, format_short
+from turtlelog.display import describe_count, fit_line, format_answer, format_html
 from turtlelog.errors import PathError, RunError
 from turtlelog.run.columns import (
     Clock,
@@ -20,6 +20,7 @@ from turtlelog.run.columns import (
     list_fields,
     rebuild,
 )
+from turtlelog.run.ending import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.path_picture import format_path_svg
 from turtlelog.run.paths import Path, restore_path
@@ -352,11 +353,9 @@ class Run:
     def _describe_end(self) -> str:
         """Return a sentence on the end of the run."""
         ended = (self.stop_reason or "its end is not recorded").replace("_", " ")
-        if self.goal_xy_m is None or not len(self.poses):
-            return f"{self.name}: {self.duration_s:.4g} s, {ended}."
-        missed_m = float(np.hypot(*(self.poses.xy_m[-1] - self.goal_xy_m)))
-        where = f"ends {format_short(missed_m, 'm')} from the goal after {self.duration_s:.4g} s"
-        return f"{self.name}: {where}, {ended}."
+        end = find_goal_end(self)
+        how = f"{self.duration_s:.4g} s" if end is None else end.describe()
+        return f"{self.name}: {how}, {ended}."
 
     def _repr_html_(self) -> str:
         goal = None if self.goal_xy_m is None else "({:g}, {:g}) m".format(*self.goal_xy_m)

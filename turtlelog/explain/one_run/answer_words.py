@@ -1,6 +1,7 @@
 """An attribution in sentences that hold for the run."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from turtlelog.display import join_words
@@ -10,7 +11,6 @@ from turtlelog.explain.one_run.attribution import (
     Contribution,
     SeedRange,
     StartRange,
-    Together,
     ValueSet,
     is_clear,
 )
@@ -131,8 +131,12 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
     else:
-        sentences = [_write_seeds(found), _write_rest(found), _write_together(found)]
-        sentences += [_write_starts(found), _write_unclear(found), _write_this_seed(found)]
+        starts = [_write_starts(found)]
+        # Parts that other samples would change must not be read as facts about the robot.
+        is_wide = found.starts is not None and found.starts.is_wide
+        sentences = [*(starts if is_wide else ()), _write_seeds(found), _write_rest(found)]
+        sentences += [_write_together(found), *(() if is_wide else starts)]
+        sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
         sentences += [f"{_capitalise(join_words(found.left))} {_be(found.left)} left as recorded."]
@@ -234,7 +238,9 @@ def _write_together(found: Attribution) -> str:
         return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
     parts = [
-        _write_case(found, case)
+        write_joint(
+            case.causes, case.value, format_value(found, abs(case.value), case.standard_error)
+        )
         for case in largest
         if abs(case.value) > _NAMED * _sum_contributions(found)
         and is_clear(case.value, case.standard_error)
@@ -242,16 +248,22 @@ def _write_together(found: Attribution) -> str:
     return " ".join(parts)
 
 
-def _write_case(found: Attribution, case: Together) -> str:
-    size = format_value(found, abs(case.value), case.standard_error)
-    names = _capitalise(join_words(case.causes))
-    if case.value > 0.0:
-        both = "both" if len(case.causes) == 2 else "all"
-        return (
-            f"{names} need each other: their contributions share {size} that arises only if"
-            f" {both} act."
-        )
-    return f"{names} together add {size} less than the sum of their parts."
+def write_joint(names: Sequence[str], value: float, size: str) -> str:
+    """Return the part that arises only if several causes act: more or less than they do alone.
+
+    Args:
+        names: Names of the causes.
+        value: The part.
+        size: Its magnitude with its unit.
+    """
+    them = _capitalise(join_words(names))
+    if value > 0.0:
+        both = "both" if len(names) == 2 else "all of them"
+        return f"{them} need each other: {size} of their contributions arises only if {both} act."
+    apart = "their parts, alone and in smaller groups"
+    if len(names) == 2:
+        apart = f"{names[0]} alone plus {names[1]} alone"
+    return f"{them} overlap: together they add {size} less than {apart}."
 
 
 def _write_seeds(found: Attribution) -> str:
@@ -312,8 +324,8 @@ def _write_this_seed(found: Attribution) -> str:
     if value is None or found.seeds is None or not found.seeds.varies:
         return ""
     size = format_value(found, abs(value))
-    does = "adds" if value >= 0.0 else "takes away"
-    return f"The seed of this run {does} {size}, compared with the mean over seeds."
+    where = "above" if value >= 0.0 else "below"
+    return f"With the seed of this run it is {size} {where} the mean over the seeds."
 
 
 def _write_starts(found: Attribution) -> str:

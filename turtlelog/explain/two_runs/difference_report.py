@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, format_pair, join_words
+from turtlelog.explain.one_run.answer_words import write_joint
 from turtlelog.explain.one_run.attribution import is_clear
 from turtlelog.explain.two_runs.explained_difference import ROBOT, SEED
 from turtlelog.explain.two_runs.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
@@ -45,7 +46,7 @@ _SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _PLURALS: Final = ("gains", "limits", "limits driving", "limits turning", COMMANDS)
-_SPANS: Final = ("pause", "delay", "time span", "sampling period")
+_SPANS: Final = ("pause", "delay", "time span", "sampling period", "queue")
 _CHANCE: Final = {
     SEED: "the seeds of these runs",
     NOISE: "different noise levels",
@@ -216,16 +217,21 @@ def name_change(one: "Change") -> str:
         return _WORDS[one.name]
     if "." in one.name:
         return one.name
-    if len(one.keys) == 1 and one.name in _SPANS:
-        before, after = one.first[0] or 0, one.second[0] or 0
-        if not after:
-            return f"the missing {one.name}"
-        return (
-            f"the {'longer' if after > before else 'shorter'} {one.name}"
-            if before
-            else f"the {one.name}"
-        )
-    return f"the {one.name}"
+    return f"the {_compare_spans(one)}{one.name}"
+
+
+def _compare_spans(one: "Change") -> str:
+    """Return `longer `, `shorter ` or `missing ` for a changed duration or queue; else nothing."""
+    if len(one.keys) != 1 or one.name not in _SPANS:
+        return ""
+    before, after = one.first[0] or 0, one.second[0] or 0
+    if isinstance(before, str) or isinstance(after, str):
+        return ""  # a policy is not longer than another
+    if not after:
+        return "missing "
+    if not before:
+        return ""
+    return "longer " if after > before else "shorter "
 
 
 def _is_negligible(found: "ExplainedDifference") -> bool:
@@ -299,17 +305,11 @@ def _write_together(found: "ExplainedDifference") -> str:
         if abs(one.value) > least and is_clear(one.value, one.standard_error)
     ]
     changes = {one.name: one for one in found.contributions}
-    parts = []
-    for one in large:
-        names = join_words([name_change(changes[name]) for name in one.causes])
-        size = format_magnitude(found, abs(one.value))
-        both = "both" if len(one.causes) == 2 else "all"
-        parts.append(
-            f"{size} arises only if {names} {both} act"
-            if one.value > 0.0
-            else f"{names} together add {size} less than the sum of their parts"
-        )
-    return f"They act together: {'; '.join(parts)}." if parts else ""
+    named = ([name_change(changes[name]) for name in one.causes] for one in large)
+    return " ".join(
+        write_joint(names, one.value, format_magnitude(found, abs(one.value)))
+        for one, names in zip(large, named, strict=True)
+    )
 
 
 def _write_seeds(found: "ExplainedDifference") -> str:
