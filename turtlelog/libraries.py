@@ -1,7 +1,7 @@
 """Libraries that not every installation has, and packages whose names load on first use.
 
-A library is loaded when it is needed. A public name loads on first use. If its library is not
-installed, the package does not have the name, and the import error says what to install.
+A library is loaded when it is needed. A public name loads on first use. If the library of a name is
+not installed, the package does not have the name, and the import error says what to install.
 """
 
 import sys

@@ -106,9 +106,8 @@ class Stream:
         number: Number of this stream alone. The number and the seed determine all drawn values.
         kind: `uniform`: from 0 to below 1; `normal`: mean 0, standard deviation 1.
         fields: Names of the numbers of one event.
-        keys: Keys of the scenario. If all of them are 0, no number of the stream is used.
-        is_chance: Whether the keys are probabilities. If all of them are 1, the seed changes
-            nothing.
+        keys: Keys of the scenario. If all keys are 0, no number of the stream is used.
+        is_chance: Whether the keys are probabilities. If all keys are 1, the seed changes nothing.
     """
 
     number: int
@@ -238,7 +237,7 @@ class PlantPart:
             If it has `waiting_first`, earlier rows of `waiting` are no longer needed.
         Waiting: A dataclass with slots and defaults: a command that the plant follows later.
         begin: Function of the keys, x [m], y [m], heading [rad], and whether these are rounded to
-            32 bits. Returns the state at the start.
+            32 bits; returns the state at the start.
         hold: `(settings, state, rows, time_ns, speed, turn_rate)`: accept a command that arrives.
             The plant may add the command to `rows.waiting`, with `begin_row` and
             `rows.new[0].waiting`.

@@ -139,8 +139,8 @@ def map_in_processes(
         work: Function of one item. Unless processes are forked, the function, the items and the
             results must be picklable. An exception is raised again at the place of the result.
         items: Items to work on.
-        jobs: Number of processes. With 1, or for one item, this process does the work. Or an
-            executor, as `connect_cluster` yields it.
+        jobs: Number of processes. With 1, or for one item, this process does the work. An executor
+            is also possible, as `connect_cluster` yields it.
         name: Word for an item in errors.
         is_forked: Whether processes begin with all modules that this process has loaded; see
             `CAN_FORK`.

@@ -38,8 +38,8 @@ _MOST_TOLD: Final = 12
 the dots."""
 
 _LONGEST: Final = 16
-"""Longest name in a close-up [letters]. With its distance, it takes half of a close-up 430 pixels
-wide."""
+"""Longest name in a close-up [letters]. Such a name and its distance take half of a close-up 430
+pixels wide."""
 
 _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Upward offsets of text from its dot, best first [lines]."""

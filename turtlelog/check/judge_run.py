@@ -22,7 +22,7 @@ from turtlelog.run import Run
 
 _MOST_PART_ROWS: Final = 150_000_000
 """Largest product of formula parts and samples. A window takes about 10 ns for each of its four
-parts and each sample. All of them together take 2 s, on a busy machine 5 s."""
+parts and each sample. All four parts together take 2 s, on a busy machine 5 s."""
 _EXPECT: Final = 6
 """Number of additional parts that a bound on a metric counts as, because its violation is searched
 by bisection of the run."""

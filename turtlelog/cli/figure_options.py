@@ -40,7 +40,7 @@ class PageOptions:
         kind: column is one of two columns of a paper, page the whole width, slide 16:9 with large
             lettering. Figures with panels side by side always take the page. Default: column, and
             page for the table of a sweep.
-        text_width: Width of the paper's text [mm], 120 to 1000. Default: 181. Not for a slide.
+        text_width: Width of the paper's text [mm], 120 to 1000; slides ignore it. Default: 181.
         dpi: Resolution of PNGs [dots per inch], 50 to 600. Default: 300; for a slide 144, which is
             1920 by 1080 pixels.
         from_s: Begin time axes here, from the first sample [s].

@@ -211,7 +211,7 @@ def fit_table(table: "Table", *, indent: int = 0) -> str:
 
 
 _MOST_ROWS: Final = 20
-"""Largest number of runs in a table. All of them fit a screen, and the answer above names the best
+"""Largest number of runs in a table. So many runs fit a screen, and the answer above names the best
 run."""
 
 

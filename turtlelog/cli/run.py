@@ -84,7 +84,7 @@ class RecordOptions:
         output: Write the recording to this .mcap file.
         rrd: Write a Rerun recording to this .rrd file.
         strip_scenario: Leave the scenario out of the recording, and name the run after its file.
-            Use it to try `turtlelog explain` on a run with unknown settings.
+            Then `turtlelog explain` can be tried on a run with unknown settings.
         trust_law: Run the code of the law that a recording or table names, if the law is not built
             in.
     """

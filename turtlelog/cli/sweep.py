@@ -49,7 +49,7 @@ class PlanOptions:
             (all gains together). Can be repeated: every combination is a row, the last key varies
             fastest.
         zip_: Vary two or more keys together: their first values, their second values, and so on.
-            Give it once for each key.
+            Give this option once for each key.
         sample: Number of rows to choose at random instead: any number between A and B for A:B, one
             value for A:B:STEP or a list.
         seed: Seed of the random choice. Default: 0.

@@ -38,8 +38,8 @@ def summarise_files(
     Args:
         paths: Any files that `read_run` takes.
         settings: Settings of the metrics, as in `measure_run`.
-        only: Metrics, as in `measure_run`; a pattern selects the metrics that each run has. Or a
-            function that chooses the metrics of a run.
+        only: Metrics, as in `measure_run`; a pattern selects the metrics that each run has. A
+            function may choose the metrics of each run.
         topics: Topics to read from bags, the same for all files.
         jobs: Number of processes, at least 1, or a pool. Processes import the main module: a script
             that uses several processes keeps its own work under `if __name__ == "__main__":`.

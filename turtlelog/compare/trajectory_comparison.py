@@ -38,9 +38,9 @@ LEAST_POSES: Final = 3
 """Smallest number of associated poses for an error: a turn and a scale align any two poses."""
 
 _MOST_RMSE: Final = 0.5
-"""Largest RMSE, as a share of the spread of the reference about its middle. Above it, the alignment
-explains less than three quarters of the variance: the two trajectories hardly have the same shape
-and size."""
+"""Largest RMSE, as a share of the spread of the reference about its middle. Above this share, the
+alignment explains less than three quarters of the variance: the two trajectories hardly have the
+same shape and size."""
 
 _LEAST_SHARE: Final = 0.5
 """Share of the shorter trajectory's poses below which a note says that most have no partner."""

@@ -18,7 +18,7 @@ class Node:
     """Part of an expression.
 
     Attributes:
-        column: Column of the node or its operator, counted from 1. Not compared.
+        column: Column of the node or its operator, counted from 1; excluded from comparisons.
     """
 
     column: int = field(default=1, compare=False)
@@ -100,7 +100,7 @@ class Comparison(Node):
     Attributes:
         operators: Operators, at least one.
         operands: Operands, one more than operators.
-        columns: Columns of the operators. Not compared.
+        columns: Columns of the operators; excluded from comparisons.
     """
 
     operators: tuple[ComparisonOperator, ...]

@@ -53,7 +53,7 @@ BLANKS_AND_COMMENTS: Final = re.compile(r"(?:\s++|#[^\n]*+)*+")
 
 _NUMBERS: Final = re.compile(r"\[\n(?P<entries>(?: *[-+.\w]+,\n)+)(?P<indent> *)\]")
 _POINTS: Final = re.compile(r"\[\n(?P<entries>(?: *\[[-+.\w, ]+\],\n)+)(?P<indent> *)\]")
-"""Lists as tomli-w writes them, one entry per line. Texts do not match, because they have
+"""Lists as tomli-w writes them, one entry per line. Texts do not match, because texts have
 quotes."""
 
 

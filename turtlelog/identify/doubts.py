@@ -35,7 +35,7 @@ _FEWEST: Final = 50
 
 _APART: Final = 4.0
 """Smallest unexplained difference between two parts of the motion, in standard deviations. By
-chance, it occurs in 1 of 800 robots with 20 differences each."""
+chance, such a difference occurs in 1 of 800 robots with 20 differences each."""
 
 _LIKELY: Final = 2.0
 """The same limit if the residual is a curve, so that some difference is likely."""
@@ -59,8 +59,8 @@ _TELLS: Final = 1.05
 
 _MATTERS: Final = 0.01
 """Half-width of an interval from which a doubt is reported, as a share of the gain or of the total
-delay. Below it, no recommended gain changes by more than 1 %. A simulated log without noise has a
-curve in the eighth digit."""
+delay. Below this share, no recommended gain changes by more than 1 %. A simulated log without noise
+has a curve in the eighth digit."""
 
 
 def cover_rivals(

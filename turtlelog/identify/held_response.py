@@ -299,8 +299,8 @@ Bound = Literal["", "command", "rate", "scaled", "clipped", "yielding", "reduced
 
 COUPLED: Final[tuple[Bound, ...]] = ("reduced", "scaled", "clipped", "yielding")
 """Bounds of the wheels, which both axes share. A command beyond the bound scales both axes, clips
-each wheel, or leaves this axis the rest that the other axis does not need. Or the other axis alone
-decides how much this axis is reduced, which is all that commands of one size show."""
+each wheel, or leaves this axis the rest that the other axis does not need. For commands of one
+size, the other axis alone may decide how much this axis is reduced."""
 
 _STEPS: Final = MappingProxyType(
     {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}

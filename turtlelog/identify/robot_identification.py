@@ -241,8 +241,8 @@ def _tell(value: Estimate) -> str:
 
 
 _MOST_UNEXPLAINED: Final = 0.05
-"""Largest share of moving ticks without an explaining command. Above it, poses or commands are not
-turtlesim's. A recorder that starts late misses only the first command."""
+"""Largest share of moving ticks without an explaining command. Above this share, poses or commands
+are not turtlesim's. A recorder that starts late misses only the first command."""
 
 _HERE: Final = "turtlesim moves by the command of a tick, whole and at once"
 

@@ -123,7 +123,7 @@ class _LawFolder:
 
 
 class _Loader(SourceFileLoader):
-    """Runs a module of a folder of laws without a cache, which would miss a quick edit."""
+    """Loader of a module of a folder of laws, without a cache, which would miss quick edits."""
 
     def __init__(self, inner: dict[str, Any], name: str, path: str) -> None:
         super().__init__(name, path)
@@ -138,7 +138,7 @@ class _Loader(SourceFileLoader):
 
 
 class _Finder(MetaPathFinder):
-    """Finds the modules in folders of laws by their names."""
+    """Finder of the modules in folders of laws, by their names."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None

@@ -76,8 +76,8 @@ class Terms:
 
     Attributes:
         kp: Proportional gain. A schedule changes kp, ki and kd.
-        has_terms: Whether the loop has an integral or a derivative. Without them nothing is added,
-            because -0.0 + 0.0 is 0.0.
+        has_terms: Whether the loop has an integral or a derivative. Without integral and derivative
+            nothing is added, because -0.0 + 0.0 is 0.0.
         has_integral: Whether the loop has an integral.
         integral: Contribution of the integral to the command of this sample.
         derivative: Contribution of the derivative to the command of this sample.

@@ -228,7 +228,7 @@ class _Copied:
     summary: Loss | None = None
 
     def lose(self, loss: Loss) -> None:
-        """Note a loss. If it continues the previous loss for the same reason, both are merged."""
+        """Note a loss, or merge it into the previous loss that it continues for the same reason."""
         last = self.lost[-1] if self.lost else None
         is_place = loss.start == loss.end
         if last and last.reason == loss.reason and (is_place or last.end == loss.start):

@@ -87,11 +87,11 @@ class DeadTime:
         is_exact: Whether the dead time explains every step to the rounding of the poses.
         changes: Changes of the dead time within the segment, in order.
         whiteness: Mean square of the changes of the residuals divided by twice their mean square: 1
-            for noise, near 0 for a curve. Also 1 if every step is explained, or if only rounding
-            remains.
+            for noise, near 0 for a curve. The value is also 1 if every step is explained, or if
+            only rounding remains.
         least_ticks: Smallest dead time that explains the motion as well, together with a time
-            constant. Noise hides which of the two is right. Equal to `ticks` if the plant is known
-            to have no time constant.
+            constant. Noise hides which of the two is right. The value is `ticks` if the plant is
+            known to have no time constant.
     """
 
     ticks: int

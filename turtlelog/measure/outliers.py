@@ -172,8 +172,8 @@ def find_quantisation_step(values: Values) -> float:
 def compute_median(values: NDArray[Any]) -> float:
     """Return the median of one row as `np.median` does; NaN for an empty row.
 
-    `np.median` itself is not used: to look for NaN, it loads numpy's masked arrays. Loading them
-    takes a tenth of numpy's loading time.
+    `np.median` itself is not used: to look for NaN, it loads numpy's masked arrays, in a tenth of
+    numpy's loading time.
     """
     half, odd = divmod(len(values), 2)
     if not len(values):

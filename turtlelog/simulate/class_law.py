@@ -1,7 +1,7 @@
 """The law of a scenario, and laws that are classes, which are called pose by pose.
 
-A law may answer with numpy numbers, integers, or a list that it changes later. Therefore its answer
-is copied to plain numbers.
+A law may answer with numpy numbers, integers, or a list that it changes later. Therefore every
+answer is copied to plain numbers.
 """
 
 import sys
@@ -40,7 +40,7 @@ _FLOATS: Final = {float}
 
 
 class ClassLaw:
-    """Asks a law for its decision on each pose and checks the decision.
+    """Caller of a law, which checks the law's decision on each pose.
 
     Attributes:
         stops: Stop reasons of the law's runs so far; `stop` of a sample is an index into this list,

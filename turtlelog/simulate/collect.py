@@ -49,8 +49,8 @@ def simulate_run(
     Raises:
         LawError: If `law` is not a law.
         ScenarioError: If the law cannot be loaded or may not run, or a change is wrong.
-        SimulationError: If the law fails or exceeds its time; the error's `run` is the run so far.
-            Also if no pose is answered within `max_duration_s`.
+        SimulationError: If the law fails or exceeds its time, or no pose is answered within
+            `max_duration_s`; the error's `run` is the run so far.
     """
     scenario = resolve_scenario(choose_scenario(scenario, law=law, changes=changes))
     return collect_run(scenario, iterate_ticks(scenario, plant, step_budget_s=step_budget_s))

@@ -348,9 +348,10 @@ class LimitedLoop(Generic[_Item]):
 
 
 class WatchedCode:
-    """Calls compiled code with a user law in a thread.
+    """Thread that calls compiled code with a user law.
 
-    Compiled code cannot be ended. If it never returns, its thread lasts until the process ends.
+    Compiled code cannot be ended. If the code never returns, the thread lasts until the process
+    ends.
     """
 
     def __init__(self, budget_s: float) -> None:

@@ -48,7 +48,7 @@ _Array = NDArray[np.float64]
 
 _MOST_SAMPLES: Final = 2000
 """Largest sum of lag, low-pass and dead time [samples] for which overshoots are measured. Beyond
-it, the 10 to 40 responses of some ten thousand samples each take several seconds."""
+this sum, the 10 to 40 responses of some ten thousand samples each take several seconds."""
 
 _CLOSE: Final = 1e-6
 """Tolerance of an overshoot [% of the step]; a smaller overshoot counts as none."""

@@ -382,8 +382,8 @@ def hides_stability(parameters: _Parameters) -> bool:
 def _find_most_age(parameters: _Parameters, step_s: float) -> float:
     """Return the largest age of the pose that a timer reads [s].
 
-    The timer starts when a pose arrives. If its period is not a multiple of the plant's period, a
-    later pose may be up to one plant period old.
+    The timer starts when a pose arrives. If the timer's period is not a multiple of the plant's
+    period, a later pose may be up to one plant period old.
     """
     if parameters.get("loop.trigger") != "timer":
         return 0.0

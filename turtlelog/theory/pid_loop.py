@@ -100,8 +100,8 @@ class PidLoop:
     def to_control(self) -> Any:
         """Return the open loop as a `control.TransferFunction` in z, without approximation.
 
-        Close it with `control.feedback`. The derivative acts on the measurement, so the closed loop
-        has the same response to the reference only for P and PI.
+        `control.feedback` closes this loop. The derivative acts on the measurement, so the closed
+        loop has the same response to the reference only for P and PI.
 
         Raises:
             LibraryError: If python-control is not installed.

@@ -72,7 +72,7 @@ _RARE: Final = 1e-3
 
 _FAR_OFF: Final = 20.0
 """Height of outliers, as a multiple of the height of all other rows, from which they are left out
-of view. With them, the other rows would take less than a twentieth of the plot."""
+of view. With such outliers, the other rows would take less than a twentieth of the plot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

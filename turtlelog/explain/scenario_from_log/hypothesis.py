@@ -107,8 +107,8 @@ def require_trust(run: Run, *, trust_law: bool) -> None:
     """Refuse a run whose complete scenario has a law that is neither built in nor trusted.
 
     Raises:
-        ScenarioError: If the law is not trusted; the message contains its name and how to trust it.
-            Also if a trusted law cannot run.
+        ScenarioError: If a trusted law cannot run, or the law is not trusted; the message contains
+            the law's name and how to trust it.
     """
     if run.scenario_is_complete and run.parameters.get("law.kind", DEFAULT_LAW) not in LAWS:
         resolve_scenario(restore_scenario(run), trust_law=trust_law)

@@ -191,7 +191,7 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
 
 
 class _Resolver:
-    """Inserts nested types, reads each type only once, and counts the total size of the fields."""
+    """Resolver of nested types, which reads each type once and counts the size of all fields."""
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions

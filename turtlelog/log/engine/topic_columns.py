@@ -270,7 +270,7 @@ def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> b
 
 
 class _RowStore:
-    """Rows of one topic, part by part. If their number is known, each row is copied only once."""
+    """Rows of one topic, part by part. If their number is known, each row is copied once."""
 
     def __init__(self, expected: int) -> None:
         self._expected, self._used = expected, 0

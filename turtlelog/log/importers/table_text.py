@@ -70,7 +70,7 @@ class PlainTable:
         names: Column names in the header.
         columns: Reader of the cells, from the first row on. Cells are texts, or numbers of Parquet.
         word: Word for the number of a row: `line` or `row`.
-        has_header: Whether the file names its columns. Trajectories of TUM and KITTI do not.
+        has_header: Whether the file names its columns. Trajectories of TUM and KITTI have no names.
         units: Known units of columns: times of Parquet are in ns, those of TUM in s.
     """
 

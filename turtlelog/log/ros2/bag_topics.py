@@ -109,7 +109,7 @@ _MOST_LISTED: Final = 100
 def list_first_names(names: Sequence[str]) -> str:
     """Return names for a note.
 
-    If there are too many, the first names and the number of the others.
+    If there are too many names, the note has the first names and the number of the others.
     """
     few = ", ".join(names[:_MOST_LISTED])
     more = len(names) - _MOST_LISTED

@@ -45,7 +45,8 @@ class Link:
         stamp_ns: Stamp of each message [ns], shape (n,).
         place_m: Position of the child's origin in the parent frame [m], shape (n, 3).
         turn: Rotation of the child as quaternions x, y, z, w, shape (n, 4).
-        is_static: Whether the transform is static. Only its last message is used then.
+        is_static: Whether the transform is static. Only the last message of a static transform is
+            used.
     """
 
     parent: str

@@ -144,8 +144,8 @@ class Twins:
 
         Args:
             inline: Whether functions are inlined into their callers; otherwise LLVM decides.
-            wide: Names of first parameters with dozens of fields. Passing them takes longer to
-                compile than the function, so such functions are inlined.
+            wide: Names of first parameters with dozens of fields. Passing so many fields takes
+                longer to compile than the function, so such functions are inlined.
         """
         from numba import njit
 
