@@ -75,7 +75,7 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
 
 
 class RunCollector:
-    """Collects ticks, and builds the run so far."""
+    """Collector of ticks, which builds the run so far."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = resolve_scenario(scenario)

@@ -183,7 +183,7 @@ class _Worker(Generic[_Result]):
 
 
 class StepBudget:
-    """Calls a law's `step` in its own thread, with a time limit.
+    """Caller of a law's `step` in its own thread, with a time limit.
 
     The run does not wait for a step that cannot be ended.
     """
