@@ -47,7 +47,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "tune": (
             "[SCENARIO]",
-            "Search the best values of a scenario's keys, and show how far each can move.",
+            "Search the best values of a scenario's keys, and show how far each value can move.",
         ),
         "theory": (
             "",
@@ -95,7 +95,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Show": {
         "view": (
             "FILE...",
-            "Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.",
+            "Open recordings in the Rerun viewer; several recordings are overlaid for comparison.",
         ),
         "plot": (
             "[FILE...] -o OUT",
