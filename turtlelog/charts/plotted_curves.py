@@ -244,10 +244,10 @@ class StateGroup:
 def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
     """Return the states of laws in groups: states of the turn rate, of the speed, then all others.
 
-    A state belongs to a loop if the loop's name is a word in it (`integral_rotate`), or if the
-    loop's gain ends in its last word (`integral_angular` with `law.kp_angular`). If all loops of a
-    state have the same command, the state belongs to this command. Each other state has its own
-    view, while there are few views.
+    A state belongs to a loop if the loop's name is a word in the state's name (`integral_rotate`).
+    A state also belongs to a loop whose gain ends in its last word (`integral_angular` with
+    `law.kp_angular`). If all loops of a state have the same command, the state belongs to this
+    command. Each other state has its own view, while there are few views.
     """
     of_command: dict[str, dict[str, None]] = {command: {} for command in COMMAND_WORDS}
     others: dict[str, None] = {}

@@ -1,7 +1,7 @@
 """Piecewise constant functions of time, and the operators of temporal logic on them.
 
 A function holds each value from its step to the next (it is right-continuous) and the last one
-forever. The operations below are exact on such functions and return such functions, because a
+forever. The operations below are exact on such functions and return such functions. The reason: a
 sliding window meets a new value only when one of its ends meets a step. Unknown values are NaN, and
 results that depend on them are unknown. Times are integers, so that rounding moves no step.
 
@@ -133,8 +133,8 @@ def compute_until(
 ) -> Steps:
     """Return the maximum over t' in [t + first, t + last] of min(right(t'), left on [t, t']).
 
-    By the identity of Donzé et al., right becomes true within the window, and at every time up to
-    the window's beginning, left holds until right holds.
+    By the identity of Donzé et al., two conditions must hold: right becomes true within the window;
+    at every time up to the window's beginning, left holds until right holds.
 
     Args:
         left: Function that must hold until then.

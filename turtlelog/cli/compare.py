@@ -146,11 +146,11 @@ def compare(
     scenario is used. If no setting differs, the answer is the first sample at which the runs
     depart.
 
-    If one file is the scenario of a robot (its plant is lagged), each recorded robot is compared
-    with the simulated robot, which gets the recorded commands. The answer is the error of the
-    simulated pose 1 s and 5 s after both poses were equal. The noise of the robot is simulated with
-    39 seeds: the answer also counts how many errors lie within the central 95 % of the simulated
-    errors.
+    One file may be the scenario of a robot (its plant is lagged). Then each recorded robot is
+    compared with the simulated robot, which gets the recorded commands. The answer is the error of
+    the simulated pose 1 s and 5 s after both poses were equal. The noise of the robot is simulated
+    with 39 seeds: the answer also counts how many errors lie within the central 95 % of the
+    simulated errors.
 
     With --ate or --rpe, files are trajectories: in TUM, KITTI or EuRoC format, or any recording or
     bag (FILE:TOPIC for one topic of a bag). The answer is the absolute trajectory error of each

@@ -1,9 +1,9 @@
 """Equivalent loops of different laws, whose metrics are put next to each other in tables.
 
 Loops with the same name share rows. Other loops are equivalent if they control the same quantity
-(the heading, the distance to the goal, the offset from the line) with the same command. In
-addition, both must answer a step, or both follow a reference. Loops of one law are never merged,
-because a run has both.
+with the same command. Quantities are the heading, the distance to the goal and the offset from the
+line. In addition, both must answer a step, or both follow a reference. Loops of one law are never
+merged, because a run has both.
 """
 
 from collections.abc import Iterable, Sequence

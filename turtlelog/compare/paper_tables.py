@@ -120,8 +120,8 @@ _ANSWERS: Final = MappingProxyType(
 def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
     """Return the columns of the loops that the runs have, by metric.
 
-    The columns are settling times of loops that answer a step, overshoots of loops that turn the
-    robot, and rms errors of loops that follow a reference.
+    Loops that answer a step have a settling time, and loops that turn the robot an overshoot. Loops
+    that follow a reference have an rms error.
     """
     declared = {loop.name: loop for run in runs for loop in run.declaration.loops}
     groups = group_loops(declared, [run.declaration for run in runs])

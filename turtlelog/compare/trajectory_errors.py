@@ -296,8 +296,8 @@ def choose_pairs(
 
     A pair ends at the first pose that is at least one delta after its first pose: in poses, in
     metres along the trajectory, or in degrees of turn summed over poses. For a delta in seconds, a
-    pair ends at the nearest pose. If this pose is off by more than three quarters of the usual step
-    between poses, there is a gap, and the pair is left out.
+    pair ends at the nearest pose. The pair is left out if this pose is off by more than three
+    quarters of the usual step between poses.
 
     Args:
         trajectory: The reference or the estimate, after association.

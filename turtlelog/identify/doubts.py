@@ -307,8 +307,8 @@ _CHANCE: Final = 0.05
 
 _NEAR: Final = 0.6
 """Factor of Student's t from which a delay is worse than the best. The excess residual grows with
-the square of the distance, and its scatter with the distance, so half of t is sufficient near the
-best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
+the square of the distance, its scatter with the distance. Therefore half of t is sufficient near
+the best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
 
 
 def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | None, str]:

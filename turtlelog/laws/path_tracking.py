@@ -1,8 +1,8 @@
 """Common parts of laws that track a path: loops and reference pose.
 
 If the path has a speed, the reference starts at the first sample and moves along the path at this
-speed. The run ends when the reference reaches the end. Otherwise the reference is the point of the
-path nearest to the robot, and the run ends when the robot is within a tolerance of the end.
+speed. The run ends when the reference reaches the end. Without a speed, the reference is the point
+of the path nearest to the robot. The run ends when the robot is within a tolerance of the end.
 """
 
 import math

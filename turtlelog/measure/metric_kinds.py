@@ -116,8 +116,8 @@ class LoopMetricKind:
         compute: Function of a run context and the loop's response.
         meaning: One sentence with placeholders `{signal}`, `{goal}` and `{command}`.
         traits: Properties shared with the metrics of a run.
-        needs_whole: Whether the value is missing for a loop that the end of the recording cuts off,
-            because a sum or maximum over part of the loop would be wrong.
+        needs_whole: Whether the value is missing for a loop that the end of the recording cuts off.
+            A sum or maximum over part of the loop would be wrong.
         applies: Function that returns whether a loop has this metric.
         needs_step: Whether the value is missing for a loop that starts at its reference.
         numbers: The same metric as a function of a curve, which can also be compiled; None: no such

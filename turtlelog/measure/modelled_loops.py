@@ -19,9 +19,9 @@ def model_run_loops(
 ) -> tuple[LoopModel, ...]:
     """Return the loops of a run as `theory` models them, one per declared loop.
 
-    Gains and plant come from the scenario, period and dead time from the samples and poses. For a
-    robot with a time constant, or a law triggered by a timer, the timing comes from the scenario,
-    because a time constant looks like dead time.
+    Gains and plant come from the scenario, period and dead time from the samples and poses. A time
+    constant looks like dead time. Therefore the timing comes from the scenario for a robot with a
+    time constant, or a law triggered by a timer.
 
     Args:
         run: Any run.

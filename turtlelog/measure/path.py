@@ -50,8 +50,8 @@ def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:
     """Return each point's distance to the nearest point of a path [m], shape (n,).
 
     The path is the line through the points `path_xy_m`, shape (m, 2), m >= 2. Nearby points are
-    processed in blocks that use only the parts of the path that can be nearest, so long paths cost
-    little more than short ones.
+    processed in blocks. A block uses only the parts of the path that can be nearest, so long paths
+    cost little more than short ones.
     """
     parts = np.hstack([path_xy_m[:-1], np.diff(path_xy_m, axis=0)])
     parts = np.unique(parts, axis=0)  # a robot at rest repeats them

@@ -107,8 +107,8 @@ def find_undershoot(values: Values, initial: float, reference: float) -> tuple[f
     """Return how far the response goes against the step, as a fraction of it [1], and the row.
 
     The undershoot is measured from the initial value. The undershoot is 0 if the response never
-    goes below the initial value, and negative if every value is already beyond it in the direction
-    of the step. Precondition: the step is not 0.
+    goes below the initial value. It is negative if every value is beyond the initial value in the
+    direction of the step. Precondition: the step is not 0.
     """
     row = find_furthest_row(values, -1.0 if reference >= initial else 1.0)
     return (initial - values[row]) / (reference - initial), row
@@ -275,9 +275,9 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
 
     `rests`: the swings die out, or are small and do not grow. `swings`: the oscillation grows, or
     keeps an amplitude that is large or reaches the limit. `away`: the response ends further from
-    the reference than it began. Undecided verdicts are `passing` (the response ends while it passes
-    the reference), `slow` (it has not come near the reference) and `unknown` (there are too few
-    swings, or they change too little).
+    the reference than it began. Three verdicts are undecided. `passing`: the response ends while it
+    passes the reference. `slow`: the response has not come near the reference. `unknown`: the
+    swings are too few or change too little.
 
     Args:
         error: Reference minus value, shape (n,), n >= 2.

@@ -3,7 +3,8 @@
 A recording shows when a command was published, but not when the plant took it, because queues and
 transport lie between. The applied velocity in each pose shows which command the plant took. The
 replay integrates this COMMAND, in double precision. If no recorded command explains the velocity of
-a pose, the replay integrates the recorded velocity, which is rounded to 32 bits and has no sign.
+a pose, the replay integrates the recorded velocity. This velocity is rounded to 32 bits and has no
+sign.
 """
 
 import re

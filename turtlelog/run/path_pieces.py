@@ -21,8 +21,8 @@ the first piece and before the start of the second."""
 REACH_M: Final = 0.5
 """Distance along the path, either way, within which the next nearest point is searched [m].
 
-The distance is far longer than a robot's motion between two poses. The distance is also shorter
-than a loop of a path as large as the world, so that the robot stays on its branch at a crossing."""
+The distance is far longer than a robot's motion between two poses. The distance is shorter than a
+loop of a path as large as the world. Thus the robot stays on its branch at a crossing."""
 
 Position = tuple[float, float]
 Point = tuple[float, float, float, float]

@@ -1,7 +1,7 @@
 """A path to track, as a chain of straight pieces and arcs of circles.
 
-Because every piece has a constant curvature, closed forms exist for the point at an arc length, the
-nearest point and the point at the lookahead distance.
+Every piece has a constant curvature. Therefore closed forms exist for the point at an arc length,
+the nearest point and the point at the lookahead distance.
 """
 
 import math

@@ -39,8 +39,8 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     A gain gets a note if theory's linear loop is unstable with this gain. The loop includes the
     plant's time constant, the sampling period and the smallest dead time that the settings
     guarantee. The run itself may still end, or oscillate within the limits. No note is given for a
-    loop without theory or without a declared gain, a timing that is random or changes between
-    samples, or shaping other than a low-pass.
+    loop without theory or without a declared gain. The same holds for a timing that is random or
+    changes between samples, and for shaping other than a low-pass.
 
     Args:
         scenario: Scenario that will run; the code of its law is loaded if needed.

@@ -111,8 +111,8 @@ def find_plant_final_value(kind: str) -> FinalValue:
 def find_final_value(numerator: ArrayLike, denominator: ArrayLike) -> FinalValue:
     """Return the limit of a signal for t to infinity from its Laplace transform Y(s).
 
-    By the final value theorem, it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in
-    the open left half plane. Otherwise the theorem does not apply.
+    By the final value theorem, this is the limit of s Y(s) for s to 0. The theorem applies only if
+    all poles of s Y(s) lie in the open left half plane.
 
     Args:
         numerator: Numerator of Y(s), highest power first.

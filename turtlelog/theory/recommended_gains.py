@@ -23,8 +23,8 @@ OVERSHOOT_PERCENT: Final = 5.0
 damping of 0.69, which stays within 5 % earliest."""
 
 PHASE_MARGIN_RAD: Final = math.pi / 3.0
-"""Default of the wanted phase margin: 60 deg, the cautious end of the usual 45 to 60 deg, because
-dead time and time constant of a robot are known to some ten percent."""
+"""Default of the wanted phase margin: 60 deg, the cautious end of the usual 45 to 60 deg. Dead time
+and time constant of a robot are known only to some ten percent."""
 
 _EXACT: Final = "exact, of the sampled loop"
 
@@ -127,8 +127,8 @@ def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     """Return whether given gains are as good as recommended ones.
 
     Given gains are as good if they have at most the overshoot, or at least the phase margin, of the
-    recommended gains, and settle no later. Recommended gains rounded to three digits count as
-    equal.
+    recommended gains. They must also settle as early. Recommended gains rounded to three digits
+    count as equal.
 
     Args:
         given: Gains in use.

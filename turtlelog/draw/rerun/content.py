@@ -29,7 +29,7 @@ _SMALLEST_CLOSE_UP_DEG = 0.1
 """Smallest half-height of the close-up [deg]; even errors of 0 need a range."""
 
 _LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.4
-"""Width and height of a legend of four lines as shares of a plot, in a window of 1600 x 900 pixels
+"""Width and height of a legend of four lines as shares of a plot. The window has 1600 x 900 pixels,
 with three plots of 235 pixels one above another."""
 
 _MOST_IN_PLOT = 4

@@ -99,9 +99,9 @@ def _find_steps(scenario: Scenario) -> tuple[float, float]:
 
 
 _CLEAR: Final = 3.0
-"""Number of standard errors from which a mean differs from 0. For six contributions that are 0, one
-of them seems to differ in 3 % of runs (each in 1 of 190, by Student's t with 31 degrees of
-freedom)."""
+"""Number of standard errors from which a mean differs from 0. By Student's t with 31 degrees of
+freedom, a contribution that is 0 seems to differ in 1 of 190 runs. For six such contributions, this
+is 3 % of runs."""
 
 THIS_SEED: Final = "this seed"
 """Name of the line with the effect of the run's own seed, which the contributions do not

@@ -221,8 +221,8 @@ def find_lone_records(
 ) -> tuple[Place, ...] | None:
     """Return the records between the chunks; None if the index is incomplete.
 
-    The index is complete if there is no message and no further chunk between its chunks, and every
-    chunk has message indexes with known channels and schemas.
+    The index is complete under two conditions. There is no message and no further chunk between its
+    chunks. Every chunk has message indexes with known channels and schemas.
     """
     schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without a schema
     known = {channel.id for channel in summary.channels if channel.schema_id in schemas}

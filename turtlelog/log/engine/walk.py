@@ -49,9 +49,9 @@ class Section:
     """A segment of records without known damage.
 
     Attributes:
-        data: Records one after the other: opcode u8, length u64, body. All records of an unpacked
-            chunk, or records outside chunks in the data section (header, schemas, channels,
-            messages, metadata, one attachment, the end of the data).
+        data: Records one after the other: opcode u8, length u64, body. The records are all those of
+            an unpacked chunk, or records outside chunks in the data section: header, schemas,
+            channels, messages, metadata, one attachment, the end of the data.
         start: Offset in the file [bytes].
         is_chunk: Whether the segment is a chunk.
         is_checked: Whether the checksum of the chunk or attachment is correct. For the record at

@@ -54,8 +54,8 @@ class BagRobot:
 def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
     """Return the robots that topic names distinguish; empty for a bag of one robot.
 
-    Topics of one type whose namespaces differ in one word belong to several robots if these words
-    differ only by number, or if both poses and commands have them.
+    Several robots have topics of one type whose namespaces differ in one word. These words differ
+    only by number, or both poses and commands have them.
     """
     held = [topic for topic in topics if topic.count]
     kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))

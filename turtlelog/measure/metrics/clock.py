@@ -2,7 +2,7 @@
 
 A period is the time from one row to the next, `np.diff(time_s)`, shape (n - 1,). The rows of a
 burst share one time: their periods are 0 and are counted. The silence before a burst is one long
-period. The mean is therefore the length divided by the count, the median is the usual period of the
+period. Therefore the mean is the length divided by the count. The median is the usual period of the
 loop, and the percentiles show bursts and pauses.
 """
 
