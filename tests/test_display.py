@@ -46,7 +46,10 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
         lambda: tl.METRICS["run.duration"],
         "<MetricKind [s]: Time from the first sample",
     ),
-    "kind of signal": (lambda: tl.SIGNALS["x"], "<SignalKind [m]: Coordinate x in the world frame.>"),
+    "kind of signal": (
+        lambda: tl.SIGNALS["x"],
+        "<SignalKind [m]: Coordinate x in the world frame.>",
+    ),
     "kind of figure": (
         lambda: tl.draw.FIGURES["plant"],
         "<FigureKind: Impulse, step and ramp response",
