@@ -316,20 +316,26 @@ def _describe_published(found: "LawReplay") -> str:
 def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -> str:
     """Return whether the replay equals the recording, and its first difference."""
     first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
+    name = escape_controls(file.name)
     if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
         columns = "every column that it holds" if found.absent else "every column"
-        slack = _describe_slack(found.signals)
-        head = f"the replay is the recording, in {columns}{end}{slack}"
+        lines = [
+            f"{name}: the replay is the recording, in {columns}{end}"
+            f"{_describe_slack(found.signals)}."
+        ]
     else:
-        # For a changed scenario, a difference is expected and not a failure.
-        given = "with" if found.run.name.startswith(run.name) else "called"
-        whose = f"{given} {changes}, the replay" if changes else "the replay"
-        head = (
-            f"{escape_controls(whose)} departs in {_format_difference(run, first, found.signals)}"
-        )
-    lines = [f"{escape_controls(file.name)}: {head}."]
+        departs = f"departs in {_format_difference(run, first, found.signals)}."
+        lines = [f"{name}: the replay {departs}"]
+        if changes:
+            # For a changed scenario, a difference is expected: its result is the answer.
+            given = "with" if found.run.name.startswith(run.name) else "called"
+            change = escape_controls(f"{given} {changes}")
+            result = _describe_result(run, found.run)
+            lines = [f"{name}: {change}, the replay {departs}"]
+            if result:
+                lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
     lines += [*_list_counts(run, found), *_format_declaration(found)]
     lines += [] if first is None or changes else _describe_software(run, found)
     rows = "tick by tick" if found.by_tick else "sample by sample"
@@ -337,6 +343,17 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
     parts = [fill_lines(lines)]
     parts += [] if first is None else [f"\n{format_changes(run, found.run)}"]
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
+
+
+def _describe_result(run: "Run", replayed: "Run") -> str:
+    """Return the most important metric of a replay beside the recorded one; empty without one."""
+    both = [one for one in build_changes(run, replayed) if one.difference is not None]
+    if not both:
+        return ""
+    chosen = next((one for one in both if one.id == "final.position_error"), both[0])
+    was, now = format_pair(chosen.recorded, chosen.replayed, chosen.unit)
+    beside = "as recorded" if chosen.difference == 0.0 else f"recorded {was}"
+    return f"{chosen.id} is {now}, {beside}."
 
 
 def _format_signals(
