@@ -61,14 +61,14 @@ def take_out(name: str, alone: float | None, ending: str = "") -> dict[str, Any]
 def test_the_gain_of_ten_in_words() -> None:
     assert write_sentences(attribute_scenario(get_preset("paper-kp10"))) == (
         "final.position_error is 0.1067 m.",
-        "Two effects of the implementation cause it, in about equal parts: queue +0.05108 m and"
-        " pause +0.05057 m.",
+        "Two effects of the implementation cause it, in about equal parts in this run:"
+        " queue +0.05108 m and pause +0.05057 m.",
         "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
-        " 0.4734 m. Queue contributes 16 to 62 % of what queue and pause add. Without queue and"
-        " pause it is 0.00482 to 0.005677 m.",
-        "Without both it would be 0.005077 m; the tolerances alone allow 0.006693 m.",
-        "Queue and pause need each other: 0.05761 m of their contributions arises only if"
-        " both act.",
+        " 0.4734 m. Queue contributes 16 to 62 % of what queue and pause add.",
+        "Without both it would be 0.005077 m (0.00482 to 0.005677 m for those start headings);"
+        " the tolerances alone allow 0.006693 m.",
+        "Queue and pause need each other: 0.05761 m of their contributions arises only if both"
+        " act; without queue it is 0.02684 m, without pause it is 0.02735 m.",
         "Not a cause: saturation and sampling (without each the value is larger: 0.8506 m,"
         " 0.1361 m).",
         "Design parameter: tolerance (without it, tolerances of 1e-06: 0.0009877 m).",
@@ -194,9 +194,9 @@ def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_to
     case = Together(causes=("queue", "pause"), value=size)
     sentences = write_sentences(describe(queue=0.1, together=(case,)))
     told = (
-        f"Queue and pause need each other: {size} m of their contributions arises only if both act."
+        f"Queue and pause need each other: {size} m of their contributions arises only if both act"
     )
-    assert (told in sentences) == is_told
+    assert any(one.startswith(told) for one in sentences) == is_told
 
 
 def test_what_makes_less_together_is_told_too() -> None:

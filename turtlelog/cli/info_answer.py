@@ -107,7 +107,7 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
         is_alone: Whether to list next commands.
     """
     name = _name_file(answer)
-    rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics)]
+    rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics), *_list_facts(answer)]
     width = max((len(key) for key, _ in rows), default=0)
     lines = [_fill(f"{name}: ", _write_head(answer))]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
@@ -203,12 +203,17 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
     yield from _describe_robots(answer)
-    yield from _describe_durations(answer)
     if not answer.summary.endswith(NOTHING_LEFT):
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
-    yield from ((key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items())
+
+
+def _list_facts(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield remarks on the contents, then the clocks and the durations."""
+    last = sorted(answer.notes.items(), key=lambda note: note[0] == "clock")
+    yield from ((key.replace("_", " "), _tell_note(text)) for key, text in last)
+    yield from _describe_durations(answer)
 
 
 def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:

@@ -11,6 +11,7 @@ from turtlelog.explain.one_run.attribution import (
     Contribution,
     SeedRange,
     StartRange,
+    Together,
     ValueSet,
     is_clear,
 )
@@ -85,7 +86,14 @@ def write_cause_head(found: Attribution) -> str:
     if found.seeds is not None:
         return f"{head} in the mean over seeds"
     is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
-    return f"{head}, in about equal parts" if is_alike else head
+    if not is_alike:
+        return head
+    # Other start headings divide the value otherwise.
+    return f"{head}, in about equal parts{' in this run' if _is_wide(found) else ''}"
+
+
+def _is_wide(found: Attribution) -> bool:
+    return found.starts is not None and found.starts.is_wide
 
 
 def write_main(found: Attribution) -> str:
@@ -133,9 +141,8 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
     else:
         starts = [_write_starts(found)]
         # Parts that other samples would change must not be read as facts about the robot.
-        is_wide = found.starts is not None and found.starts.is_wide
-        sentences = [*(starts if is_wide else ()), _write_seeds(found), _write_rest(found)]
-        sentences += [_write_together(found), *(() if is_wide else starts)]
+        sentences = [*(starts if _is_wide(found) else ()), _write_seeds(found), _write_rest(found)]
+        sentences += [_write_together(found), *(() if _is_wide(found) else starts)]
         sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
@@ -197,7 +204,15 @@ def _write_rest(found: Attribution) -> str:
     if abs(added) <= found.resolution.size:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
     chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
-    return f"{chance}{without}{_write_bound(found)}.{cancel}"
+    return f"{chance}{without}{_write_range(found)}{_write_bound(found)}.{cancel}"
+
+
+def _write_range(found: Attribution) -> str:
+    """Return the values without the effects for the other start headings, if they matter."""
+    if found.starts is None or found.starts.without_all is None or not _is_wide(found):
+        return ""
+    span = _format_span(found, *found.starts.without_all)
+    return f" ({span} for those start headings)"
 
 
 def _name_acting(found: Attribution) -> str:
@@ -238,9 +253,7 @@ def _write_together(found: Attribution) -> str:
         return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
     parts = [
-        write_joint(
-            case.causes, case.value, format_value(found, abs(case.value), case.standard_error)
-        )
+        _write_case(found, case)
         for case in largest
         if abs(case.value) > _NAMED * _sum_contributions(found)
         and is_clear(case.value, case.standard_error)
@@ -248,18 +261,36 @@ def _write_together(found: Attribution) -> str:
     return " ".join(parts)
 
 
-def write_joint(names: Sequence[str], value: float, size: str) -> str:
+def _write_case(found: Attribution, case: Together) -> str:
+    size = format_value(found, abs(case.value), case.standard_error)
+    return write_joint(case.causes, case.value, size, _write_remains(found, case))
+
+
+def _write_remains(found: Attribution, case: Together) -> str:
+    """Return the value without each of two causes that need each other."""
+    alone = {one.cause: one.alone for one in found.contributions if one.cause in case.causes}
+    if found.seeds is not None or len(alone) != 2 or None in alone.values():
+        return ""
+    parts = [f"without {name} it is {format_value(found, value)}" for name, value in alone.items()]
+    return f"; {', '.join(parts)}"
+
+
+def write_joint(names: Sequence[str], value: float, size: str, remains: str = "") -> str:
     """Return the part that arises only if several causes act: more or less than they do alone.
 
     Args:
         names: Names of the causes.
         value: The part.
         size: Its magnitude with its unit.
+        remains: Clause on the value without each of two causes; empty if unknown.
     """
     them = _capitalise(join_words(names))
     if value > 0.0:
         both = "both" if len(names) == 2 else "all of them"
-        return f"{them} need each other: {size} of their contributions arises only if {both} act."
+        return (
+            f"{them} need each other: {size} of their contributions arises only if {both}"
+            f" act{remains}."
+        )
     apart = "their parts, alone and in smaller groups"
     if len(names) == 2:
         apart = f"{names[0]} alone plus {names[1]} alone"
@@ -338,10 +369,7 @@ def _write_starts(found: Attribution) -> str:
     span = _format_span(found, starts.low, starts.high)
     if not starts.is_wide:
         return f"F{where} {span}{missing}."
-    return (
-        f"It depends on single samples: f{where} {span}{missing}."
-        f"{_write_parts(starts)}{_write_without_all(found, starts)}"
-    )
+    return f"It depends on single samples: f{where} {span}{missing}.{_write_parts(starts)}"
 
 
 def _write_parts(starts: StartRange) -> str:
@@ -352,13 +380,6 @@ def _write_parts(starts: StartRange) -> str:
         for part in starts.parts[: len(names) - 1]
     ]
     return f" {_capitalise(join_words(parts))} of what {join_words(names)} add." if parts else ""
-
-
-def _write_without_all(found: Attribution, starts: StartRange) -> str:
-    if starts.without_all is None:
-        return ""
-    span = _format_span(found, *starts.without_all)
-    return f" Without {join_words(found.acting)} it is {span}."
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:
