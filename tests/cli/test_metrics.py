@@ -162,7 +162,9 @@ def test_seven_runs_show_the_same_metrics_as_six(call: Call, kp4: Path, tmp_path
 
 def test_runs_have_a_row_each_in_order_of_their_gains(call: Call, kp4: Path, kp10: Path) -> None:
     lines = call("metrics", kp10, kp4).out.splitlines()
-    first = "2 runs: none reaches the goal; they end 8.52 mm (paper-kp4) to 0.107 m (paper-kp10) "
+    first = (
+        "2 runs: none reaches the goal; the ends are 8.52 mm (paper-kp4) to 0.107 m (paper-kp10) "
+    )
     assert " ".join(lines).startswith(first)
     assert "after 11.2 s (paper-kp4) to 12.6 s (paper-kp10)." in " ".join(lines[:2])
     rows = [line.split() for line in lines if line.startswith("paper-")]

@@ -107,7 +107,9 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
         is_alone: Whether to list next commands.
     """
     name = _name_file(answer)
-    rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics), *_list_facts(answer)]
+    rows = [*_list_rows(answer), *_list_notes(answer, clocks=False)]
+    rows += [*_list_lacks(answer, topics=topics), *_list_notes(answer, clocks=True)]
+    rows += _describe_durations(answer)
     width = max((len(key) for key, _ in rows), default=0)
     lines = [_fill(f"{name}: ", _write_head(answer))]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
@@ -209,11 +211,11 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         yield from [("ended", told)] if told else []
 
 
-def _list_facts(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield remarks on the contents, then the clocks and the durations."""
-    last = sorted(answer.notes.items(), key=lambda note: note[0] == "clock")
-    yield from ((key.replace("_", " "), _tell_note(text)) for key, text in last)
-    yield from _describe_durations(answer)
+def _list_notes(answer: InfoAnswer, *, clocks: bool) -> Iterator[tuple[str, str]]:
+    """Yield remarks: on the clocks, which come last, or on all else."""
+    for key, text in answer.notes.items():
+        if (key == "clock") is clocks:
+            yield key.replace("_", " "), _tell_note(text)
 
 
 def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:

@@ -437,5 +437,5 @@ def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
     ):
         far = _describe_range(summaries, "final.position_error")
         reached = tl.compare.describe_reached(summaries)
-        return f"{f'{reached}; ' if reached else ''}they end {far} from the goal, {lasting}"
+        return f"{f'{reached}; ' if reached else ''}the ends are {far} from the goal, {lasting}"
     return f"they last {_describe_range(summaries, 'run.duration')}"

@@ -9,8 +9,9 @@ import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.cli.replay_metrics import MetricChange, build_changes, format_changes
-from turtlelog.display import describe_count, format_pair, show_angle
+from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.escapes import escape_controls
+from turtlelog.run.ending import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -346,14 +347,19 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
 
 
 def _describe_result(run: "Run", replayed: "Run") -> str:
-    """Return the most important metric of a replay beside the recorded one; empty without one."""
+    """Return how a replay ended beside the recording, or its most important metric."""
+    ends = [find_goal_end(one) for one in (run, replayed)]
+    if ends[0] is not None and ends[1] is not None:
+        was = format_short(ends[0].error_m, "m")
+        after = f" after {ends[0].duration_s:.3g} s"
+        is_same = (ends[0].error_m, ends[0].duration_s) == (ends[1].error_m, ends[1].duration_s)
+        return f"it {ends[1].describe()}, {'as' if is_same else f'not {was}{after} as'} recorded."
     both = [one for one in build_changes(run, replayed) if one.difference is not None]
     if not both:
         return ""
-    chosen = next((one for one in both if one.id == "final.position_error"), both[0])
-    was, now = format_pair(chosen.recorded, chosen.replayed, chosen.unit)
-    beside = "as recorded" if chosen.difference == 0.0 else f"recorded {was}"
-    return f"{chosen.id} is {now}, {beside}."
+    was, now = format_pair(both[0].recorded, both[0].replayed, both[0].unit)
+    beside = "as recorded" if both[0].difference == 0.0 else f"recorded {was}"
+    return f"{both[0].id} is {now}, {beside}."
 
 
 def _format_signals(

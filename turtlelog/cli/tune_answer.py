@@ -224,8 +224,8 @@ def _describe_room(answer: Answer) -> list[str]:
         f"{one.key} = {format_number(one.low)} to {format_number(one.high)}"
         for one in around.ranges
     ]
-    alone = "" if len(ways) == 1 else ", each changed alone,"
-    return [f"Within {join_words(ways)}{alone} no tried value is worse by more than {slack}."]
+    alone = "is" if len(ways) == 1 else "(each changed alone) are"
+    return [f"As far as tried, {join_words(ways)} {alone} worse by {slack} at most."]
 
 
 def _tabulate_best(answer: Answer) -> "Table":

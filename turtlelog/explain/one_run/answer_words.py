@@ -139,10 +139,10 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
     else:
-        starts = [_write_starts(found)]
         # Parts that other samples would change must not be read as facts about the robot.
-        sentences = [*(starts if _is_wide(found) else ()), _write_seeds(found), _write_rest(found)]
-        sentences += [_write_together(found), *(() if _is_wide(found) else starts)]
+        last = [_write_together(found), _write_starts(found)]
+        last = last[::-1] if _is_wide(found) else last
+        sentences = [_write_seeds(found), _write_rest(found), *last]
         sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
@@ -199,20 +199,15 @@ def _write_rest(found: Attribution) -> str:
             f"{_capitalise(join_words(names))}{together} it by {format_value(found, added)},"
             f" not more than the resolution, {_describe_resolution(found)}."
         )
-    without = f"Without {_name_acting(found)} it would be {format_value(found, found.without_all)}"
+    whole = f"without {_name_acting(found)} {{}}{format_value(found, found.without_all)}"
+    single = _write_singles(found)
+    without = f"{single}, {whole.format('')}" if single else whole.format("it would be ")
+    without = _capitalise(without)
     cancel = ""
     if abs(added) <= found.resolution.size:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
     chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
-    return f"{chance}{without}{_write_range(found)}{_write_bound(found)}.{cancel}"
-
-
-def _write_range(found: Attribution) -> str:
-    """Return the values without the effects for the other start headings, if they matter."""
-    if found.starts is None or found.starts.without_all is None or not _is_wide(found):
-        return ""
-    span = _format_span(found, *found.starts.without_all)
-    return f" ({span} for those start headings)"
+    return f"{chance}{without}{_write_bound(found)}.{cancel}"
 
 
 def _name_acting(found: Attribution) -> str:
@@ -263,34 +258,34 @@ def _write_together(found: Attribution) -> str:
 
 def _write_case(found: Attribution, case: Together) -> str:
     size = format_value(found, abs(case.value), case.standard_error)
-    return write_joint(case.causes, case.value, size, _write_remains(found, case))
+    return write_joint(case.causes, case.value, size)
 
 
-def _write_remains(found: Attribution, case: Together) -> str:
-    """Return the value without each of two causes that need each other."""
-    alone = {one.cause: one.alone for one in found.contributions if one.cause in case.causes}
-    if found.seeds is not None or len(alone) != 2 or None in alone.values():
+def _write_singles(found: Attribution) -> str:
+    """Return the value without each of two causes; empty if chance or others take part."""
+    alone = {one.cause: one.alone for one in found.contributions if one.cause in found.acting}
+    is_pair = len(alone) == 2 == len(choose_named(found))
+    if found.seeds is not None or not is_pair or None in alone.values():
         return ""
-    parts = [f"without {name} it is {format_value(found, value)}" for name, value in alone.items()]
-    return f"; {', '.join(parts)}"
+    (first, value), (second, other) = alone.items()
+    return (
+        f"without {first} it would be {format_value(found, value)},"
+        f" without {second} {format_value(found, other)}"
+    )
 
 
-def write_joint(names: Sequence[str], value: float, size: str, remains: str = "") -> str:
+def write_joint(names: Sequence[str], value: float, size: str) -> str:
     """Return the part that arises only if several causes act: more or less than they do alone.
 
     Args:
         names: Names of the causes.
         value: The part.
         size: Its magnitude with its unit.
-        remains: Clause on the value without each of two causes; empty if unknown.
     """
     them = _capitalise(join_words(names))
     if value > 0.0:
         both = "both" if len(names) == 2 else "all of them"
-        return (
-            f"{them} need each other: {size} of their contributions arises only if {both}"
-            f" act{remains}."
-        )
+        return f"{them} need each other: {size} of their contributions arises only if {both} act."
     apart = "their parts, alone and in smaller groups"
     if len(names) == 2:
         apart = f"{names[0]} alone plus {names[1]} alone"
@@ -369,7 +364,10 @@ def _write_starts(found: Attribution) -> str:
     span = _format_span(found, starts.low, starts.high)
     if not starts.is_wide:
         return f"F{where} {span}{missing}."
-    return f"It depends on single samples: f{where} {span}{missing}.{_write_parts(starts)}"
+    rest = ""
+    if starts.without_all is not None:
+        rest = f", without {_name_acting(found)} {_format_span(found, *starts.without_all)}"
+    return f"It depends on single samples: f{where} {span}{rest}{missing}.{_write_parts(starts)}"
 
 
 def _write_parts(starts: StartRange) -> str:
