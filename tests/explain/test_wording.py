@@ -149,8 +149,8 @@ def test_an_effect_is_named_beyond_a_tenth_of_all(pause: float, *, is_named: boo
 def test_contributions_that_cancel_are_named_all_the_same() -> None:
     assert write_sentences(describe(queue=0.3, pause=-0.299))[1:] == (
         "Two effects of the implementation change it: queue +0.3 m and pause -0.299 m.",
-        "Without queue it would be 0.7 m, without pause 1.299 m, without both 0.999 m. Together they"
-        " change it by not more than 0.01 m (heading tolerance).",
+        "Without queue it would be 0.7 m, without pause 1.299 m, without both 0.999 m. Together"
+        " they change it by not more than 0.01 m (heading tolerance).",
     )
 
 
