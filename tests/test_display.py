@@ -122,7 +122,7 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
     [
         (
             "run",
-            ["missed the goal by 0.107 m (allowed: 6.69 mm) after 12.6 s", "770 samples", "<svg"],
+            ["missed the goal by 0.107 m (allowed: 0.00669 m) after 12.6 s", "770 samples", "<svg"],
         ),
         ("scenario", ["sequential-p to (2, 10) m", "law.kp_linear", "All 25 keys"]),
         ("signal", ["793 values in m, 2.", "<svg"]),

@@ -139,7 +139,7 @@ def test_a_recording_of_ours_is_told_from_its_summary(
         "  data        705 poses, 681 controller samples, 681 commands",
     ]
     ended = "ended standstill: missed the goal by 8.52 mm (allowed: 6.69 mm) after 11.2 s"
-    assert " ".join(" ".join(lines[7:9]).split()) == ended
+    assert " ".join(" ".join(lines[6:8]).split()) == ended
     (answer,) = call("info", kp4, "--json").json
     assert answer["summary"] == (
         "a recording of turtlelog's: sequential-p on turtlesim, 681 samples and 705 poses in 11.3 s"

@@ -26,14 +26,15 @@ def test_a_newcomer_sees_the_end_first_and_then_the_loops_side_by_side(
     call: Call, kp10: Path
 ) -> None:
     lines = call("metrics", kp10).out.splitlines()
-    assert lines[:4] == [
-        "kp10.mcap: missed the goal by 0.107 m (allowed: 6.69 mm) after 12.6 s.",
+    assert lines[:5] == [
+        "kp10.mcap: missed the goal by 0.107 m (allowed: 0.00669 m) after 12.6 s.",
+        "The end is 0.107 m right of the line from start to goal.",
         "Final heading error: 1.07 deg.",
         "Both loops saturate: rotate 87 %, translate 59 % of their samples.",
         "Longest silence of the controller: 0.528 s.",
     ]
-    assert lines[5].split() == ["rotate", "translate"]
-    rows = {line[:18].strip(): line[18:].split("  ") for line in lines[7:15]}
+    assert lines[6].split() == ["rotate", "translate"]
+    rows = {line[:18].strip(): line[18:].split("  ") for line in lines[8:16]}
     assert [cell.strip() for cell in rows["settling time"] if cell] == ["2.21 s", "5.58 s"]
     assert [cell.strip() for cell in rows["overshoot"] if cell] == ["1.01 %", "0.945 %"]
     assert [cell.strip() for cell in rows["dead time"] if cell] == ["0.064 s", "0.096 s"]
@@ -53,7 +54,7 @@ def test_a_loop_that_never_settles_is_said_before_the_table(call: Call, tmp_path
     }
     write_textbook(file, changes)
     head, *table = call("metrics", file).out.split("\n\n")
-    assert head.startswith("swinging.mcap: missed the goal by 5.69 m (allowed: 6.69 mm) after ")
+    assert head.startswith("swinging.mcap: missed the goal by 5.69 m (allowed: 0.00669 m) after ")
     words = head.splitlines()
     assert "The oscillation does not die out: rotate." in words
     assert "rotate does not settle: the phase ends outside the 2 % band." in words
@@ -161,7 +162,9 @@ def test_seven_runs_show_the_same_metrics_as_six(call: Call, kp4: Path, tmp_path
 
 def test_runs_have_a_row_each_in_order_of_their_gains(call: Call, kp4: Path, kp10: Path) -> None:
     lines = call("metrics", kp10, kp4).out.splitlines()
-    first = "2 runs: none reaches the goal; they end 8.52 mm (paper-kp4) to 0.107 m (paper-kp10) "
+    first = (
+        "2 runs: none reaches the goal; the ends are 8.52 mm (paper-kp4) to 0.107 m (paper-kp10) "
+    )
     assert " ".join(lines).startswith(first)
     assert "after 11.2 s (paper-kp4) to 12.6 s (paper-kp10)." in " ".join(lines[:2])
     rows = [line.split() for line in lines if line.startswith("paper-")]

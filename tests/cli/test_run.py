@@ -16,7 +16,7 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
     assert (answer.code, answer.err) == (0, "")
     lines = answer.out.splitlines()
     assert lines[:2] == [
-        "paper-kp10: missed the goal by 0.107 m (allowed: 6.69 mm) after 12.6 s.",
+        "paper-kp10: missed the goal by 0.107 m (allowed: 0.00669 m) after 12.6 s.",
         "770 samples. The run ended: standstill.",
     ]
     assert len(lines) <= 40
@@ -38,7 +38,7 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
         ),
         (
             ["textbook", "--set", "law.kp_angular=6", "--set", "max_duration_s=4"],
-            "textbook: missed the goal by 4.62 m (allowed: 6.69 mm) after 4 s.",
+            "textbook: missed the goal by 4.62 m (allowed: 0.00669 m) after 4 s.",
         ),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",

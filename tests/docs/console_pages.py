@@ -48,6 +48,8 @@ def renew_shown(shown: str, printed: str) -> str:
         best = max(range(len(ratios)), key=ratios.__getitem__, default=None)
         if best is not None and ratios[best] >= _ALIKE:
             kept = "..." in line and matches_shown(line, f"{lines[place + best]}\n")
+            if best and renewed[-1:] != ["..."]:
+                renewed.append("...")  # a new line is printed before this one
             renewed.append(line if kept else lines[place + best])
             place += best + 1
     return "".join(f"{line}\n" for line in renewed)

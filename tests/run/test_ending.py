@@ -47,7 +47,33 @@ def test_tolerances_and_stop_reason_decide(factor: float, reason: str | None, ve
 def test_the_sentence_names_what_the_tolerances_allow() -> None:
     end = find_goal_end(end_at(0.1, stop_reason="standstill"))
     assert end is not None
-    assert end.describe() == "missed the goal by 0.1 m (allowed: 6.69 mm) after 20.5 s"
+    assert end.describe() == "missed the goal by 0.1 m (allowed: 0.00669 m) after 20.5 s"
+    small = find_goal_end(end_at(0.008, stop_reason="standstill"))
+    assert small is not None
+    assert small.describe() == "missed the goal by 8 mm (allowed: 6.69 mm) after 20.5 s"
+
+
+@pytest.mark.parametrize(
+    ("left_m", "short_m", "place"),
+    [
+        (0.1, 0.0009, "0.1 m left of the line from start to goal."),
+        (-0.1, 0.0011, "0.1 m right of the line from start to goal and 1.1 mm short of the goal."),
+        (0.0011, -0.1, "1.1 mm left of the line from start to goal and 0.1 m beyond the goal."),
+        (0.0009, -0.1, "0.1 m beyond the goal."),
+    ],
+)
+def test_the_place_of_the_end_is_across_and_along_the_line(
+    left_m: float, short_m: float, place: str
+) -> None:
+    assert RUN.goal_xy_m is not None
+    start_x_m, start_y_m = RUN.poses.xy_m[0].tolist()
+    bearing_rad = np.arctan2(RUN.goal_xy_m[1] - start_y_m, RUN.goal_xy_m[0] - start_x_m)
+    cos, sin = np.cos(bearing_rad), np.sin(bearing_rad)
+    xy_m = RUN.poses.xy_m.copy()
+    xy_m[-1] = RUN.goal_xy_m - short_m * np.array([cos, sin]) + left_m * np.array([-sin, cos])
+    end = find_goal_end(replace(RUN, poses=replace(RUN.poses, xy_m=xy_m)))
+    assert end is not None
+    assert end.describe_place() == f"The end is {place}"
 
 
 def test_a_run_without_tolerances_did_not_miss() -> None:

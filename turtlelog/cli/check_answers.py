@@ -11,6 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.check_tables import (
     CountedResults,
     count_checks,
+    list_causes,
     list_verdict_reasons,
     tabulate_checks,
     tabulate_files,
@@ -130,7 +131,11 @@ def print_results(
         print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
     else:
         tables = [*tabulate_files(results), *tabulate_matrix(results)]
-        notes = (conclude(CountedResults(results), files), *list_verdict_reasons(spec, results))
+        notes = (
+            conclude(CountedResults(results), files),
+            *list_verdict_reasons(spec, results),
+            *list_causes(results),
+        )
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
 
@@ -173,8 +178,9 @@ def format_results(
     valued = shown if shows_all else [one for one in shown if one.value is not None]
     tables = [*tabulate_files(valued), *(tabulate_matrix(shown) if shows_all else ())]
     tables = [replace(table, title="") for table in tables] if files == 1 else tables
-    lines = [*list_verdict_reasons(spec, shown)]
-    return _join(counted, files, tables, lines, spec, shows_all=shows_all)
+    lines, causes = [*list_verdict_reasons(spec, shown)], [*list_causes(shown)]
+    head = _write_head(counted, files, spec, causes)
+    return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
 
 
 def _format_many(
@@ -185,29 +191,32 @@ def _format_many(
     if shows_all:
         tables.append(tabulate_checks(counted.failures, "Failures", names_file=True))
     lines = [*_list_failing(counted), *list_verdict_reasons(spec, counted.failures)]
+    lines += list_causes(counted.failures)
     more = counted.verdicts[tl.check.Verdict.FAIL] - len(counted.failures)
     if more:
         lines.append(f"{more} more failures are not shown: --csv and --json show them")
     tables = [table for table in tables if table.rows]
-    return _join(counted, files, tables, lines, spec, shows_all=shows_all)
+    head = _write_head(counted, files, spec)
+    return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
+
+
+def _write_head(
+    counted: "CountedResults", files: int, spec: "Spec | None", causes: Sequence[str] = ()
+) -> str:
+    """Return the verdict, facts that qualify it, and why a run differs from its reference."""
+    facts = [*_list_facts(counted, spec, files)]
+    blocks = [fill_lines(facts)] if facts else []
+    blocks += [fill_lines(causes, indent=2)] if causes else []
+    return "\n".join([conclude(counted, files), *blocks])
 
 
 def _join(
-    counted: "CountedResults",
-    files: int,
-    tables: "Sequence[Table]",
-    lines: Sequence[str],
-    spec: "Spec | None",
-    *,
-    shows_all: bool,
+    head: str, tables: "Sequence[Table]", lines: Sequence[str], following: Sequence[str]
 ) -> str:
-    """Return the verdict and its parts, separated by empty lines."""
-    rest = _list_next(counted, spec, shows_all=shows_all)
+    """Return the parts of an answer, separated by empty lines."""
     blocks = [fit_table(table).strip("\n") for table in tables]
     ends = [fill_lines(lines, indent=2)] if lines else []
-    ends += ["\n".join(map(escape_controls, following))] if (following := [*rest]) else []
-    facts = [*_list_facts(counted, spec, files)]
-    head = "\n".join([conclude(counted, files), *([fill_lines(facts)] if facts else [])])
+    ends += ["\n".join(map(escape_controls, following))] if following else []
     return "\n\n".join([head, *blocks, *ends])
 
 

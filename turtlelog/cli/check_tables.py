@@ -213,6 +213,10 @@ def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") 
             found.setdefault(alike, []).append(result.check)
     for (verdict, file, reason), checks in found.items():
         yield f"{verdict} {file}: {', '.join(checks)}: {reason}"
+
+
+def list_causes(results: "Sequence[CheckResult]") -> Iterator[str]:
+    """Yield why runs differ from their reference, as far as it was determined."""
     for result in results:
         if result.why:
             yield f"WHY {result.file}: {result.why[0]}"

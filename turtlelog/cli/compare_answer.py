@@ -81,11 +81,11 @@ def format_across(
         table, left_out = _narrow(table, summaries)
     table = replace(table, notes=(*_list_reasons(table, summaries), *changes, *told))
     above = [*notes, *conditions]
+    reached = tl.compare.describe_reached(summaries) if ranking.is_fair else ""
+    best = f"{_name_best(table)}{table.title}{_describe_alike(table, summaries, ranking)}."
     return "\n".join(
         [
-            fill_lines(
-                [f"{_name_best(table)}{table.title}{_describe_alike(table, summaries, ranking)}."]
-            ),
+            fill_lines([best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
             _format(cut_rows(table)),

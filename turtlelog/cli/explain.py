@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from turtlelog.explain import Attribution, Identification, Luck
 
 _NOTHING: Final = "no scenario fits this log"
+_GIVEN: Final = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
 _DETAILS: Final = "Every cause, setting and its evidence: --details"
 
 
@@ -141,6 +142,8 @@ def explain(
         print_text(format_motion(file, run, motion))
     else:
         print_text(format_answer(answer, found))
+        if attribution is not None and run.declaration.list_gains():
+            print_text(_GIVEN)
         print_text(f"\n{format_details(answer, found)}" if options.details else _DETAILS)
     if options.rrd is not None:
         _draw(run, found, attribution, options.rrd, require_jobs(options.jobs))

@@ -98,7 +98,14 @@ def _format_values(known: "Sequence[AxisModel]") -> str:
 
 def _describe_motion(known: "Sequence[AxisModel]") -> str:
     """Return a sentence on the robot's steady-state response to commands."""
-    return f"The robot {join_words([describe_gain(axis) for axis in known])}."
+    return (
+        f"The robot {join_words([f'{describe_gain(axis)}{_tell_bound(axis)}' for axis in known])}."
+    )
+
+
+def _tell_bound(axis: "AxisModel") -> str:
+    """Return the rate up to which an axis follows its commands, if it has a bound."""
+    return "" if axis.bound is None else f" up to {axis.bound.value:.3g} {axis.bound.unit}"
 
 
 def describe_gain(axis: "AxisModel") -> str:

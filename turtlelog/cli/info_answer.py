@@ -108,7 +108,9 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
         is_alone: Whether this is the only file, so that next commands are listed.
     """
     name = _name_file(answer)
-    rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics)]
+    rows = [*_list_rows(answer), *_list_notes(answer, clocks=False)]
+    rows += [*_list_lacks(answer, topics=topics), *_list_notes(answer, clocks=True)]
+    rows += _describe_durations(answer)
     width = max((len(key) for key, _ in rows), default=0)
     lines = [_fill(f"{name}: ", _write_head(answer))]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
@@ -204,12 +206,17 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
     yield from _describe_robots(answer)
-    yield from _describe_durations(answer)
     if not answer.summary.endswith(NOTHING_LEFT):
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
-    yield from ((key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items())
+
+
+def _list_notes(answer: InfoAnswer, *, clocks: bool) -> Iterator[tuple[str, str]]:
+    """Yield remarks: on the clocks, which come last, or on all else."""
+    for key, text in answer.notes.items():
+        if (key == "clock") is clocks:
+            yield key.replace("_", " "), _tell_note(text)
 
 
 def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:

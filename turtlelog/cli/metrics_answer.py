@@ -235,7 +235,9 @@ def _has_value(summary: "RunSummary", loop: str) -> bool:
 
 
 def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield remarks: final heading, clipping, oscillation, loops that do not settle."""
+    """Yield remarks: place of the end, clipping, oscillation, loops that do not settle."""
+    if summary.goal_end is not None and summary.goal_end.verdict == "missed":
+        yield summary.goal_end.describe_place()
     heading = summary.metrics.get("final.heading_error")
     if heading is not None and heading.value is not None and summary.goal_end is not None:
         yield f"Final heading error: {_show(heading)}."
@@ -435,10 +437,6 @@ def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
         _find_value(one, "final.position_error") is not None for one in summaries
     ):
         far = _describe_range(summaries, "final.position_error")
-        judged = all(end.verdict != "ended" for end in ends)
-        reached = sum(end.verdict == "reached" for end in ends)
-        count = {0: "none reaches the goal; ", len(ends): "all reach the goal; "}.get(
-            reached, f"{reached} reach{'es' if reached == 1 else ''} the goal; "
-        )
-        return f"{count if judged else ''}they end {far} from the goal, {lasting}"
+        reached = tl.compare.describe_reached(summaries)
+        return f"{f'{reached}; ' if reached else ''}the ends are {far} from the goal, {lasting}"
     return f"they last {_describe_range(summaries, 'run.duration')}"

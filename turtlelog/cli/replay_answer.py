@@ -9,8 +9,9 @@ import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.cli.replay_metrics import MetricChange, build_changes, format_changes
-from turtlelog.display import describe_count, format_pair, show_angle
+from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.escapes import escape_controls
+from turtlelog.run.ending import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -316,20 +317,26 @@ def _describe_published(found: "LawReplay") -> str:
 def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -> str:
     """Return whether the replay equals the recording, and its first difference."""
     first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
+    name = escape_controls(file.name)
     if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
         columns = "every column that it holds" if found.absent else "every column"
-        slack = _describe_slack(found.signals)
-        head = f"the replay is the recording, in {columns}{end}{slack}"
+        lines = [
+            f"{name}: the replay is the recording, in {columns}{end}"
+            f"{_describe_slack(found.signals)}."
+        ]
     else:
-        # For a changed scenario, a difference is expected and not a failure.
-        given = "with" if found.run.name.startswith(run.name) else "called"
-        whose = f"{given} {changes}, the replay" if changes else "the replay"
-        head = (
-            f"{escape_controls(whose)} departs in {_format_difference(run, first, found.signals)}"
-        )
-    lines = [f"{escape_controls(file.name)}: {head}."]
+        departs = f"departs in {_format_difference(run, first, found.signals)}."
+        lines = [f"{name}: the replay {departs}"]
+        if changes:
+            # For a changed scenario, a difference is expected: its result is the answer.
+            given = "with" if found.run.name.startswith(run.name) else "called"
+            change = escape_controls(f"{given} {changes}")
+            result = _describe_result(run, found.run)
+            lines = [f"{name}: {change}, the replay {departs}"]
+            if result:
+                lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
     lines += [*_list_counts(run, found), *_format_declaration(found)]
     lines += [] if first is None or changes else _describe_software(run, found)
     rows = "tick by tick" if found.by_tick else "sample by sample"
@@ -337,6 +344,22 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
     parts = [fill_lines(lines)]
     parts += [] if first is None else [f"\n{format_changes(run, found.run)}"]
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
+
+
+def _describe_result(run: "Run", replayed: "Run") -> str:
+    """Return how a replay ended beside the recording, or its most important metric."""
+    ends = [find_goal_end(one) for one in (run, replayed)]
+    if ends[0] is not None and ends[1] is not None:
+        was = format_short(ends[0].error_m, "m")
+        after = f" after {ends[0].duration_s:.3g} s"
+        is_same = (ends[0].error_m, ends[0].duration_s) == (ends[1].error_m, ends[1].duration_s)
+        return f"it {ends[1].describe()}, {'as' if is_same else f'not {was}{after} as'} recorded."
+    both = [one for one in build_changes(run, replayed) if one.difference is not None]
+    if not both:
+        return ""
+    was, now = format_pair(both[0].recorded, both[0].replayed, both[0].unit)
+    beside = "as recorded" if both[0].difference == 0.0 else f"recorded {was}"
+    return f"{both[0].id} is {now}, {beside}."
 
 
 def _format_signals(

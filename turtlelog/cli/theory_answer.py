@@ -140,8 +140,11 @@ def format_file(
     ]
     tables = [tabulate_recommended(one, wishes, shows_all=shows_all) for one in groups]
     tables += [tabulate_answers(f"The loops of {name}", answers)] if shows_all else []
-    head = [_conclude(name, advice, wishes), *(_describe_loop(one, advice) for one in known)]
-    return _join(head, tables, rest)
+    said: dict[str, list[str]] = {}
+    for one in known:  # loops that are alike share a sentence
+        said.setdefault(_describe_loop(one, advice), []).append(one.title)
+    head = [f"{join_words(names)}: {text}" for text, names in said.items()]
+    return _join([_conclude(name, advice, wishes), *head], tables, rest)
 
 
 class _Advice(NamedTuple):
@@ -185,9 +188,7 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
     motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
-    grows = answer.model is not None and answer.model.most_dead_time_s is not None
-    place = " at the least dead time" if grows else ""
-    return f"{answer.title}: {said}; stable for Kp {_show_range(answer)}{place}."
+    return f"{said}; stable for Kp {_show_late_range(answer)}."
 
 
 def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:
@@ -255,13 +256,24 @@ _MOST_SAID: Final = 4
 
 
 def _show_range(answer: LoopAnswer) -> str:
-    found = answer.found
-    if found is None or not found.stable_gains:
-        return "of no value"
-    return " and ".join(
+    return _write_ranges(() if answer.found is None else answer.found.stable_gains)
+
+
+def _show_late_range(answer: LoopAnswer) -> str:
+    """Return the stable range of Kp at the most dead time, for which gains are recommended."""
+    model = answer.model
+    if model is None or model.most_dead_time_s is None:
+        return _show_range(answer)
+    stable = tl.theory.find_stable_gains(model.require()[0], **model.require_latest())
+    return f"{_write_ranges(stable)} at the most dead time, {1e3 * model.most_dead_time_s:.6g} ms"
+
+
+def _write_ranges(ranges: "Sequence[tuple[float, float]]") -> str:
+    written = [
         f"below {high:.4g} 1/s" if low == 0.0 else f"from {low:.4g} to {high:.4g} 1/s"
-        for low, high in found.stable_gains
-    )
+        for low, high in ranges
+    ]
+    return " and ".join(written) or "of no value"
 
 
 def _list_run(word: str, answers: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> Iterator[str]:

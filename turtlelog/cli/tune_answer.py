@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, fit_table
-from turtlelog.display import describe_count, format_number
+from turtlelog.display import describe_count, format_number, format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
@@ -189,7 +189,7 @@ def format_answer(answer: Answer) -> str:
     texts = [fit_table(table) for table in tables]
     if answer.spread is not None:
         texts.append(fit_table(_tabulate_spread(answer, answer.spread)))
-    return "\n".join([fill_lines([_conclude(answer)]), "", *texts])
+    return "\n".join([fill_lines([_conclude(answer), *_describe_room(answer)]), "", *texts])
 
 
 def _conclude(answer: Answer) -> str:
@@ -212,6 +212,20 @@ def _conclude(answer: Answer) -> str:
     elif answer.goal.constraints:
         count += ", which all fulfil the constraints"
     return f"{values}: {name} is {value}, the {word} of {count}."
+
+
+def _describe_room(answer: Answer) -> list[str]:
+    """Return how far the keys can go without a much worse objective."""
+    around = answer.around
+    if around is None or not around.ranges or answer.tuned.is_flat:
+        return []
+    slack = format_short(around.slack, answer.unit)
+    ways = [
+        f"{one.key} = {format_number(one.low)} to {format_number(one.high)}"
+        for one in around.ranges
+    ]
+    alone = "is" if len(ways) == 1 else "(each changed alone) are"
+    return [f"As far as tried, {join_words(ways)} {alone} worse by {slack} at most."]
 
 
 def _tabulate_best(answer: Answer) -> "Table":

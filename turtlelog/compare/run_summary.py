@@ -11,7 +11,7 @@ from typing import Any, Final
 from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.ranking import Conditions, find_conditions
-from turtlelog.display import fit_line
+from turtlelog.display import fit_line, join_words
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.measure import (
@@ -130,6 +130,23 @@ class RunSummary:
     def _repr_html_(self) -> str:
         first = list_essential_metrics(self.declaration)
         return Metrics(self.metrics.items(), first=first)._repr_html_()
+
+
+_MOST_NAMED: Final = 3
+"""Largest number of runs that a clause names."""
+
+
+def describe_reached(summaries: Sequence[RunSummary]) -> str:
+    """Return which runs reach the goal, as a clause; empty if the tolerances of one are unknown."""
+    ends = [(one.name, one.goal_end) for one in summaries if one.goal_end is not None]
+    if not ends or len(ends) < len(summaries) or any(end.verdict == "ended" for _, end in ends):
+        return ""
+    names = [name for name, end in ends if end.verdict == "reached"]
+    if len(names) in {0, len(ends)}:
+        return "all reach the goal" if names else "none reaches the goal"
+    if len(names) > _MOST_NAMED:
+        return f"{len(names)} of {len(ends)} reach the goal"
+    return f"only {join_words(names)} {'reaches' if len(names) == 1 else 'reach'} the goal"
 
 
 def complete_parameters(run: Run) -> Mapping[str, Parameter]:

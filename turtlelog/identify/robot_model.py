@@ -368,13 +368,21 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
     if not said:
         return f"{name}: no axis could be identified."
     rest = f" The {unknown[0]} could not be identified." if unknown else ""
-    doubted = [NAMES[axis.axis] for axis in axes if axis.is_known and axis.doubts]
+    doubted = [_write_doubted(axis) for axis in axes if axis.is_known and axis.doubts]
     if doubted:
         rest += f" In doubt: {join_words(doubted)}."
     words = ", ".join(
         [said[0].format("follows its commands with "), *(one.format("with ") for one in said[1:])]
     )
     return f"{name}: {words}.{rest}"
+
+
+def _write_doubted(axis: AxisModel) -> str:
+    """Return a doubtful axis with the delay for the design of a controller, if it is known."""
+    delay_s = axis.advised_delay_s
+    if delay_s is None or not math.isfinite(delay_s):
+        return NAMES[axis.axis]
+    return f"{NAMES[axis.axis]} (plan with {1e3 * delay_s:.0f} ms)"
 
 
 def _write_gain(found: Estimate | None) -> str:

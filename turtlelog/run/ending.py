@@ -13,6 +13,10 @@ _REACHED: Final = "within_tolerance"
 _MISSED: Final = ("standstill", "settled", "timeout", "max_duration")
 """Stop reasons of built-in laws in runs that do not reach the goal."""
 
+_SMALL: Final = 0.01
+"""Share of the error below which a part of it, across or along the line to the goal, is left out:
+squares add, so it changes the error by less than 0.01 %."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoalEnd:
@@ -22,12 +26,17 @@ class GoalEnd:
         verdict: `reached`, `missed`, or `ended` if the run has no tolerances to judge the error by.
         error_m: Metric `final.position_error` [m].
         allowed_m: Final position error that the tolerances of the law allow [m]; 0 without them.
+        left_m: Distance of the end to the left of the line from start to goal [m].
+        short_m: Distance by which the end is short of the goal along this line [m]; negative
+            beyond.
         duration_s: Metric `run.duration` [s].
     """
 
     verdict: Literal["reached", "missed", "ended"]
     error_m: float
     allowed_m: float
+    left_m: float
+    short_m: float
     duration_s: float
 
     def describe(self) -> str:
@@ -38,7 +47,22 @@ class GoalEnd:
             return f"reached the goal within {size} {after}"
         if self.verdict == "ended":
             return f"ended {size} from the goal {after}"
-        return f"missed the goal by {size} (allowed: {format_short(self.allowed_m, 'm')}) {after}"
+        # In the same unit as the error, so that both compare at a glance.
+        unit = size.rpartition(" ")[2]
+        allowed = f"{self.allowed_m * (1e3 if unit == 'mm' else 1.0):.3g} {unit}"
+        return f"missed the goal by {size} (allowed: {allowed}) {after}"
+
+    def describe_place(self) -> str:
+        """Return a sentence on the place of the end: across and along the line to the goal."""
+        parts = []
+        if abs(self.left_m) > _SMALL * self.error_m:
+            side = "left" if self.left_m > 0.0 else "right"
+            size = format_short(abs(self.left_m), "m")
+            parts.append(f"{size} {side} of the line from start to goal")
+        if abs(self.short_m) > _SMALL * self.error_m:
+            side = "short of" if self.short_m > 0.0 else "beyond"
+            parts.append(f"{format_short(abs(self.short_m), 'm')} {side} the goal")
+        return f"The end is {' and '.join(parts)}."
 
 
 def find_goal_end(run: "Run") -> GoalEnd | None:
@@ -53,7 +77,19 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
         verdict = "reached"
     elif run.stop_reason in _MISSED and allowed_m:
         verdict = "missed"
-    return GoalEnd(verdict=verdict, error_m=error_m, allowed_m=allowed_m, duration_s=run.duration_s)
+    (x_m, y_m), (goal_x_m, goal_y_m) = run.poses.xy_m[0].tolist(), run.goal_xy_m
+    bearing_rad = math.atan2(goal_y_m - y_m, goal_x_m - x_m)
+    cos, sin = math.cos(bearing_rad), math.sin(bearing_rad)
+    end_x_m, end_y_m = run.poses.xy_m[-1].tolist()
+    to_x_m, to_y_m = goal_x_m - end_x_m, goal_y_m - end_y_m
+    return GoalEnd(
+        verdict=verdict,
+        error_m=error_m,
+        allowed_m=allowed_m,
+        left_m=sin * to_x_m - cos * to_y_m,
+        short_m=cos * to_x_m + sin * to_y_m,
+        duration_s=run.duration_s,
+    )
 
 
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:

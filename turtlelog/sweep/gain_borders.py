@@ -195,8 +195,7 @@ def _compute(model: LoopModel) -> ColumnLimits:
     process, period_s = settings["process"], settings["period_s"]
     grown = None
     if model.most_dead_time_s is not None:
-        longest = replace(process, dead_time_s=model.most_dead_time_s)
-        grown = find_stable_gains(pid, period_s=period_s, process=longest)
+        grown = find_stable_gains(pid, **model.require_latest())
     is_proportional = not pid.ki and not pid.kd
     design = LoopDesign(process=process, period_s=period_s, filter_s=pid.filter_s)
     return ColumnLimits(

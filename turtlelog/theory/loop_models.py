@@ -107,11 +107,20 @@ class LoopModel:
         Raises:
             TheoryError: If there is no model; the message is the reason.
         """
+        settings = self.require_latest()
+        process = settings["process"]
+        settings["process"] = replace(process, lag_s=process.lag_s + self.ramp_s)
+        return settings
+
+    def require_latest(self) -> Settings:
+        """Return period and process with the largest possible dead time.
+
+        Raises:
+            TheoryError: If there is no model; the message is the reason.
+        """
         _, settings = self.require()
-        process, most_s = settings["process"], self.most_dead_time_s
-        late_s = process.dead_time_s if most_s is None else most_s
-        slow_s = process.lag_s + self.ramp_s
-        settings["process"] = replace(process, dead_time_s=late_s, lag_s=slow_s)
+        if self.most_dead_time_s is not None:
+            settings["process"] = replace(settings["process"], dead_time_s=self.most_dead_time_s)
         return settings
 
 

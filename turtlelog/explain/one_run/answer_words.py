@@ -11,6 +11,7 @@ from turtlelog.explain.one_run.attribution import (
     Contribution,
     SeedRange,
     StartRange,
+    Together,
     ValueSet,
     is_clear,
 )
@@ -85,7 +86,14 @@ def write_cause_head(found: Attribution) -> str:
     if found.seeds is not None:
         return f"{head} in the mean over seeds"
     is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
-    return f"{head}, in about equal parts" if is_alike else head
+    if not is_alike:
+        return head
+    # Other start headings divide the value otherwise.
+    return f"{head}, in about equal parts{' in this run' if _is_wide(found) else ''}"
+
+
+def _is_wide(found: Attribution) -> bool:
+    return found.starts is not None and found.starts.is_wide
 
 
 def write_main(found: Attribution) -> str:
@@ -131,11 +139,10 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
     else:
-        starts = [_write_starts(found)]
         # Parts that other samples would change must not be read as facts about the robot.
-        is_wide = found.starts is not None and found.starts.is_wide
-        sentences = [*(starts if is_wide else ()), _write_seeds(found), _write_rest(found)]
-        sentences += [_write_together(found), *(() if is_wide else starts)]
+        last = [_write_together(found), _write_starts(found)]
+        last = last[::-1] if _is_wide(found) else last
+        sentences = [_write_seeds(found), _write_rest(found), *last]
         sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
@@ -192,7 +199,10 @@ def _write_rest(found: Attribution) -> str:
             f"{_capitalise(join_words(names))}{together} it by {format_value(found, added)},"
             f" not more than the resolution, {_describe_resolution(found)}."
         )
-    without = f"Without {_name_acting(found)} it would be {format_value(found, found.without_all)}"
+    whole = f"without {_name_acting(found)} {{}}{format_value(found, found.without_all)}"
+    single = _write_singles(found)
+    without = f"{single}, {whole.format('')}" if single else whole.format("it would be ")
+    without = _capitalise(without)
     cancel = ""
     if abs(added) <= found.resolution.size:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
@@ -238,14 +248,30 @@ def _write_together(found: Attribution) -> str:
         return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
     parts = [
-        write_joint(
-            case.causes, case.value, format_value(found, abs(case.value), case.standard_error)
-        )
+        _write_case(found, case)
         for case in largest
         if abs(case.value) > _NAMED * _sum_contributions(found)
         and is_clear(case.value, case.standard_error)
     ]
     return " ".join(parts)
+
+
+def _write_case(found: Attribution, case: Together) -> str:
+    size = format_value(found, abs(case.value), case.standard_error)
+    return write_joint(case.causes, case.value, size)
+
+
+def _write_singles(found: Attribution) -> str:
+    """Return the value without each of two causes; empty if chance or others take part."""
+    alone = {one.cause: one.alone for one in found.contributions if one.cause in found.acting}
+    is_pair = len(alone) == 2 == len(choose_named(found))
+    if found.seeds is not None or not is_pair or None in alone.values():
+        return ""
+    (first, value), (second, other) = alone.items()
+    return (
+        f"without {first} it would be {format_value(found, value)},"
+        f" without {second} {format_value(found, other)}"
+    )
 
 
 def write_joint(names: Sequence[str], value: float, size: str) -> str:
@@ -338,10 +364,10 @@ def _write_starts(found: Attribution) -> str:
     span = _format_span(found, starts.low, starts.high)
     if not starts.is_wide:
         return f"F{where} {span}{missing}."
-    return (
-        f"It depends on single samples: f{where} {span}{missing}."
-        f"{_write_parts(starts)}{_write_without_all(found, starts)}"
-    )
+    rest = ""
+    if starts.without_all is not None:
+        rest = f", without {_name_acting(found)} {_format_span(found, *starts.without_all)}"
+    return f"It depends on single samples: f{where} {span}{rest}{missing}.{_write_parts(starts)}"
 
 
 def _write_parts(starts: StartRange) -> str:
@@ -352,13 +378,6 @@ def _write_parts(starts: StartRange) -> str:
         for part in starts.parts[: len(names) - 1]
     ]
     return f" {_capitalise(join_words(parts))} of what {join_words(names)} add." if parts else ""
-
-
-def _write_without_all(found: Attribution, starts: StartRange) -> str:
-    if starts.without_all is None:
-        return ""
-    span = _format_span(found, *starts.without_all)
-    return f" Without {join_words(found.acting)} it is {span}."
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:

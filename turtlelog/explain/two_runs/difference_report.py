@@ -393,12 +393,13 @@ def _write_effects(found: "ExplainedDifference") -> str:
     """Return how the contributions of `explain` differ; empty if the differences are negligible."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
     parts = [_write_shift(found, one) for one in large[:_FEW]]
-    head = "As a whole, effects contribute differently in the second run (turtlelog explain)"
-    return f"{head}: {join_words(parts)}." if parts else ""
+    head = "By cause (turtlelog explain), the second run has"
+    return f"{head} {join_words(parts)}." if parts else ""
 
 
 def _write_shift(found: "ExplainedDifference", one: "EffectShift") -> str:
-    return f"{one.cause} {'+' if one.shift >= 0.0 else ''}{format_magnitude(found, one.shift)}"
+    size = format_magnitude(found, abs(one.shift))
+    return f"{size} {'more' if one.shift >= 0.0 else 'less'} from the {one.cause}"
 
 
 def _write_idle(found: "ExplainedDifference") -> str:

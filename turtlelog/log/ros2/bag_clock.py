@@ -174,7 +174,7 @@ def _describe(found: StampClock) -> str:
     else:
         texts.append(
             f" {_format_offset(offset_ns)}, mapped to the recorder's clock by the fastest message,"
-            f" whose transport is unknown; usually it takes {jitter_ns / 1e6:.1f} ms more"
+            f" whose transport is unknown; usually others take {jitter_ns / 1e6:.1f} ms more"
         )
         if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
             drift = f"{(pace - 1.0) * 1e6:+.0f} ppm"
