@@ -334,7 +334,7 @@ class SimulatedRuns:
             scenario: A preset, a file, or the scenario itself. Default: `paper`; with a law,
                 `textbook`.
             law: Law to use: a class, a `LawPart` or the name of a law, as in `my_law.py:MyLaw`.
-            kp: Value of all gains that the law declares.
+            kp: One value for each gain that the law declares.
             changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
             step_budget_s: Time for computing one answer of the law [s]; None: unlimited.
 

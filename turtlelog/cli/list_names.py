@@ -30,7 +30,7 @@ _PRESETS: Final = {
 _NOTES: Final[Mapping[str, str]] = {
     "metrics": "These metrics belong to the law sequential-p. Other laws have loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
-    "signals": "And the states of laws of your own, by their names.",
+    "signals": "The states of your own laws are signals too, under their own names.",
     "causes": "effect: of the implementation; design: a design parameter.",
     "laws": "And laws of your own: FILE.py:NAME.",
 }

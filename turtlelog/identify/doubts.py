@@ -76,7 +76,7 @@ def cover_rivals(
     rivals = describe_rivals([structure, *(one for one, _ in others)])
     doubt = (
         f"The log does not show what limits the {NAMES[found.axis]}: {rivals}."
-        " The intervals cover each, and advice uses the longer delay."
+        " The intervals cover both cases, and advice uses the longer delay."
     )
     return replace(covered, doubts=(*found.doubts, doubt))
 

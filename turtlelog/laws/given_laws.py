@@ -1,4 +1,4 @@
-"""Names for laws that are objects of this Python session, and completion of laws of a few lines.
+"""Names of laws that are objects of this Python session, and the defaults of laws of a few lines.
 
 A scenario contains the name of a law. A law of this session gets the name `session:NAME`, by which
 this process and its forks find the law. Other processes get the law with their work

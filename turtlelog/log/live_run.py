@@ -103,7 +103,7 @@ def run_live(
 
     Args:
         scenario: Scenario to simulate.
-        sinks: Receivers of the ticks, in this order.
+        sinks: Receivers of the ticks. Each tick goes to them in the order of the list.
         realtime: Whether each tick waits for its time on the clock.
         clock: Clock used with `realtime`.
         step_budget_s: Longest computing time of the law per step [s]; None: no limit.

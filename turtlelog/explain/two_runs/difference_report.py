@@ -1,4 +1,4 @@
-"""Sentences on the difference of a metric between two runs, which hold for these runs."""
+"""Sentences that say why a metric differs between two runs, true for these runs only."""
 
 import math
 from collections.abc import Sequence

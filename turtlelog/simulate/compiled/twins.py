@@ -208,7 +208,7 @@ def build_dtype(kind: type[Any]) -> np.dtype[Any]:
 
 
 def _to_tuple(thing: Any) -> tuple[Any, ...]:
-    """Return a dataclass as the tuple that fills its record."""
+    """Return the values of a dataclass as a tuple, in the order of its record."""
     values = tuple(
         _to_tuple(value) if dataclasses.is_dataclass(value) else value
         for value in (getattr(thing, one.name) for one in dataclasses.fields(thing))
