@@ -126,7 +126,7 @@ def test_the_answer_begins_with_the_value_and_its_causes(call: Call, kp10: Path)
     ]
     assert lines[3].startswith("  queue  +0.05108 m  commands wait: dead time 4 ticks rotating")
     assert lines[4].startswith("  pause  +0.05057 m  the controller is silent for 0.528 s")
-    assert "Design parameter: tolerance (without it, tolerances of 1e-06: 0.0009877 m)." in lines
+    assert "Without it (tolerances of 1e-06) the value is 0.0009877 m." in " ".join(lines)
     sure = "Confidence: exact. The re-simulation reproduces all 770 samples bit for bit."
     given = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
     assert lines[-3:] == [sure, given, "Every cause, setting and its evidence: --details"]

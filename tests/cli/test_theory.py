@@ -69,10 +69,12 @@ def test_gains_are_kept_that_overshoot_no_more_and_settle_no_later_than_recommen
 
 def test_recommended_gains_say_what_they_cost(call: Call) -> None:
     text = " ".join(call("theory", "--dead-time", "5", "--kp", "4").out.split())
-    better = "Better than Kp = 4 1/s in settling time (0.528 s, not 0.624 s); worse in overshoot"
-    assert f"{better} (5 %, not 0 %), gain margin and phase margin." in text
+    better = (
+        "Better than Kp = 4 1/s in settling time (0.528 s instead of 0.624 s); worse in overshoot"
+    )
+    assert f"{better} (5 % instead of 0 %), gain margin and phase margin." in text
     text = " ".join(call("theory", "--lag", "0.2", "--dead-time-s", "0.1").out.split())
-    assert "worse in overshoot (5 %, not 0 %)" in text
+    assert "worse in overshoot (5 % instead of 0 %)" in text
     assert "Kp = 10: stable, but its slowest part hardly decays." in text
     assert "Kp = 16 1/s is unstable." in call("theory", "--dead-time", "6", "--kp", "16").out
 
@@ -206,7 +208,7 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     first = "Recommended without command limits: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2"
     assert lines[:2] == [first, "for 5 % overshoot."]
     assert lines[2].startswith(
-        "Better than Kp = 2 1/s and Ki = 1 1/s^2 in overshoot (5 %, not 22.4 "
+        "Better than Kp = 2 1/s and Ki = 1 1/s^2 in overshoot (5 % instead of 22.4 "
     )
     assert "Stable for Kp from 0.2326 to 10.83 1/s." in lines
     assert any(line.startswith("Kp = 2: stable, overshoots by 22.43 %, settles") for line in lines)
@@ -246,7 +248,7 @@ def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     words = " ".join(lines)
     first = "kp10.mcap: recommended for 5 % overshoot, without command limits: Kp = 7.14 1/s"
     assert words.startswith(f"{first} (rotate), Kp = 4.95 1/s (translate).")
-    assert "rotate: better than Kp = 10 1/s in overshoot (5 %, not 22.6 %), settling" in words
+    assert "rotate: better than Kp = 10 1/s in overshoot (5 % instead of 22.6 %), settling" in words
     assert "gain margin and phase margin; stable for Kp below 15.07 1/s." in words
     assert "--set law.kp_angular=7.14 --set law.kp_linear=4.95" in words
     assert len(lines) <= 40

@@ -147,7 +147,7 @@ def test_a_property_is_named_beside_with_its_direction(case: str) -> None:
     assert found.resimulated is not None
     assert abs(other.alone - found.resimulated) > 0.3 * abs(found.resimulated)
     assert ("higher" if other.alone > found.resimulated else "lower") == way
-    (named,) = [text for text in write_sentences(found) if f"{name} (without it" in text]
+    (named,) = [text for text in write_sentences(found) if f": {name}. Without it" in text]
     assert (other.ending or f"{other.alone:.4g}") in named
     assert ("in the mean" in named) == (found.seeds is not None and not other.ending)
     assert not named.startswith("Not a cause") or way == "higher"
@@ -157,7 +157,7 @@ def test_float32_is_named_where_no_pose_of_32_bits_is_within_the_tolerance() -> 
     values = {"law.heading_tolerance_rad": 1e-9, "law.kp_angular": 20.0}
     found = attribute(change(**values), "final.position_error")
     assert (
-        "Design parameter: float32 (without it, poses of 64 bits: the rotation ends within 2 s)."
+        "Design parameter: float32. Without it (poses of 64 bits), the rotation ends within 2 s."
         in write_sentences(found)
     )
 
@@ -223,7 +223,7 @@ def test_seeds_without_a_value_are_left_out_up_to_half_of_them(chance: float, us
     found = attribute_scenario(scenario, metric=metric)
     sentences = " ".join(write_sentences(found))
     if used > 16:
-        text = f"over {used} of 32 seeds (with the others it has no value, or none without some"
+        text = f"Over {used} of 32 seeds (with the others it has no value, or none without some"
         assert text in sentences
     else:
         assert (

@@ -70,17 +70,17 @@ def test_the_gain_of_ten_in_words() -> None:
         " and pause add.",
         "Queue and pause need each other: 0.05761 m of their contributions arises only if both"
         " act.",
-        "Not a cause: saturation and sampling (without each the value is larger: 0.8506 m,"
-        " 0.1361 m).",
-        "Design parameter: tolerance (without it, tolerances of 1e-06: 0.0009877 m).",
+        "Not a cause: saturation and sampling. The value is larger without saturation (0.8506 m)"
+        " and without sampling (0.1361 m).",
+        "Design parameter: tolerance. Without it (tolerances of 1e-06) the value is 0.0009877 m.",
     )
 
 
 @pytest.mark.parametrize("name", ["paper-kp1", "paper-kp2", "paper-kp4"])
 def test_at_lower_gains_queue_and_pause_are_negligible(name: str) -> None:
     cause = write_sentences(attribute_scenario(get_preset(name)))[1]
-    assert cause.startswith("Queue, pause and wrap together change it by ")
-    assert "m, not more than the resolution, 0.006693 m (heading tolerance times" in cause
+    assert cause.startswith("Together, queue, pause and wrap change it by ")
+    assert "m. This is within the resolution of 0.006693 m (heading tolerance times" in cause
 
 
 def test_six_ticks_of_delay_are_named_by_their_time() -> None:
@@ -129,7 +129,10 @@ def test_the_value_is_the_logs_and_the_re_simulations(changes: Any, first: str) 
 @pytest.mark.parametrize(
     ("queue", "cause"),
     [
-        (0.0099, "Queue and pause together change it by 0.0099 m, not more than the resolution, "),
+        (
+            0.0099,
+            "Together, queue and pause change it by 0.0099 m. This is within the resolution of ",
+        ),
         (0.0101, "One effect of the implementation changes it: queue +0.0101 m."),
         (-0.0101, "One effect of the implementation changes it: queue -0.0101 m."),
     ],
@@ -215,9 +218,9 @@ def test_what_makes_less_together_is_told_too() -> None:
 )
 def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_named: bool) -> None:
     sentences = write_sentences(describe(queue=0.5, **take_out("float32", alone)))
-    named = f"Design parameter: float32 (without it, poses of 64 bits: {alone:.4g} m)."
+    named = f"Design parameter: float32. Without it (poses of 64 bits) the value is {alone:.4g} m."
     if alone > 1.0:
-        named = f"Not a cause: float32 (without it the value is larger: {alone:.4g} m)."
+        named = f"Not a cause: float32. Without it the value is larger: {alone:.4g} m."
     assert (named in sentences) == is_named
 
 
@@ -225,18 +228,18 @@ def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_na
 def test_a_property_is_named_beyond_the_resolution(alone: float, *, is_named: bool) -> None:
     resolution = Resolution(size=0.2, reason="heading tolerance")
     sentences = write_sentences(describe(resolution=resolution, **take_out("float32", alone)))
-    assert any("float32 (without it" in text for text in sentences) == is_named
+    assert any("float32. Without it" in text for text in sentences) == is_named
 
 
 def test_a_property_without_which_something_never_ends_has_no_value() -> None:
     ending = "the rotation no longer ends within 60 s"
     sentences = write_sentences(describe(**take_out("tolerance", 5.7, ending)))
     assert sentences[-1] == (
-        "Design parameter: tolerance (without it, tolerances of 1e-06: the rotation no longer ends"
-        " within 60 s)."
+        "Design parameter: tolerance. Without it (tolerances of 1e-06), the rotation no longer ends"
+        " within 60 s."
     )
     sentences = write_sentences(describe(**take_out("tolerance", None, "no phase")))
-    assert sentences[-1].endswith("(without it, tolerances of 1e-06: no value, no phase).")
+    assert sentences[-1].endswith("Without it (tolerances of 1e-06) there is no value: no phase.")
 
 
 def test_what_has_no_value_is_explained_by_the_sets_that_decide() -> None:
@@ -289,7 +292,7 @@ def test_noise_that_changes_nothing_is_no_part_of_a_sum() -> None:
         without_all=0.994,
     )
     assert write_sentences(found)[1].startswith("The noise does not change this metric.")
-    assert write_sentences(found)[2].startswith("Queue and pause together change it by 0.006 m")
+    assert write_sentences(found)[2].startswith("Together, queue and pause change it by 0.006 m")
 
 
 def test_noise_that_changes_nothing_takes_one_sentence_and_no_table() -> None:

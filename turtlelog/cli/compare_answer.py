@@ -229,7 +229,7 @@ def _list_next(
         option = "" if metric == "final.position_error" else f" --metric {metric}"
         file = escape_controls(shlex.quote(summaries[row].file))
         yield f"Why is {names[row]} worse? turtlelog explain {file}{option}"
-    yield "Other columns: --metric IDS. Every metric: --json, or turtlelog metrics."
+    yield "For other columns: --metric IDS. For every metric: --json, or turtlelog metrics."
 
 
 def format_reference(

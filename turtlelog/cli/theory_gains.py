@@ -205,7 +205,7 @@ def compare_gains(best: "Recommendation", given: "Recommendation") -> str:
         if new.value is None or old.value is None or new.tell() == old.tell():
             continue
         found = better if (new.value > old.value) == new.more_is_better else worse
-        values = f" ({new.tell()}, not {old.tell()})" if new.unit else ""
+        values = f" ({new.tell()} instead of {old.tell()})" if new.unit else ""
         found.append(f"{new.noun}{values}")
     if not better:
         return ""

@@ -194,10 +194,11 @@ def _write_rest(found: Attribution) -> str:
     if _is_negligible(found):
         idle = _list_idle(found) if found.seeds is not None else []  # named in another sentence
         names = [name for name in found.causes if name not in idle]
-        together = " together change" if len(names) > 1 else " changes"
+        change = "change" if len(names) > 1 else "changes"
+        who = f"Together, {join_words(names)}" if len(names) > 1 else _capitalise(names[0])
         return (
-            f"{_capitalise(join_words(names))}{together} it by {format_value(found, added)},"
-            f" not more than the resolution, {_describe_resolution(found)}."
+            f"{who} {change} it by {format_value(found, added)}. This is within the resolution of"
+            f" {_describe_resolution(found)}."
         )
     whole = f"without {_name_acting(found)} {{}}{format_value(found, found.without_all)}"
     single = _write_singles(found)
@@ -305,12 +306,12 @@ def _write_seeds(found: Attribution) -> str:
     mean = format_value(found, seeds.mean, seeds.standard_error)
     low, high = format_value(found, seeds.low), format_value(found, seeds.high)
     # Values that round to equal digits have no range that these digits show.
-    within = f"are between {low} and {high}"
+    within = f"lie between {low} and {high}"
     if low == high:
         within = f"span {format_value(found, seeds.high - seeds.low)}"
     return (
-        f"Each seed gives another value: over {of} the mean is {mean} (one standard error), and the"
-        f" central 95 % {within}. Contributions are means over the seeds."
+        f"The value depends on the random seed. Over {of} its mean is {mean} (one standard error),"
+        f" and the central 95 % {within}. Contributions are means over the seeds."
     )
 
 
@@ -396,10 +397,12 @@ def _write_others(found: Attribution) -> list[str]:
 
 def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
     names = join_words([one.cause for one in lowering])
-    values = ", ".join(format_value(found, one.alone) for one in lowering)
-    without = "without it" if len(lowering) == 1 else "without each"
     mean = "" if found.seeds is None else " in the mean"
-    return f"Not a cause: {names} ({without} the value is larger{mean}: {values})."
+    if len(lowering) == 1:
+        value = format_value(found, lowering[0].alone)
+        return f"Not a cause: {names}. Without it the value is larger{mean}: {value}."
+    each = [f"without {one.cause} ({format_value(found, one.alone)})" for one in lowering]
+    return f"Not a cause: {names}. The value is larger{mean} {join_words(each)}."
 
 
 def _is_told(found: Attribution, one: Contribution) -> bool:
@@ -420,10 +423,12 @@ def _lowers(found: Attribution, one: Contribution) -> bool:
 def _write_alone(found: Attribution, one: Contribution) -> str:
     kind = "Effect apart" if one.cause in found.effects else "Design parameter"
     mean = "" if found.seeds is None else " in the mean"
-    change = one.ending or f"{format_value(found, one.alone)}{mean}"
+    without = f"{kind}: {one.cause}. Without it ({one.meaning})"
     if one.alone is None:
-        change = f"no value, {one.ending}"
-    return f"{kind}: {one.cause} (without it, {one.meaning}: {change})."
+        return f"{without} there is no value: {one.ending}."
+    if one.ending:
+        return f"{without}, {one.ending}."
+    return f"{without} the value is {format_value(found, one.alone)}{mean}."
 
 
 def format_value(
