@@ -140,10 +140,9 @@ class Metric(Numeric):
 
     A metric behaves as the float `value` in arithmetic, sorting, formatting and comparisons. A
     metric without a value raises MissingValueError when it is used as a number, also in `!=`, so
-    that no test passes by
-    mistake. `==` of two metrics compares value and unit, or status and reason if both lack a value;
-    it raises no error. `hash` uses the value. `bool` raises an error, because a metric of 0 is not
-    a failure.
+    that no test passes by mistake. `==` of two metrics compares value and unit, or status and
+    reason if both lack a value; it raises no error. `hash` uses the value. `bool` raises an error,
+    because a metric of 0 is not a failure.
 
     Attributes:
         id: `<phase, final or run>.<metric>`.
