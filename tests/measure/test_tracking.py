@@ -65,6 +65,11 @@ def test_along_error_is_the_reference_minus_the_nearest_point(square: tl.Run) ->
     assert read(square, "along.final_error") == pytest.approx(abs(20.0 - arc.values[-1]))
 
 
+def test_every_value_is_a_plain_number_which_a_table_of_files_can_store(square: tl.Run) -> None:
+    values = [metric.value for metric in tl.measure_run(square).values()]
+    assert {type(value) for value in values if value is not None} == {float}
+
+
 @pytest.mark.parametrize("late_s", [0.5, -0.25])
 def test_lag_of_a_robot_that_is_late_is_its_delay(late_s: float) -> None:
     time_s = np.arange(0.0, 20.0, 0.016)

@@ -75,7 +75,7 @@ def find_shift(time_s: Values, reference: Values, signal: Values) -> float:
     most_s = float(time_s[-1] - time_s[0]) / 2.0
     shifts_s = np.linspace(-most_s, most_s, len(coarse[0]) | 1)
     best = int(np.argmin([_compute_misfit(*coarse, shift_s) for shift_s in shifts_s]))
-    low_s, high_s = shifts_s[max(best - 1, 0)], shifts_s[min(best + 1, len(shifts_s) - 1)]
+    low_s, high_s = shifts_s[[max(best - 1, 0), min(best + 1, len(shifts_s) - 1)]].tolist()
     return _find_least(
         lambda shift_s: _compute_misfit(time_s, reference, signal, shift_s), low_s, high_s
     )
