@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.reductions import fold_at_zero
+from turtlelog.measure.reductions import fold_at_zero, subtract_neighbours
 from turtlelog.measure.references import read_controlled_distance, read_reference
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
@@ -103,7 +103,7 @@ class Response:
     @cached_property
     def step_s(self) -> Values:
         """Time from each row to the next [s], shape (n - 1,)."""
-        return np.diff(self.time_s)
+        return subtract_neighbours(self.time_s)
 
     @cached_property
     def folded_error(self) -> tuple[Values, Values, Values]:
@@ -201,7 +201,7 @@ def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:
         return after
     step_ns = time_ns[after] - time_ns[after - 1]
-    return after - 1 if step_ns <= _NEAR * compute_median(np.diff(time_ns)) else after
+    return after - 1 if step_ns <= _NEAR * compute_median(subtract_neighbours(time_ns)) else after
 
 
 def came_to_rest(run: Run) -> bool:
