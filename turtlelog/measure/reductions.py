@@ -35,7 +35,7 @@ def subtract_neighbours(values: NDArray[Any]) -> NDArray[Any]:
 
     As `np.diff`, which takes three times as long for a run of some hundred rows.
     """
-    return values[1:] - values[:-1]
+    return np.asarray(values[1:] - values[:-1])
 
 
 def _find_furthest_row(values: Any, direction: float) -> int:
