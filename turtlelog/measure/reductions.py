@@ -286,7 +286,7 @@ def _find_half(first: int, count: int, depth: int, path: int) -> tuple[int, int]
     return first, count
 
 
-def _add_up(values: Any, count: int) -> float:
+def add_up(values: Any, count: int) -> float:
     """Return the sum of the first values in the order of numpy's `sum` (pairwise summation).
 
     The sum of a left half overwrites its first value.
@@ -312,7 +312,7 @@ def _add_values(values: Any, memory: Any) -> float:
     pieces = memory.numbers[PIECES]
     for row in range(len(values)):
         pieces[row] = values[row]
-    return _add_up(pieces, len(values))
+    return add_up(pieces, len(values))
 
 
 @compiled_as(_add_values)
@@ -325,7 +325,7 @@ def _integrate(step_s: Any, values: Any, memory: Any) -> float:
     pieces = memory.numbers[PIECES]
     for row in range(len(step_s)):
         pieces[row] = step_s[row] * (values[row] + values[row + 1])
-    return _add_up(pieces, len(step_s)) / 2.0
+    return add_up(pieces, len(step_s)) / 2.0
 
 
 @compiled_as(_integrate)
@@ -367,7 +367,7 @@ def _measure_way(x_m: Any, y_m: Any, memory: Any) -> float:
     count, pieces = len(x_m) - 1, memory.numbers[PIECES]
     for row in range(count):
         pieces[row] = math.hypot(x_m[row + 1] - x_m[row], y_m[row + 1] - y_m[row])
-    return _add_up(pieces, count)
+    return add_up(pieces, count)
 
 
 @compiled_as(_measure_way)
