@@ -143,6 +143,8 @@ def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
 
 
 def _project(course: Any) -> Values:
+    if len(course.offset_m) > 0:
+        return course.offset_m  # type: ignore[no-any-return]
     (at_x_m, at_y_m, cos, sin), offset_m = course.line, course.memory.numbers[PIECES]
     for row in range(len(course.x_m)):
         x_m, y_m = course.x_m[row] - at_x_m, course.y_m[row] - at_y_m
