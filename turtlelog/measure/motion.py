@@ -101,12 +101,24 @@ class LoopMotion:
         Both have shape (dead times, steps). The last command is held; before the first it is 0. If
         samples are further apart than usual, samples between them may be lost.
         """
+        if self.step_ticks == 1:
+            answered = self.tick[rows] - np.array(dead_times_ticks)[:, None]
+            command, is_sure = self._find_commands(answered)
+            return command * self.tick_s, is_sure
         inside = self.tick[rows, None] + np.arange(self.step_ticks)
         answered = inside - np.array(dead_times_ticks)[:, None, None]
-        latest = self._find_latest(answered)
-        is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < self.apart)
-        command = np.where(latest >= 0, self.command[latest], 0.0)
+        command, is_sure = self._find_commands(answered)
         return command.sum(axis=2) * self.tick_s, np.asarray(is_sure.all(axis=2))
+
+    def _find_commands(self, answered: NDArray[np.int64]) -> tuple[Values, NDArray[np.bool_]]:
+        """Return the command that acts in each tick [rad/s or m/s], and whether it is certain.
+
+        `answered` are the ticks of the poses whose answers act.
+        """
+        latest = self._find_latest(answered)
+        is_known = latest >= 0
+        is_sure = is_known & (answered - self.sample_tick[latest] < self.apart)
+        return np.where(is_known, self.command[latest], 0.0), np.asarray(is_sure)
 
     def _find_latest(self, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the last sample that read a pose at or before each tick; -1 if there is none."""
