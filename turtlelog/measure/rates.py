@@ -180,9 +180,13 @@ class HeldCommands:
         """Return the integral of the commands up to each time [m or rad], shape of `time_s`."""
         first_s = min(float(time_s.min()), float(self.time_s[0])) - 1.0
         last_s = max(float(time_s.max()), self.end_s) + 1.0
-        knots_s = np.concatenate([[first_s], self.time_s, [last_s]])
-        ways = subtract_neighbours(knots_s) * np.concatenate([[self.before], self.values])
-        return np.asarray(np.interp(time_s, knots_s, np.concatenate([[0.0], np.cumsum(ways)])))
+        knots_s, integral = np.empty(len(self.time_s) + 2), np.zeros(len(self.time_s) + 2)
+        knots_s[0], knots_s[1:-1], knots_s[-1] = first_s, self.time_s, last_s
+        ways = subtract_neighbours(knots_s)
+        ways[0] *= self.before
+        ways[1:] *= self.values
+        np.cumsum(ways, out=integral[1:])
+        return np.asarray(np.interp(time_s, knots_s, integral))
 
 
 def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Values]:
