@@ -26,7 +26,7 @@ files = sorted(pathlib.Path(arguments[0]).glob("*.mcap"))[:int(arguments[1])]
 text = io.StringIO()
 with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
     main(["metrics", "--jobs", arguments[2], *map(str, files)])
-said["rows"] = text.getvalue().count(".mcap")
+said["rows"] = sum(line.startswith("run0") for line in text.getvalue().splitlines())
 used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
 said["time"] = sum(found.ru_utime + found.ru_stime for found in used)
 said["peak"] = max(read_peak(), used[1].ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e6)

@@ -19,6 +19,7 @@ from turtlelog.laws import LAWS
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate.many import find_loop
+from turtlelog.sweep.batch.batch_columns import GOALS, PATHS
 from turtlelog.sweep.batch.batch_rows import is_batched
 from turtlelog.sweep.batch.measured_rows import find_batch
 
@@ -53,10 +54,10 @@ def compile_pair(scenario: Scenario) -> None:
 
 def main(*words: str) -> None:
     """Compile it, on all cores."""
-    measurement = partial(import_module, "turtlelog.sweep.batch.batch_entry")
+    measurements = [partial(import_module, one.module) for one in (GOALS, PATHS)]
     pairs = [partial(compile_pair, scenario) for scenario in list_pairs(has_all="all" in words)]
     with ProcessPoolExecutor(count_cores()) as pool:
-        jobs: list[Callable[[], object]] = [measurement, *pairs]
+        jobs: list[Callable[[], object]] = [*measurements, *pairs]
         for job in [pool.submit(run, job) for job in jobs]:
             job.result()
 

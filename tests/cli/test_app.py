@@ -69,6 +69,13 @@ def test_a_command_loads_nothing_that_only_others_need(words: list[str], kp4: Pa
     subprocess.run([sys.executable, "-c", code, *words, str(kp4)], check=True, timeout=60)
 
 
+def test_a_table_of_metrics_is_written_without_pandas(kp4: Path, tmp_path: Path) -> None:
+    """A process of its own loads pyarrow, in two seconds."""
+    code = f"{COUNT}\nassert 'pyarrow' in sys.modules and 'pandas' not in sys.modules"
+    words = ["metrics", str(kp4), "-o", str(tmp_path / "metrics.parquet")]
+    subprocess.run([sys.executable, "-c", code, *words], check=True, timeout=60)
+
+
 def test_what_help_says_of_a_command_is_how_its_docstring_begins() -> None:
     described = {name: text for of in _COMMANDS.values() for name, (_, text) in of.items()}
     for name, text in described.items():

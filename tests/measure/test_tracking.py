@@ -7,7 +7,8 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.measure import Status
-from turtlelog.measure.metrics.tracking import find_shift
+from turtlelog.measure.metrics.tracking import find_corner, find_shift
+from turtlelog.measure.response import Track, list_corners
 from turtlelog.scenario import build_scenario
 
 SQUARE: dict[str, Any] = {
@@ -65,6 +66,26 @@ def test_along_error_is_the_reference_minus_the_nearest_point(square: tl.Run) ->
     assert read(square, "along.final_error") == pytest.approx(abs(20.0 - arc.values[-1]))
 
 
+def test_corners_of_later_laps_are_those_of_the_first_and_the_seam(square: tl.Run) -> None:
+    path = square.path
+    assert path is not None
+    track = Track(
+        *(np.empty(0), np.empty(0), list_corners(path), path.seam_rad, path.length_m),
+        is_closed=True,
+        has_speed=False,
+    )
+    laps = [find_corner(track, number, is_lapped=True) for number in range(8)]
+    assert [(arc_m, leg_m) for arc_m, _, leg_m in laps] == [(5.0 * n, 5.0) for n in range(1, 9)]
+    assert [turn_rad for _, turn_rad, _ in laps] == pytest.approx([math.pi / 2.0] * 8)
+    first = [find_corner(track, number, is_lapped=False) for number in range(3)]
+    assert first == [tuple(corner) for corner in path.corners] == laps[:3]
+
+
+def test_every_value_is_a_plain_number_which_a_table_of_files_can_store(square: tl.Run) -> None:
+    values = [metric.value for metric in tl.measure_run(square).values()]
+    assert {type(value) for value in values if value is not None} == {float}
+
+
 @pytest.mark.parametrize("late_s", [0.5, -0.25])
 def test_lag_of_a_robot_that_is_late_is_its_delay(late_s: float) -> None:
     time_s = np.arange(0.0, 20.0, 0.016)
@@ -72,7 +93,9 @@ def test_lag_of_a_robot_that_is_late_is_its_delay(late_s: float) -> None:
         np.sin(0.7 * time_s) + time_s,
         np.sin(0.7 * (time_s - late_s)) + time_s - late_s,
     )
-    assert find_shift(time_s, reference, signal) == pytest.approx(late_s, abs=1e-4)
+    assert find_shift(time_s, reference, reference - signal, None) == pytest.approx(
+        late_s, abs=1e-4
+    )
 
 
 def test_lag_of_a_slow_robot_is_what_its_speed_limit_costs() -> None:
@@ -109,7 +132,9 @@ def test_lag_of_a_reference_that_repeats_is_no_period_off(period_s: float) -> No
     late_s = np.arctan(rate / 3.0) / rate  # of a first-order loop with Kp = 3 1/s
     reference = 0.1 * np.sin(rate * time_s)
     signal = 0.1 * np.sin(rate * (time_s - late_s)) * (1.0 - np.exp(-3.0 * time_s))
-    assert find_shift(time_s, reference, signal) == pytest.approx(late_s, abs=0.01)
+    assert find_shift(time_s, reference, reference - signal, None) == pytest.approx(
+        late_s, abs=0.01
+    )
 
 
 @pytest.mark.parametrize("begin_rad", [0.5, 3.0, -2.0])

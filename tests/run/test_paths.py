@@ -196,11 +196,9 @@ def test_on_every_lap_a_corner_has_the_direction_of_the_next_leg(lap: int) -> No
         assert HEXAGON.locate(corner_m).heading_rad == piece.heading_rad
 
 
-def test_corners_of_later_laps_are_those_of_the_first_and_the_seam() -> None:
-    corners = SQUARE.list_corners(26.0)
-    assert [corner.arc_m for corner in corners] == [5.0, 10.0, 15.0, 20.0, 25.0]
-    assert [corner.leg_m for corner in corners] == [5.0] * 5
-    assert SQUARE.list_corners(19.0) == [*SQUARE.corners]
+def test_a_seam_is_a_corner_where_a_lap_ends_in_another_direction_than_it_begins() -> None:
+    assert SQUARE.seam_rad == pytest.approx(math.pi / 2)
+    assert CIRCLE.seam_rad == EIGHT.seam_rad == LINE.seam_rad == 0.0
 
 
 def test_corners_are_jumps_of_the_direction() -> None:

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
-from turtlelog.simulate import simulate_run
+from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
 from turtlelog.simulate.many import COST_S
 from turtlelog.sweep.batch import measured_rows
@@ -22,11 +23,14 @@ from turtlelog.sweep.batch.batch_columns import COURSES, CURVES, STATUSES
 from turtlelog.sweep.batch.batch_rows import FREE_KEYS, prepare_rows
 from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
 from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.simulate_rows import list_row_metrics
 
 LOOPS: Final = ("rotate", "translate", "reorient")
 METRICS: Final = (*(f"{loop}.{name}" for loop in LOOPS for name in CURVES), *COURSES)
+OF_PATHS: Final = (*(f"{loop}.{name}" for loop in ("along", "cross") for name in CURVES), *COURSES)
 PAPER: Final = get_preset("paper")
 TRACKING: Final = get_preset("track-square")
+OPEN: Final = get_preset("plant-step")
 
 
 @cache
@@ -92,6 +96,85 @@ def test_a_law_with_one_phase_and_two_loops_is_measured_as_in_a_single_run() -> 
         assert rows.compiled == 2
         for row, limit in enumerate(limits):
             changed = override_scenario(base, {"limits.turn_rate_rad_s": limit})
+            require_row(rows, row, changed, metrics)
+
+
+@pytest.mark.everyday("0-pure-pursuit")
+@pytest.mark.parametrize("law", ["pure-pursuit", "kanayama"])
+@pytest.mark.parametrize("block", range(5))
+def test_laws_along_paths_are_measured_as_in_a_single_run(law: str, block: int) -> None:
+    key = "law.lookahead_m" if law == "pure-pursuit" else "law.ky"
+    for seed in range(block * 12, block * 12 + 12):
+        base = build_other(law, seed)
+        if base.plant.kind == "lagged" and block == 0:
+            continue  # its loop is not compiled every day
+        rows = measure_rows(base, {key: [0.25, 3.0]}, OF_PATHS, threads=1)
+        assert (rows.compiled, rows.interpreted) == (2, 0)
+        for row, gain in enumerate((0.25, 3.0)):
+            require_row(rows, row, override_scenario(base, {key: gain}), OF_PATHS)
+
+
+def set_path_speed(scenario: Scenario, speed_m_s: float | None) -> Scenario:
+    assert scenario.path is not None
+    path = dataclasses.replace(scenario.path, speed_m_s=speed_m_s)
+    return dataclasses.replace(scenario, path=path)
+
+
+@pytest.mark.parametrize(("speed_m_s", "start_x_m"), [(None, 5.5), (0.5, 3.0)])
+def test_every_essential_metric_of_a_lap_is_measured_in_the_batch(
+    speed_m_s: float | None, start_x_m: float
+) -> None:
+    base = set_path_speed(override_scenario(TRACKING, {"start.x_m": start_x_m}), speed_m_s)
+    essential = list_row_metrics(declare_scenario(resolve_scenario(base)), None)
+    assert {*essential} <= {*OF_PATHS}
+    ahead_m = [0.15, 1.0]
+    rows = measure_rows(base, {"law.lookahead_m": ahead_m}, OF_PATHS, threads=2)
+    assert (rows.compiled, rows.interpreted) == (2, 0)
+    has_value = {name: STATUSES[rows.statuses[name][1]] is Status.OK for name in essential}
+    assert has_value["cross.corner_overshoot"]
+    assert has_value["along.lag"] == (speed_m_s is not None)
+    for row, ahead in enumerate(ahead_m):
+        require_row(rows, row, override_scenario(base, {"law.lookahead_m": ahead}), OF_PATHS)
+
+
+def test_rows_with_another_path_take_the_path_of_a_run() -> None:
+    base = override_scenario(TRACKING, {"max_duration_s": 3.0})
+    rows = measure_rows(base, {"path.speed_m_s": [0.4, 0.4, 0.5]}, OF_PATHS, threads=1)
+    assert (rows.compiled, rows.interpreted) == (2, 1)
+    for row, speed_m_s in enumerate((0.4, 0.4, 0.5)):
+        require_row(rows, row, override_scenario(base, {"path.speed_m_s": speed_m_s}), OF_PATHS)
+
+
+OWN_TRACKER: Final = """
+import dataclasses
+from turtlelog.laws.pure_pursuit import PART as PurePursuit
+from turtlelog.run.loops import ControlLoop, Declaration
+
+
+def declare(parameters, goal, path):
+    loops = PurePursuit.declare(parameters, goal, path).loops
+    turn = ControlLoop(name="turn", signal="heading", command="turn_rate", reference="path")
+    phases = {"track": ("along", "cross", "turn")}
+    return Declaration(loops=(*loops, turn), phases=phases, uses_goal=False)
+
+
+P = dataclasses.replace(PurePursuit, declare=declare)
+"""
+
+
+@pytest.mark.thorough
+def test_a_law_of_the_users_own_may_follow_the_direction_of_a_path(tmp_path: Path) -> None:
+    """Its loop is compiled."""
+    path = tmp_path / "own.py"
+    path.write_text(OWN_TRACKER, "utf-8")
+    metrics = (*OF_PATHS, *(f"turn.{name}" for name in CURVES))
+    own = override_scenario(TRACKING, {"law.kind": f"{path}:P"}, trust_law=True)
+    for speed_m_s in (None, 0.5):
+        own = set_path_speed(own, speed_m_s)
+        rows = measure_rows(own, {"law.lookahead_m": [0.3, 1.0]}, metrics, threads=1)
+        assert (rows.compiled, rows.interpreted, rows.notes) == (2, 0, ())
+        for row, ahead_m in enumerate((0.3, 1.0)):
+            changed = override_scenario(own, {"law.lookahead_m": ahead_m})
             require_row(rows, row, changed, metrics)
 
 
@@ -247,7 +330,7 @@ def test_metric_or_law_that_is_not_compiled_takes_the_path_of_a_run() -> None:
     scenario = build_row_scenario(PAPER, ["law.kp_linear"], [2.0], 1)
     wanted = measure_run(simulate_run(scenario), only=["run.iae"])["run.iae"]
     assert rows.values["run.iae"][1] == wanted.value
-    other = measure_rows(TRACKING, {"max_duration_s": [3.0, 4.0]}, ["run.duration"])
+    other = measure_rows(OPEN, {"max_duration_s": [3.0, 4.0]}, ["run.duration"])
     assert (other.compiled, other.interpreted) == (0, 2)
 
 
@@ -301,8 +384,8 @@ def test_no_batch_is_found_for_laws_that_it_does_not_take(tmp_path: Path) -> Non
     path = tmp_path / "own.py"
     path.write_text(OWN, "utf-8")
     own = override_scenario(PAPER, {"law.kind": f"{path}:P"})
-    found = [measured_rows.find_batch(one) for one in (PAPER, own, TRACKING)]
-    assert [one is not None for one in found] == [True, True, False]
+    found = [measured_rows.find_batch(one) for one in (PAPER, own, TRACKING, OPEN)]
+    assert [one is not None for one in found] == [True, True, True, False]
 
 
 @pytest.mark.thorough

@@ -130,13 +130,16 @@ def test_table_is_the_same_from_the_compiled_batch(
         ("lagged", "law.kp_linear", COVERED, True),
         ("lagged", "plant.turn_lag_s", COVERED, True),
         ("posture", "law.gamma", ["run.duration"], True),
-        ("track-square", "max_duration_s", ["run.duration"], False),
+        ("track-square", "law.lookahead_m", None, True),
+        ("track-square", "path.speed_m_s", None, False),
+        ("plant-step", "max_duration_s", ["run.duration"], False),
     ],
 )
 def test_only_what_is_compiled_as_a_whole_is_a_batch(
     name: str, key: str, metrics: list[str] | None, *, compiled: bool
 ) -> None:
-    heading = {} if name in {"posture", "track-square"} else {"goal.heading_rad": 1.0}
+    has_heading = name not in {"posture", "track-square", "plant-step"}
+    heading = {"goal.heading_rad": 1.0} if has_heading else {}
     base = tl.override_scenario(tl.load_scenario(name), heading)
     values = "false,true" if key == "law.reorient" else "1:2"
     sweep = prepare_sweep(base, build_plan([f"{key}={values}"]), metrics=metrics)

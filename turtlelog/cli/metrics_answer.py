@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
@@ -11,7 +12,7 @@ from turtlelog.display import describe_count, format_short, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import Metric, Run
+    from turtlelog import Declaration, Metric, Run
     from turtlelog.compare import Cell, RunSummary, Table
 
 _MOST_COLUMNS: Final = 6
@@ -54,11 +55,16 @@ _WORDS: Final = {
 
 def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
     """Return the ids of the metrics in the short answer for a run."""
-    known = tl.measure.list_metrics(run.declaration)
     essential = tl.measure.list_essential_metrics(run)
-    extra = [name for name in known if name.rpartition(".")[2] in _OF_WORDS]
     path = ["run.cross_track_max"] if has_path else []
-    return tuple(dict.fromkeys([*essential, *path, *extra]))
+    return tuple(dict.fromkeys([*essential, *path, *_list_of_words(run.declaration)]))
+
+
+@lru_cache(maxsize=16)
+def _list_of_words(declaration: "Declaration") -> tuple[str, ...]:
+    """Return the metrics of the sentences of an answer, for one law."""
+    known = tl.measure.list_metrics(declaration)
+    return tuple(name for name in known if name.rpartition(".")[2] in _OF_WORDS)
 
 
 def print_essential(summaries: "Sequence[RunSummary]", kind: str) -> None:

@@ -273,7 +273,7 @@ def make_path(path: "str | os.PathLike[str]") -> Path:
     """
     if not isinstance(path, str | os.PathLike):
         raise UsageError(f"path: expected text or a Path, found {path!r:.60}")
-    if isinstance(path, RemotePath):
+    if isinstance(path, Path):  # in which no URL has both of its slashes
         return path
     if isinstance(path, _ShownUrl):
         return path.path

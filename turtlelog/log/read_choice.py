@@ -92,6 +92,9 @@ UNUSED: Final = "unused"
 
 FileKind = Literal["table", "recording", "bag"]
 
+_USUAL: Final = {name: getattr(ReadChoice(), name) for name in ReadOptions.__annotations__}
+"""Options that are not given."""
+
 _OF_TABLES: Final = ("columns",)
 _OF_BAGS: Final = (
     *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
@@ -108,12 +111,7 @@ def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> s
             commands.
         commands: Topic and type of the commands that were read from a bag; empty without commands.
     """
-    usual = ReadChoice()
-    given = [
-        name
-        for name in ReadOptions.__annotations__
-        if getattr(choice, name) != getattr(usual, name)
-    ]
+    given = [name for name, usual in _USUAL.items() if getattr(choice, name) != usual]
     of_recording = (*_OF_TABLES, "time", "wheelbase")
     never = {"table": _OF_BAGS, "recording": of_recording, "bag": _OF_TABLES}[kind]
     reasons = {"table": "this is a table", "recording": "this is a turtlelog recording"}

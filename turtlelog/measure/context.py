@@ -14,7 +14,16 @@ from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.path import compute_path_distances, compute_path_length
-from turtlelog.measure.rates import Axis, HeldCommands, Rates, read_held_commands, read_rates
+from turtlelog.measure.rates import (
+    Axis,
+    HeldCommands,
+    Rates,
+    SpacedPoses,
+    read_held_commands,
+    read_rates,
+    space_poses,
+)
+from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.signals import Signal, find_signal
@@ -57,7 +66,7 @@ class RunContext:
 
     def get_rates(self, axis: Axis) -> Rates | None:
         """Return the rate of the robot along an axis; None for a single pose."""
-        return self.recall(("rates", axis), lambda: read_rates(self.run, axis))
+        return self.recall(("rates", axis), lambda: read_rates(self.run, axis, self.spaced_poses))
 
     def get_commands(self, axis: Axis) -> HeldCommands | None:
         """Return the commands of an axis; None without commands, or for a single pose."""
@@ -67,10 +76,17 @@ class RunContext:
         return self.recall(("commands", axis), lambda: read_held_commands(self.run, axis, rates))
 
     def get_response(self, loop: ControlLoop) -> Response | Missing:
-        """Return the response of a loop to its reference, or the reason why it has no response."""
-        return self.recall(
-            loop, lambda: find_response(self.run, loop, self.get_signal(loop.signal), self.settings)
-        )
+        """Return the response of a loop to its reference, or the reason why there is none."""
+        key = "response", loop.name
+        if key not in self._known:
+            signal = self.get_signal(loop.signal)
+            self._known[key] = find_response(self.run, loop, signal, self.settings)
+        return cast("Response | Missing", self._known[key])
+
+    @cached_property
+    def spaced_poses(self) -> SpacedPoses | None:
+        """Poses far enough apart in time for differences; None for a single pose."""
+        return space_poses(self.run) if len(self.run.poses) > 1 else None
 
     @cached_property
     def heading_reference_rad(self) -> float | Values | None:
@@ -161,12 +177,12 @@ class RunContext:
     @cached_property
     def sample_period_s(self) -> Values:
         """Time from each sample to the next [s]."""
-        return np.diff(self._sample_time_ns) / 1e9
+        return subtract_neighbours(self._sample_time_ns) / 1e9
 
     @cached_property
     def pose_period_s(self) -> Values:
         """Time from each pose to the next [s]."""
-        return np.diff(self.run.poses.time_ns) / 1e9
+        return subtract_neighbours(self.run.poses.time_ns) / 1e9
 
     @cached_property
     def tick_s(self) -> float | None:
@@ -198,7 +214,7 @@ class RunContext:
 
     def find_dead_time_ticks(self, loop: ControlLoop) -> int | Missing:
         """Return the dead time of a loop's commands [ticks], or the reason why it is unknown."""
-        found = self.recall(("dead_time", loop), lambda: self._find_dead_time(loop))
+        found = self.recall(("dead_time", loop.name), lambda: self._find_dead_time(loop))
         return found if isinstance(found, Missing) else found.ticks
 
     def _find_dead_time(self, loop: ControlLoop) -> DeadTime | Missing:

@@ -20,6 +20,7 @@ from turtlelog.measure.motion import (
     pushes_at_random,
     read_loop_motion,
 )
+from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.response import describe_no_phase
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -324,13 +325,13 @@ def shows_lag(found: DeadTime | Missing) -> bool:
 
 
 def _measure_whiteness(left: Values) -> float:
-    return float(np.mean(np.diff(left) ** 2) / (2.0 * np.mean(left**2)))
+    return float(np.mean(subtract_neighbours(left) ** 2) / (2.0 * np.mean(left**2)))
 
 
 def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
     """Return which steps follow a gap so closely that lost commands may still act."""
     tick = motion.tick
-    gaps = np.flatnonzero(np.diff(tick) > motion.step_ticks) + 1
+    gaps = np.flatnonzero(subtract_neighbours(tick) > motion.step_ticks) + 1
     since = np.full(len(tick), LARGEST_TICKS)
     for first, after in pairwise([*gaps.tolist(), len(tick)]):
         since[first:after] = tick[first:after] - tick[first]

@@ -138,6 +138,7 @@ def _list_of_motion(runs: Collection[Run]) -> tuple[str, ...]:
     )
 
 
+@lru_cache(maxsize=64)
 def _list_of_laws(*declarations: Declaration) -> tuple[str, ...]:
     of_loops = (
         f"{loop.name}.{name}"

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.outliers import compute_median
+from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.lagged import want_rate
@@ -44,7 +46,7 @@ _EXACT: Final = 2e-8
 """Error of a step in double precision [m, rad]: pi has eight decimals in turtlesim."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LoopMotion:
     """The steps of the first segment of a loop, along the coordinate that its command drives.
 
@@ -57,8 +59,9 @@ class LoopMotion:
         rounding: Largest effect of the rounding of the two poses [rad or m], shape (n,).
         step_ticks: Number of ticks in a step: 1 if there is a pose per tick.
         tick_s: Length of a tick [s].
-        grain: Largest error of the cumulated motion due to the resolution of the logged poses [rad
-            or m]; 0 for full resolution.
+        poses: Poses of the run.
+        loop: The loop.
+        way: Length of the whole motion, with steps that are left out [rad or m].
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
         apart: Usual distance between these poses [ticks], at least 1.
         command: Steady-state response of the plant to each sample's command [rad/s or m/s], shape
@@ -71,10 +74,25 @@ class LoopMotion:
     rounding: Values
     step_ticks: int
     tick_s: float
-    grain: float
+    poses: PoseColumns
+    loop: ControlLoop
+    way: float
     sample_tick: NDArray[np.int64]
     apart: float
     command: Values
+
+    @cached_property
+    def grain(self) -> float:
+        """Largest error of the cumulated motion due to the resolution of the logged poses.
+
+        In rad or m; 0 for full resolution. For a heading it is one coarse step. For a position it
+        includes the heading: a wrong heading makes the motion along it shorter.
+        """
+        heading_rad, xy_m = find_coarse_step(self.poses.heading_rad), self.poses.xy_m
+        if self.loop.command == "turn_rate":
+            return heading_rad
+        place_m = max(find_coarse_step(xy_m[:, 0]), find_coarse_step(xy_m[:, 1]))
+        return math.sqrt(2.0) * place_m + self.way * (1.0 - math.cos(0.5 * heading_rad))
 
     def predict(
         self, dead_times_ticks: range, rows: slice = slice(None)
@@ -85,12 +103,24 @@ class LoopMotion:
         command, the command is 0. If two samples are further apart than usual, samples between them
         may be lost.
         """
+        if self.step_ticks == 1:
+            answered = self.tick[rows] - np.array(dead_times_ticks)[:, None]
+            command, is_sure = self._find_commands(answered)
+            return command * self.tick_s, is_sure
         inside = self.tick[rows, None] + np.arange(self.step_ticks)
         answered = inside - np.array(dead_times_ticks)[:, None, None]
-        latest = self._find_latest(answered)
-        is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < self.apart)
-        command = np.where(latest >= 0, self.command[latest], 0.0)
+        command, is_sure = self._find_commands(answered)
         return command.sum(axis=2) * self.tick_s, np.asarray(is_sure.all(axis=2))
+
+    def _find_commands(self, answered: NDArray[np.int64]) -> tuple[Values, NDArray[np.bool_]]:
+        """Return the command that acts in each tick [rad/s or m/s], and whether it is certain.
+
+        `answered` are the ticks of the poses whose answers act.
+        """
+        latest = self._find_latest(answered)
+        is_known = latest >= 0
+        is_sure = is_known & (answered - self.sample_tick[latest] < self.apart)
+        return np.where(is_known, self.command[latest], 0.0), np.asarray(is_sure)
 
     def _find_latest(self, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the last sample that read a pose at or before each tick; -1 if no sample did."""
@@ -116,7 +146,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
     # Each pose may be answered only once, and in order.
     sample_tick = np.maximum.accumulate(tick[samples.pose_sequence])
     steps = slice(first, max(first, last))
-    is_kept = np.diff(tick)[steps] == step_ticks
+    is_kept = subtract_neighbours(tick)[steps] == step_ticks
     ends = slice(first, steps.stop + 1)
     heading_rad, xy_m = poses.heading_rad[ends], poses.xy_m[ends]
     if loop.command == "turn_rate":
@@ -135,11 +165,18 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         rounding=rounding[is_kept],
         step_ticks=step_ticks,
         tick_s=tick_s,
-        grain=_measure_grain(poses, moved, loop),
+        poses=poses,
+        loop=loop,
+        way=float(np.abs(moved).sum()),
         sample_tick=sample_tick,
-        apart=max(compute_median(np.diff(sample_tick)), 1.0) if len(sample_tick) > 1 else 1.0,
+        apart=_find_usual_distance(sample_tick),
         command=_find_wanted(run, loop, command),
     )
+
+
+def _find_usual_distance(tick: NDArray[np.int64]) -> float:
+    """Return the median distance between ticks, at least 1."""
+    return max(compute_median(subtract_neighbours(tick)), 1.0) if len(tick) > 1 else 1.0
 
 
 def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Values:
@@ -179,26 +216,12 @@ def describe_follower(run: Run, loop: ControlLoop) -> str:
     return ""
 
 
-def _measure_grain(poses: PoseColumns, moved: Values, loop: ControlLoop) -> float:
-    """Return the error of a cumulated motion due to coarse poses.
-
-    For a heading, the error is one coarse step. For a position, the error includes that of the
-    heading: the motion along a wrong heading is shorter.
-    """
-    heading_rad = find_coarse_step(poses.heading_rad)
-    if loop.command == "turn_rate":
-        return heading_rad
-    place_m = max(find_coarse_step(poses.xy_m[:, 0]), find_coarse_step(poses.xy_m[:, 1]))
-    way_m = float(np.abs(moved).sum())
-    return math.sqrt(2.0) * place_m + way_m * (1.0 - math.cos(0.5 * heading_rad))
-
-
 def find_common_step(values: Values) -> float:
     """Return the common step of values, if above the spacing of 32-bit floats; otherwise 0."""
     different = _sort_different(values)
     if len(different) < FEWEST_DIFFERENT:
         return 0.0
-    steps = np.diff(different)
+    steps = subtract_neighbours(different)
     # First from neighbours, which are few steps apart, then to all: the step becomes more exact.
     multiples = np.cumsum(np.rint(steps / steps.min()))
     step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
@@ -218,7 +241,7 @@ def find_coarse_step(values: Values) -> float:
     """Return the common step of values, or the least distance of few values; 0 without a step."""
     different = _sort_different(values)
     if 1 < len(different) < FEWEST_DIFFERENT:
-        return float(np.diff(different).min())
+        return float(subtract_neighbours(different).min())
     return find_common_step(values)
 
 
@@ -247,7 +270,7 @@ def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float
 
 def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.int64], int, float]:
     """Return the tick of each pose, the usual ticks in a step, and the tick length [s]."""
-    step_ns = np.diff(time_ns)
+    step_ns = subtract_neighbours(time_ns)
     if plant.name == LAGGED:
         return (time_ns - time_ns[0]) // plant.period_ns, 1, plant.period_s
     if not len(step_ns):
@@ -419,13 +442,13 @@ def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Value
     lag = lag_ticks / motion.step_ticks
     kept = float(np.exp(-1.0 / lag))
     now, before = 1.0 - lag * (1.0 - kept), lag * (1.0 - kept) - kept
-    bounds = np.flatnonzero(np.diff(motion.tick) > motion.step_ticks) + 1
+    bounds = np.flatnonzero(subtract_neighbours(motion.tick) > motion.step_ticks) + 1
     parts = np.split(predicted, bounds)
     return np.concatenate([lfilter([now, before], [1.0, -kept], part) for part in parts])
 
 
 def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
     """Subtract the mean of each segment between gaps, because the initial value is not exact."""
-    bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
+    bounds = np.flatnonzero(subtract_neighbours(tick) > step_ticks) + 1
     parts = np.split(drift, bounds, axis=1)
     return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
+from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.signals import find_signal
 from turtlelog.run import Run
 
@@ -152,7 +153,7 @@ def _find_apart(height: Values) -> NDArray[np.int64]:
 
 
 def _count_changes(values: Values, rows: NDArray[np.int64]) -> int:
-    return int(np.count_nonzero(np.diff(np.delete(values, rows))))
+    return int(np.count_nonzero(subtract_neighbours(np.delete(values, rows))))
 
 
 def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:
@@ -164,7 +165,7 @@ def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:
 
 def find_quantisation_step(values: Values) -> float:
     """Return the quantisation step of a signal; a tiny number if it is not quantised."""
-    steps = np.abs(np.diff(values))
+    steps = np.abs(subtract_neighbours(values))
     steps = steps[steps > _ROUNDING * float(np.abs(values).max())]
     return float(steps.min()) if len(steps) else 0.0
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.outliers import compute_median, find_outliers
+from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.plants import find_plant
 from turtlelog.run import Run
 
@@ -53,15 +54,41 @@ class Rates:
     outliers: int
 
 
-def read_rates(run: Run, axis: Axis) -> Rates | None:
-    """Return the rate of an axis; None if there are fewer than two poses."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SpacedPoses:
+    """Poses far enough apart in time for differences, at least two.
+
+    Attributes:
+        rows: Rows of these poses, shape (n,).
+        time_s: Their times from time zero of the run [s], shape (n,).
+        heading_rad: Their headings without jumps at full turns [rad], shape (n,).
+    """
+
+    rows: NDArray[np.int64]
+    time_s: Values
+    heading_rad: Values
+
+
+def space_poses(run: Run) -> SpacedPoses:
+    """Return the poses of a run that are used for differences; at least two are given."""
+    poses = run.poses
+    rows = thin_poses(poses.time_ns)
+    time_s = (poses.time_ns[rows] - run.start_ns) / 1e9
+    return SpacedPoses(rows=rows, time_s=time_s, heading_rad=np.unwrap(poses.heading_rad)[rows])
+
+
+def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates | None:
+    """Return the rate of an axis; None if there are fewer than two poses.
+
+    `spaced` are the poses as from `space_poses`, if they are already known.
+    """
     poses = run.poses
     reported = poses.measured_speed_m_s if axis == "speed" else poses.measured_turn_rate_rad_s
     if len(poses) < 2:
         return None
     if reported is None:
         applied = _read_applied(run, axis)
-        rates = _difference_poses(run, axis)
+        rates = _difference_poses(run, axis, spaced or space_poses(run))
         if applied is None:
             return rates
         time_s = (poses.time_ns - run.start_ns) / 1e9
@@ -94,30 +121,27 @@ def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
     The last row is left out if it is less than a whole stride after the previous one.
     """
-    apart = np.flatnonzero(np.append(True, np.diff(time_ns) >= _SAME_TIME_NS))
+    apart = np.flatnonzero(np.append(True, subtract_neighbours(time_ns) >= _SAME_TIME_NS))
     if len(apart) < 2:
         return np.array([0, len(time_ns) - 1])
-    usual_s = compute_median(np.diff(time_ns[apart])) / 1e9
+    usual_s = compute_median(subtract_neighbours(time_ns[apart])) / 1e9
     rows = apart[:: max(round(SHORTEST_S / usual_s), 1)]
     if len(rows) < 2:
         return np.array([0, len(time_ns) - 1])
-    step_ns = np.diff(time_ns[rows])
+    step_ns = subtract_neighbours(time_ns[rows])
     is_far = np.concatenate([[True], step_ns >= _LEAST_STEP * compute_median(step_ns)])
     return np.asarray(rows[is_far])
 
 
-def _difference_poses(run: Run, axis: Axis) -> Rates:
-    poses = run.poses
-    rows = thin_poses(poses.time_ns)
-    edges_s = (poses.time_ns[rows] - run.start_ns) / 1e9
-    heading_rad = np.unwrap(poses.heading_rad)[rows]
+def _difference_poses(run: Run, axis: Axis, spaced: SpacedPoses) -> Rates:
+    edges_s, heading_rad = spaced.time_s, spaced.heading_rad
     if axis == "turn_rate":
-        moved = np.diff(heading_rad)
+        moved = subtract_neighbours(heading_rad)
     else:
         mean_rad = (heading_rad[:-1] + heading_rad[1:]) / 2.0
-        ways_m = np.diff(poses.xy_m[rows], axis=0)
+        ways_m = np.diff(run.poses.xy_m[spaced.rows], axis=0)
         moved = ways_m[:, 0] * np.cos(mean_rad) + ways_m[:, 1] * np.sin(mean_rad)
-    means = moved / np.diff(edges_s)
+    means = moved / subtract_neighbours(edges_s)
     middle_s = (edges_s[:-1] + edges_s[1:]) / 2.0
     wrong = find_outliers(np.asarray(np.round(middle_s * 1e9), dtype=np.int64), means)
     if len(wrong):
@@ -156,14 +180,18 @@ class HeldCommands:
         """Return the integral of the commands up to each time [m or rad], shape of `time_s`."""
         first_s = min(float(time_s.min()), float(self.time_s[0])) - 1.0
         last_s = max(float(time_s.max()), self.end_s) + 1.0
-        knots_s = np.concatenate([[first_s], self.time_s, [last_s]])
-        ways = np.diff(knots_s) * np.concatenate([[self.before], self.values])
-        return np.asarray(np.interp(time_s, knots_s, np.concatenate([[0.0], np.cumsum(ways)])))
+        knots_s, integral = np.empty(len(self.time_s) + 2), np.zeros(len(self.time_s) + 2)
+        knots_s[0], knots_s[1:-1], knots_s[-1] = first_s, self.time_s, last_s
+        ways = subtract_neighbours(knots_s)
+        ways[0] *= self.before
+        ways[1:] *= self.values
+        np.cumsum(ways, out=integral[1:])
+        return np.asarray(np.interp(time_s, knots_s, integral))
 
 
 def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Values]:
     """Return commands with the plant's watchdog stop before late commands and at the end."""
-    late = np.append(np.diff(time_s) > holds_s, np.isfinite(holds_s))
+    late = np.append(subtract_neighbours(time_s) > holds_s, np.isfinite(holds_s))
     rows = np.flatnonzero(late) + 1
     stops_s = time_s[late] + holds_s
     return np.insert(time_s, rows, stops_s), np.insert(values, rows, 0.0)
@@ -189,12 +217,12 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommand
     values = commands.speed_m_s if axis == "speed" else commands.turn_rate_rad_s
     time_s = (commands.time_ns - run.start_ns) / 1e9
     # If commands have equal times, the last is held.
-    is_last = np.append(np.diff(time_s) > 0.0, True)
+    is_last = np.append(subtract_neighbours(time_s) > 0.0, True)
     time_s, values = time_s[is_last], values[is_last]
     if run.poses.speed_m_s is not None:  # of turtlesim, or of a simulation
         time_s, values = _expire(time_s, values, find_plant(run).watchdog_ns / 1e9)
     end_s = float(time_s[-1])
-    is_new = np.concatenate([[True], np.diff(values) != 0.0])
+    is_new = np.concatenate([[True], subtract_neighbours(values) != 0.0])
     time_s, values = time_s[is_new], values[is_new]
     first = float(values[0])
     if rates is None:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import dropwhile, takewhile
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.reductions import fold_at_zero
-from turtlelog.measure.references import read_controlled_distance, read_reference
+from turtlelog.measure.reductions import fold_at_zero, subtract_neighbours
+from turtlelog.measure.references import read_controlled_distance, read_reference, trace_poses
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
 from turtlelog.run import PhaseSpan, Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import PAUSE, ControlLoop
+from turtlelog.run.paths import Path
 
 Values = NDArray[np.float64]
 
@@ -58,6 +59,31 @@ class CommandStretch:
         return compute_hold_times(self.time_s, self.end_s)
 
 
+class Track(NamedTuple):
+    """The moving reference of a loop, and the path that it leads along.
+
+    Attributes:
+        reference: Reference at each pose of the response, headings without jumps [rad or m], shape
+            (n,); empty if it is constant.
+        arcs_m: Arc length of the path's point nearest to each pose [m], shape (n,); empty for other
+            loops than those across a path.
+        corners: Arc length [m], turn [rad] and length of the leg behind it [m] of each corner of
+            the first lap, shape (k, 3).
+        seam_rad: Turn between two laps [rad]; 0 if there is no corner.
+        length_m: Length of the path, or of a lap [m].
+        is_closed: Whether the path ends where it begins.
+        has_speed: Whether the reference moves with time.
+    """
+
+    reference: Values
+    arcs_m: Values
+    corners: Values
+    seam_rad: float
+    length_m: float
+    is_closed: bool
+    has_speed: bool
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
     """Response of the controlled signal of a loop to its reference.
@@ -77,6 +103,7 @@ class Response:
         reference: Final value of the step: the reference of the loop, or the setting `final`.
         band: Half-width of the settling band, as a fraction of the step.
         commands: Commands of the segment's samples.
+        track: Moving reference of the segment.
         was_cut: Whether the run was cut off before the loop had finished.
         ended_itself: Whether the law ended the segment because its work was done, not by a cut or a
             timeout.
@@ -92,6 +119,7 @@ class Response:
     reference: float
     band: float
     commands: CommandStretch
+    track: Track
     was_cut: bool
     ended_itself: bool
 
@@ -103,7 +131,7 @@ class Response:
     @cached_property
     def step_s(self) -> Values:
         """Time from each row to the next [s], shape (n - 1,)."""
-        return np.diff(self.time_s)
+        return subtract_neighbours(self.time_s)
 
     @cached_property
     def folded_error(self) -> tuple[Values, Values, Values]:
@@ -182,6 +210,7 @@ def find_response(
         reference=reference,
         band=settings.band,
         commands=_find_commands(run, loop, end_ns),
+        track=_read_track(run, loop, wanted, inside),
         was_cut=not run.is_complete and end_ns == run.end_ns,
         ended_itself=stretch[-1].phase == PAUSE or end_ns < run.end_ns or came_to_rest(run),
     )
@@ -202,7 +231,7 @@ def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:
         return after
     step_ns = time_ns[after] - time_ns[after - 1]
-    return after - 1 if step_ns <= _NEAR * compute_median(np.diff(time_ns)) else after
+    return after - 1 if step_ns <= _NEAR * compute_median(subtract_neighbours(time_ns)) else after
 
 
 def came_to_rest(run: Run) -> bool:
@@ -264,6 +293,34 @@ def _refer_to_start(
         error = error - 2.0 * np.pi * np.round(error[-1] / (2.0 * np.pi))
     target = float(inside[0])
     return np.asarray(target - error), target
+
+
+_NONE: Final = np.empty(0)
+_CONSTANT: Final = Track(_NONE, _NONE, np.empty((0, 3)), 0.0, 0.0, is_closed=False, has_speed=False)
+
+
+def _read_track(run: Run, loop: ControlLoop, wanted: float | Values, rows: slice) -> Track:
+    """Return the moving reference of a loop, and for a loop across a path that path."""
+    if not isinstance(wanted, np.ndarray):
+        return _CONSTANT
+    inside, path = wanted[rows], run.path
+    inside = np.unwrap(inside) if loop.signal == "heading" else inside
+    if path is None or (loop.signal, loop.reference) != ("cross_track", "path"):
+        return _CONSTANT._replace(reference=inside)
+    return Track(
+        reference=inside,
+        arcs_m=trace_poses(run, path)[0][rows],
+        corners=list_corners(path),
+        seam_rad=path.seam_rad,
+        length_m=path.length_m,
+        is_closed=path.is_closed,
+        has_speed=path.speed_m_s is not None,
+    )
+
+
+def list_corners(path: Path) -> Values:
+    """Return the corners of a path's first lap as in `Track`, shape (k, 3)."""
+    return np.array(path.corners, np.float64).reshape(-1, 3)
 
 
 def _find_commands(run: Run, loop: ControlLoop, end_ns: int) -> CommandStretch:

@@ -20,6 +20,7 @@ from turtlelog.display import (
 )
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
+from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
@@ -245,7 +246,7 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
 def _read_heading(run: Run) -> Values:
     """Return the heading without jumps at full turns."""
     heading_rad = run.poses.heading_rad
-    jumps = np.abs(np.diff(heading_rad)) > np.pi
+    jumps = np.abs(subtract_neighbours(heading_rad)) > np.pi
     return np.unwrap(heading_rad) if jumps.any() else heading_rad
 
 

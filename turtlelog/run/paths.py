@@ -205,23 +205,11 @@ class Path:
             for (arc_m, turn), end_m in zip(found, ends_m, strict=False)
         )
 
-    def list_corners(self, to_m: float) -> list[Corner]:
-        """Return the corners up to an arc length [m], in order, at least those of the first lap.
-
-        The point between two laps is a corner too if the direction jumps there.
-        """
-        if not self.is_closed or not to_m >= self.length_m:
-            return [*self.corners]
-        turn = _find_turn(self.pieces[-1], self.pieces[0])
-        seam = [Corner(0.0, turn, 0.0)] if abs(turn) >= CORNER_RAD else []
-        laps_m = [lap * self.length_m for lap in range(math.floor(to_m / self.length_m) + 2)]
-        every = [
-            one._replace(arc_m=one.arc_m + lap_m)
-            for lap_m in laps_m
-            for one in (*(seam if lap_m else ()), *self.corners)
-        ]
-        found = [one._replace(leg_m=after.arc_m - one.arc_m) for one, after in pairwise(every)]
-        return [one for one in found if one.arc_m <= max(to_m, self.length_m)]
+    @cached_property
+    def seam_rad(self) -> float:
+        """Change of direction between two laps of a closed path; 0 if it is no corner [rad]."""
+        turn_rad = _find_turn(self.pieces[-1], self.pieces[0]) if self.is_closed else 0.0
+        return turn_rad if abs(turn_rad) >= CORNER_RAD else 0.0
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:

@@ -276,7 +276,7 @@ def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> ND
     deviation = np.ones(max(count, dead_time_ticks + 2))
     deviation[dead_time_ticks + 1] -= loop_gain
     known = dead_time_ticks + 2
-    stop = _find_stop(deviation[:known])
+    stop = _find_stop(deviation, 0, known)
     while known < count and stop is None:
         remembered = deviation[known - 1 - dead_time_ticks : known]
         if np.abs(remembered).max() < _NEGLIGIBLE_DEVIATION:
@@ -285,17 +285,17 @@ def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> ND
         kernel = np.concatenate((remembered[-1:], -loop_gain * remembered[:-1]))
         new = deviation[known : 2 * known - 1]
         new[:] = np.convolve(deviation[:known], kernel)[1 : len(new) + 1]
-        known += len(new)
-        stop = _find_stop(deviation[:known])
+        known, before = known + len(new), known
+        stop = _find_stop(deviation, before, known)
     if stop is not None:
         deviation[stop:] = np.copysign(LARGEST_DEVIATION, deviation[stop])
     return deviation[:count]
 
 
-def _find_stop(deviation: NDArray[np.float64]) -> int | None:
-    """Return the first sample that is too far away; None if no sample is."""
-    beyond = np.abs(deviation) > LARGEST_DEVIATION
-    return int(np.argmax(beyond)) if beyond.any() else None
+def _find_stop(deviation: NDArray[np.float64], first: int, end: int) -> int | None:
+    """Return the first of some samples that is too far away; None if there is none."""
+    beyond = np.abs(deviation[first:end]) > LARGEST_DEVIATION
+    return first + int(np.argmax(beyond)) if beyond.any() else None
 
 
 def compute_sampled_poles(

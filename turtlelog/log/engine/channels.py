@@ -1,6 +1,6 @@
 """The topics of a file from its channels, and the decoding of their messages."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
@@ -15,7 +15,9 @@ from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.log.engine.limits import FIELDS, Allowance
 from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
-    TEXT,
+    NUMBER_SIZE,
+    ROW_HEAD,
+    TEXT_SIZE,
     Field,
     Layout,
     MessageType,
@@ -38,8 +40,6 @@ _ADVICE: Final = "record the topic in one of these"
 """Advice about messages in an encoding that turtlelog cannot read."""
 
 
-_HEAD: Final = 20  # bytes of two times and a sequence number
-_NUMBER, _TEXT, _SEQUENCE = 8, 72, 200  # bytes of a value; texts and sequences are objects
 _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
 
 
@@ -75,6 +75,7 @@ class TopicPlan:
         json: Fields of each message in JSON or protobuf; None for CDR.
         decode: Function that decodes a protobuf message into an object; None for JSON.
         is_ros1: Whether messages are in the ROS 1 format and are converted to CDR first.
+        row_size: Memory per message [bytes]; long texts and sequences need more.
     """
 
     topic: str
@@ -86,22 +87,22 @@ class TopicPlan:
     json: tuple[JsonField, ...] | None = None
     decode: Decode | None = None
     is_ros1: bool = False
+    row_size: int = 0
 
     def describe_reason(self) -> str:
         """Return the topic with the reason why its messages cannot be decoded, for errors."""
         return describe_unread(self.topic, self.reason)
 
     @property
-    def row_size(self) -> int:
-        """Memory per message [bytes]; long texts and sequences need more."""
-        if self.json is not None:
-            return _HEAD + sum(_NUMBER if field.kind in _NUMBERS else _TEXT for field in self.json)
-        return _HEAD + (_measure(self.fields) if self.layout is None else self.layout.size)
-
-    @property
     def meaning(self) -> object:
         """Properties that all channels of one topic must share."""
         return self.type, self.fields, self.json, self.is_ros1, self.reason
+
+
+def measure_object(fields: Iterable[JsonField]) -> int:
+    """Return the memory per message of these fields [bytes]; long texts and sequences need more."""
+    sizes = (NUMBER_SIZE if field.kind in _NUMBERS else TEXT_SIZE for field in fields)
+    return ROW_HEAD + sum(sizes)
 
 
 def describe_unread(topic: str, reason: str) -> str:
@@ -261,9 +262,15 @@ class Catalogue:
                     "layout": described.layout,
                     "sequence": described.sequence,
                     "is_ros1": encoding == MessageEncoding.ROS1,
+                    "row_size": described.row_size,
                 }
             case described:
-                return {**found, "json": described.fields, "decode": described.decode}
+                return {
+                    **found,
+                    "json": described.fields,
+                    "decode": described.decode,
+                    "row_size": measure_object(described.fields),
+                }
 
     def _read_type(self, schema: Schema) -> MessageType | ObjectType | str:
         """Return the message type, or the reason why it cannot be read."""
@@ -291,18 +298,6 @@ def _describe_encoding(encoding: str) -> str:
     if not encoding:
         return f"its messages name no encoding, and turtlelog reads {read}; {_ADVICE}"
     return f"its messages are in the encoding {encoding}, and turtlelog reads {read}; {_ADVICE}"
-
-
-def _measure(fields: tuple[Field, ...]) -> int:
-    return sum(_measure_field(field) * (field.length or 1) for field in fields)
-
-
-def _measure_field(field: Field) -> int:
-    if field.is_sequence:
-        return _SEQUENCE
-    if isinstance(field.kind, str):
-        return _TEXT if field.kind == TEXT else _NUMBER
-    return _measure(field.kind)
 
 
 def _parse(schema: Schema, allowance: Allowance) -> MessageType | ObjectType:

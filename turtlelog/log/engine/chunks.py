@@ -1,6 +1,7 @@
 """Unpacking and checking of chunk records, in bounded memory."""
 
 import struct
+import threading
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -150,10 +151,21 @@ def _unpack_zstd(
     # The size is trusted if two headers agree; a single header may be damaged.
     if promised in {-1, size} and size <= (limit if promised == size else SPARE):
         spend(size)
-        return zstandard.ZstdDecompressor().decompress(packed, size)
+        return _find_unpacker().decompress(packed, size)
     # The frame's header determines how large a window is allocated; a valid one fits the chunk.
     unpacker = zstandard.ZstdDecompressor(max_window_size=limit).stream_reader(packed)
     return _join(iter(lambda: unpacker.read(_STEP), b""), limit, spend)
+
+
+_OF_THREAD: Final = threading.local()
+
+
+def _find_unpacker() -> zstandard.ZstdDecompressor:
+    """Return the decompressor of this thread: making one takes as long as 500 kB."""
+    found: zstandard.ZstdDecompressor | None = getattr(_OF_THREAD, "unpacker", None)
+    if found is None:
+        found = _OF_THREAD.unpacker = zstandard.ZstdDecompressor()
+    return found
 
 
 def _iterate_lz4(packed: bytes | memoryview, size: int) -> Iterator[bytes]:

@@ -134,13 +134,24 @@ class MessageType:
         size: Total size of the fields, counted in numbers, texts and sequences.
         sequence: Dotted name of a sequence of texts or messages in the type; None if the type has
             no sequence.
+        row_size: Memory of a message as a row of columns [bytes]; long texts and sequences need
+            more.
     """
 
     fields: tuple[Field, ...]
     layout: Layout | None
     size: int
     sequence: str | None
+    row_size: int
 
+
+ROW_HEAD: Final = 20
+"""Memory of two times and a sequence number [bytes]."""
+
+NUMBER_SIZE: Final = 8
+TEXT_SIZE: Final = 72
+_SEQUENCE_SIZE: Final = 200
+"""Memory of a value [bytes]; texts and sequences are objects."""
 
 _KEPT: Final[dict[tuple[str, str], MessageType]] = {}
 _KEEPING: Final = Lock()
@@ -155,8 +166,13 @@ def read_type(name: str, definition: str) -> MessageType:
     known = _KEPT.get((name, definition))
     if known is None:
         fields, size = _parse_schema(name, definition)
+        layout = _lay_out(fields)
         known = MessageType(
-            fields=fields, layout=_lay_out(fields), size=size, sequence=_find_sequence(fields)
+            fields=fields,
+            layout=layout,
+            size=size,
+            sequence=_find_sequence(fields),
+            row_size=ROW_HEAD + (_measure(fields) if layout is None else layout.size),
         )
         if known.size <= MOST_KEPT_FIELDS and len(definition) <= LONGEST_KEPT:
             with _KEEPING:
@@ -164,6 +180,19 @@ def read_type(name: str, definition: str) -> MessageType:
                     del _KEPT[next(iter(_KEPT))]
                 _KEPT[name, definition] = known
     return known
+
+
+def _measure(fields: tuple[Field, ...]) -> int:
+    """Return the approximate memory of the values of a message [bytes]."""
+    return sum(_measure_field(field) * (field.length or 1) for field in fields)
+
+
+def _measure_field(field: Field) -> int:
+    if field.is_sequence:
+        return _SEQUENCE_SIZE
+    if isinstance(field.kind, str):
+        return TEXT_SIZE if field.kind == TEXT else NUMBER_SIZE
+    return _measure(field.kind)
 
 
 def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:

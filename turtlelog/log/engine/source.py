@@ -18,7 +18,7 @@ from turtlelog.log.engine.blocks import (
     count_indexed,
     walk_blocks,
 )
-from turtlelog.log.engine.channels import Catalogue, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, TopicPlan, measure_object
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.decode import (
     LOG_TIME,
@@ -254,7 +254,8 @@ class Selection:
                 f"topic {topic}: expected {expected}, found the sequence {plan.sequence}"
             )
         if self.is_flat and plan.json is not None:
-            plan = replace(plan, json=keep_flat(plan.json))
+            flat = keep_flat(plan.json)
+            plan = replace(plan, json=flat, row_size=measure_object(flat))
         return None if plan.reason else plan
 
     def require_topics(self, catalogue: Catalogue) -> None:
@@ -304,8 +305,9 @@ def iterate_pieces(
         for piece in pieces:
             counts.update(piece.counts)
             yield piece
-    selection.require_topics(catalogue)
-    selection.choose_plans(catalogue)
+    if not source.is_indexed:  # the blocks have named the topics
+        selection.require_topics(catalogue)
+        selection.choose_plans(catalogue)
     if selection.is_ever:
         _check_counts(source, counts, channels)
 

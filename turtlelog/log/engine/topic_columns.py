@@ -288,6 +288,9 @@ class _RowStore:
         if self._others or is_new or end > self._expected:
             self._others.append(part)
             return
+        if not self._whole and end == self._expected:
+            self._whole, self._used = part, end
+            return
         if not self._whole:
             self._whole = {
                 name: np.empty((self._expected, *values.shape[1:]), values.dtype)

@@ -28,7 +28,7 @@ from turtlelog.measure.metric import (
 )
 from turtlelog.measure.metric_kinds import course_metric, run_metric
 from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.reductions import PIECES, find_furthest_row
+from turtlelog.measure.reductions import PIECES, find_furthest_row, subtract_neighbours
 
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]
@@ -115,7 +115,7 @@ def compute_jitter(periods_s: Values) -> float | None:
     This is the RMS cycle-to-cycle jitter (JEDEC JESD65B). Unlike the standard deviation, it ignores
     a slow drift of the rate. The result is None for fewer than two periods.
     """
-    changes = np.diff(periods_s)
+    changes = subtract_neighbours(periods_s)
     return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
 
 

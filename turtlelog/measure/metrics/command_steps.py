@@ -19,6 +19,7 @@ from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Resu
 from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates
+from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
 
 Values = NDArray[np.float64]
@@ -110,10 +111,10 @@ def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> 
     values = np.concatenate([[commands.before], commands.values])
     is_new = (np.abs(np.diff(values, prepend=np.inf)) > SAME) & (starts_s <= end_s)
     starts_s, values = starts_s[is_new], values[is_new]
-    held_s = np.diff(np.append(starts_s, end_s))
+    held_s = subtract_neighbours(np.append(starts_s, end_s))
     least = LEAST_STEP * float(np.abs(values).max(initial=0.0))
     is_step = (held_s[:-1] >= HELD_BEFORE_S - _GRAIN_S) & (held_s[1:] >= HELD_AFTER_S - _GRAIN_S)
-    is_step &= (np.abs(np.diff(values)) >= max(least, SAME)) & (starts_s[1:] >= begin_s)
+    is_step &= (np.abs(subtract_neighbours(values)) >= max(least, SAME)) & (starts_s[1:] >= begin_s)
     return [
         CommandStep(
             time_s=float(starts_s[row + 1]),
@@ -182,7 +183,7 @@ def _find_quantum(values: Values, initial: float, final: float) -> float:
     low, high = sorted((initial, final))
     same = _ROUNDING * (high - low)
     between = np.sort(values[(values > low + same) & (values < high - same)])
-    steps = np.diff(np.concatenate([[low], between, [high]]))
+    steps = subtract_neighbours(np.concatenate([[low], between, [high]]))
     levels = steps[steps > same]
     return float(levels.min(initial=high - low)) if len(levels) < len(steps) else 0.0
 
@@ -228,7 +229,7 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
             return steps if isinstance(steps, Missing) else ONE_POSE
         if not steps:
             return _NO_STEPS
-        period_s = compute_median(np.diff(rates.edges_s))
+        period_s = compute_median(subtract_neighbours(rates.edges_s))
         if period_s * _FEWEST > HELD_AFTER_S:
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST} Hz"
             return Missing(status=Status.TOO_SHORT, reason=reason)

@@ -25,7 +25,7 @@ from turtlelog.measure.metric import (
     add_reason,
 )
 from turtlelog.measure.metric_kinds import curve_metric, loop_metric
-from turtlelog.measure.reductions import count_beyond, sum_products
+from turtlelog.measure.reductions import count_beyond, subtract_neighbours, sum_products
 from turtlelog.measure.response import CommandStretch, Response
 
 Values = NDArray[np.float64]
@@ -194,14 +194,14 @@ def compute_total_variation(values: Values) -> float:
     The sum is the measure TV of S. Skogestad, "Simple analytic rules for model reduction and PID
     controller tuning", J. Process Control 13 (2003).
     """
-    return float(np.abs(np.diff(values)).sum())
+    return float(np.abs(subtract_neighbours(values)).sum())
 
 
 def find_largest_jump(values: Values) -> tuple[float, int]:
     """Return the largest magnitude of a change [unit], and the row after it."""
     if len(values) < 2:
         return 0.0, 0
-    changes = np.abs(np.diff(values))
+    changes = np.abs(subtract_neighbours(values))
     row = int(changes.argmax())
     return float(changes[row]), row + 1
 
@@ -212,13 +212,13 @@ def find_largest_slew_rate(time_s: Values, values: Values) -> tuple[float, int] 
     A change is divided by the time from the previous row. The result is None if all rows have the
     same time.
     """
-    step_s, rows = np.diff(time_s), np.arange(len(time_s))
+    step_s, rows = subtract_neighbours(time_s), np.arange(len(time_s))
     if not step_s.all():
         rows = np.append(np.flatnonzero(step_s), len(values) - 1)
-        values, step_s = values[rows], np.diff(time_s[rows])
+        values, step_s = values[rows], subtract_neighbours(time_s[rows])
     if not len(step_s):
         return None
-    rates = np.abs(np.diff(values)) / step_s
+    rates = np.abs(subtract_neighbours(values)) / step_s
     row = int(rates.argmax())
     return float(rates[row]), int(rows[row + 1])
 

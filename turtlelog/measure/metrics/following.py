@@ -14,7 +14,7 @@ from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Resu
 from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates, Values
-from turtlelog.measure.reductions import sum_products
+from turtlelog.measure.reductions import subtract_neighbours, sum_products
 
 EARLIEST_S: Final = -0.5
 LATEST_S: Final = 2.0
@@ -82,8 +82,8 @@ def _compute_rms(rates: Rates, commands: HeldCommands) -> Result:
     if rows is None:
         return _APART
     edges_s = rates.edges_s[rows.start : rows.stop + 1]
-    step_s = np.diff(edges_s)
-    off = rates.means[rows] - np.diff(commands.integrate(edges_s)) / step_s
+    step_s = subtract_neighbours(edges_s)
+    off = rates.means[rows] - subtract_neighbours(commands.integrate(edges_s)) / step_s
     return Found(float(np.sqrt(sum_products(off, off, step_s) / step_s.sum())))
 
 
@@ -121,11 +121,18 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
     commands. For a first-order lag, the shift is the dead time plus ln 2 times the time constant:
     the time after which half of a step is done.
     """
-    step_s = np.diff(edges_s)
+    step_s = subtract_neighbours(edges_s)
+    weights = step_s / step_s.sum()
+    done = means - np.dot(weights, means)
+    weighted, size = weights * done, np.dot(weights, done * done)
 
     def correlate(shifts_s: Values) -> Values:
-        asked = np.diff(commands.integrate(edges_s - shifts_s[:, None])) / step_s
-        return _correlate(asked, means, step_s)
+        """Return the correlation over time for each shift; 0 if either rate is constant."""
+        ways = commands.integrate(edges_s - shifts_s[:, None])
+        asked = (ways[:, 1:] - ways[:, :-1]) / step_s
+        asked -= (asked @ weights)[:, None]
+        sizes = np.sqrt((asked * asked) @ weights * size)
+        return np.asarray((asked @ weighted) / np.where(sizes > 0.0, sizes, np.inf))
 
     usual_s = compute_median(step_s)
     count = int(np.ceil((LATEST_S - EARLIEST_S) / max(usual_s, 0.01))) + 1
@@ -149,14 +156,6 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
         best = min(max(int(correlate(around_s).argmax()), 1), _FINE_COUNT - 2)
         around_s = around_s[best - 1 : best + 2]
     return Found(float(around_s[1]))
-
-
-def _correlate(asked: Values, done: Values, step_s: Values) -> Values:
-    """Return the correlation over time of rows with a column; 0 if either is constant."""
-    weights = step_s / step_s.sum()
-    asked, done = asked - (asked @ weights)[:, None], done - np.dot(weights, done)
-    size = np.sqrt((asked * asked) @ weights * np.dot(weights, done * done))
-    return np.asarray((asked @ (weights * done)) / np.where(size > 0.0, size, np.inf))
 
 
 def _has_second(found: Values, best: int) -> bool:

@@ -74,7 +74,9 @@ def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Re
     """Return the metric `max` or `rms` of the deviation from a theory."""
 
     def compute(context: RunContext, response: Response) -> Result:
-        found = context.recall((theory, response.loop), lambda: _deviate(theory, context, response))
+        found = context.recall(
+            (theory, response.loop.name), lambda: _deviate(theory, context, response)
+        )
         if isinstance(found, Missing):
             return found
         if figure == "rms":

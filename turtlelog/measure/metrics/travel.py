@@ -11,8 +11,8 @@ from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.rates import Axis, Rates, Values, thin_poses
-from turtlelog.measure.reductions import sum_products
+from turtlelog.measure.rates import Axis, Rates, Values
+from turtlelog.measure.reductions import subtract_neighbours, sum_products
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
@@ -71,7 +71,7 @@ run_metric(
     grows=True,
 )
 def _compute_turning(context: RunContext) -> Result:
-    turns_rad = np.diff(np.unwrap(context.run.poses.heading_rad))
+    turns_rad = subtract_neighbours(np.unwrap(context.run.poses.heading_rad))
     return Found(degrees(float(np.abs(turns_rad).sum())))
 
 
@@ -89,7 +89,7 @@ def _find_largest(rates: Rates) -> Result:
 
 
 def _compute_mean(rates: Rates) -> Result:
-    step_s = np.diff(rates.edges_s)
+    step_s = subtract_neighbours(rates.edges_s)
     return Found(sum_products(np.abs(rates.means), step_s) / float(step_s.sum()))
 
 
@@ -129,18 +129,18 @@ def _find_rest(context: RunContext) -> tuple[float, float] | None:
     The time between two poses counts as rest if the robot moves by less than the threshold in the
     half second before or after it. A rest therefore includes its beginning and end.
     """
-    poses = context.run.poses
-    if len(poses) < 2:
+    spaced = context.spaced_poses
+    if spaced is None:
         return None
-    rows = thin_poses(poses.time_ns)
-    time_s, heading_rad = context.pose_time_s[rows], np.unwrap(poses.heading_rad)[rows]
+    xy_m = context.run.poses.xy_m[spaced.rows]
+    time_s, heading_rad = spaced.time_s, spaced.heading_rad
     is_at_rest = np.zeros(len(time_s) - 1, dtype=bool)
     for first in range(0, len(is_at_rest), _STEPS_AT_ONCE):
         steps = slice(first, min(first + _STEPS_AT_ONCE, len(is_at_rest)))
         begin, end = time_s[steps.start] - _REST_S, time_s[steps.stop] + _REST_S
         low, high = np.searchsorted(time_s, (begin, end)).tolist()
         near = slice(max(low - 1, 0), high + 1)
-        columns = *poses.xy_m[rows[near]].T, heading_rad[near]
+        columns = *xy_m[near].T, heading_rad[near]
         starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
         is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
     steps_s = time_s[1:] - time_s[:-1]
@@ -212,7 +212,7 @@ def _compute_arc_length(context: RunContext) -> Result:
     rates = context.get_rates("speed")
     if rates is None:
         return ONE_POSE
-    period_s = max(compute_median(np.diff(rates.edges_s)), 0.04)
+    period_s = max(compute_median(subtract_neighbours(rates.edges_s)), 0.04)
     if period_s > 1.0 / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
         return Missing(status=Status.TOO_SHORT, reason=reason)
@@ -263,5 +263,5 @@ def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
     last = int(high[-1])
     if last == 0:
         return -0.0
-    steps = np.diff(frequency_hz[: last + 1]) / frequency_hz[last]
-    return -float(np.hypot(steps, np.diff(spectrum[: last + 1])).sum())
+    steps = subtract_neighbours(frequency_hz[: last + 1]) / frequency_hz[last]
+    return -float(np.hypot(steps, subtract_neighbours(spectrum[: last + 1])).sum())

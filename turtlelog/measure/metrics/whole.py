@@ -32,7 +32,13 @@ from turtlelog.measure.metrics.commands import (
     measure_total_variation,
 )
 from turtlelog.measure.metrics.loop_metrics import LEFT_SOON, find_needed_hold
-from turtlelog.measure.reductions import PIECES, find_largest, integrate, measure_way
+from turtlelog.measure.reductions import (
+    PIECES,
+    find_largest,
+    integrate,
+    measure_way,
+    subtract_neighbours,
+)
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.step_response import (
     compute_rms,
@@ -132,11 +138,13 @@ def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
     """Return the root mean square over time among the given rows of the poses."""
     if not len(context.cross_track_m):
         return NO_LINE
-    step_s = np.diff(context.pose_time_s[rows])
+    step_s = subtract_neighbours(context.pose_time_s[rows])
     return Found(float(compute_rms(step_s, context.cross_track_m[rows], None)))
 
 
 def _project(course: Any) -> Values:
+    if len(course.offset_m) > 0:
+        return course.offset_m  # type: ignore[no-any-return]
     (at_x_m, at_y_m, cos, sin), offset_m = course.line, course.memory.numbers[PIECES]
     for row in range(len(course.x_m)):
         x_m, y_m = course.x_m[row] - at_x_m, course.y_m[row] - at_y_m
@@ -187,19 +195,19 @@ def _compute_rms_of_run(context: RunContext) -> Result:
 @run_metric("run.iae", "m s", "Integral of the distance to the goal.", grows=True)
 @_on_distance
 def _compute_iae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(integrate(np.diff(time_s), distance_m, None))
+    return Found(integrate(subtract_neighbours(time_s), distance_m, None))
 
 
 @run_metric("run.ise", "m^2 s", "Integral of the square of the distance to the goal.", grows=True)
 @_on_distance
 def _compute_ise(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(integrate_square(np.diff(time_s), distance_m))
+    return Found(integrate_square(subtract_neighbours(time_s), distance_m))
 
 
 @run_metric("run.itae", "m s^2", "Integral of time times the distance to the goal.", grows=True)
 @_on_distance
 def _compute_itae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(integrate_time_weighted(time_s, np.diff(time_s), distance_m))
+    return Found(integrate_time_weighted(time_s, subtract_neighbours(time_s), distance_m))
 
 
 def _on_commands(

@@ -4,7 +4,8 @@ The batch computes the registered metrics that are functions of numbers; this mo
 them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
@@ -15,12 +16,22 @@ import turtlelog.measure.metric_list  # noqa: F401  (enters every metric in the 
 from turtlelog.arithmetic import called
 from turtlelog.measure.metric import REASONS, Status
 from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP
-from turtlelog.run.loops import PAUSE, Declaration
+from turtlelog.measure.response import list_corners
+from turtlelog.run.loops import PAUSE, REFERENCES as REFERENCES_OF, ControlLoop, Declaration
+from turtlelog.run.paths import Path
 from turtlelog.simulate.assemble import Function, compile_text
-from turtlelog.simulate.compiled.compiled_loop import SAMPLE, TICK, compile_entry
-from turtlelog.simulate.compiled.twins import Twins, stamp_functions
-from turtlelog.sweep.batch import batch_kernel
-from turtlelog.sweep.batch.batch_kernel import REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
+from turtlelog.simulate.compiled.compiled_loop import PIECE, SAMPLE, TICK, compile_entry
+from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
+from turtlelog.sweep.batch import batch_kernel, path_kernel
+from turtlelog.sweep.batch.batch_kernel import (
+    PATH,
+    REFERENCES,
+    SIGNALS,
+    USES_OF_ROW,
+    Memory,
+    Row,
+)
+from turtlelog.sweep.batch.path_kernel import PathMemory
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
 """Metrics of a loop's curve by name, in column order."""
@@ -76,24 +87,98 @@ FIRST_POSE: Final = slice(-2, None)
 """Last columns: x and y of the first pose that the controller read [m]."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """Laws that one compiled measurement covers.
+
+    Attributes:
+        name: Name of the measurement in numba's cache.
+        module: Module that compiles it when it is imported.
+        curves: Names of the metrics in `CURVES` that a loop of these laws may have.
+        functions: Functions that the outermost function calls for the inputs of metrics.
+        uses: Number of rows of `Memory.numbers`.
+    """
+
+    name: str
+    module: str
+    curves: tuple[str, ...]
+    functions: Mapping[str, Function]
+    uses: int
+
+
+def _choose_curves(references: Collection[str]) -> tuple[str, ...]:
+    """Return the metrics that apply to any loop with one of these references."""
+    loops = [
+        ControlLoop(name="any", signal=signal, command="speed", reference=reference)
+        for signal in SIGNALS
+        for reference in REFERENCES_OF[signal]
+        if reference in references
+    ]
+    return tuple(name for name, kind in CURVES.items() if any(map(kind.applies, loops)))
+
+
+GOALS: Final = Coverage(
+    "goal",
+    "turtlelog.sweep.batch.goal_measurement",
+    _choose_curves(REFERENCES[:-1]),
+    {
+        "PREPARE_ROW": batch_kernel.prepare_row,
+        "FIND_STRETCH": batch_kernel.find_stretch,
+        "READ_CURVE": batch_kernel.read_loop_curve,
+        "READ_COURSE": batch_kernel.read_course,
+    },
+    USES_OF_ROW,
+)
+"""Laws with a goal and a loop of the heading."""
+
+PATHS: Final = Coverage(
+    "path",
+    "turtlelog.sweep.batch.path_measurement",
+    _choose_curves([PATH]),
+    {
+        "PREPARE_ROW": path_kernel.prepare_path_row,
+        "FIND_STRETCH": path_kernel.find_path_stretch,
+        "READ_CURVE": path_kernel.read_path_curve,
+        "READ_COURSE": path_kernel.read_path_course,
+    },
+    path_kernel.USES_OF_PATH,
+)
+"""Laws without a goal, whose loops all refer to the path."""
+
+
+def find_coverage(declaration: Declaration, *, has_path: bool) -> Coverage | None:
+    """Return the measurement that covers a law; None if there is none."""
+    loops, is_path = declaration.loops, has_path and not declaration.uses_goal
+    references = {loop.reference for loop in loops}
+    is_known = references <= {*REFERENCES} and all(loop.limit is None for loop in loops)
+    if not is_known or len(declaration.phase_names) > _MOST_PHASES:
+        return None
+    if is_path and references == {PATH}:
+        return PATHS
+    has_heading = any(loop.signal == "heading" for loop in loops)
+    is_goal = declaration.uses_goal and not has_path and PATH not in references
+    return GOALS if is_goal and has_heading else None
+
+
 def is_covered(name: str) -> bool:
     """Return whether the batch computes a metric, for any loop."""
     return name in COURSES if name in RUN_METRICS else name.rpartition(".")[2] in CURVES
 
 
-def count_columns(loops: int) -> int:
+def count_columns(loops: int, coverage: Coverage) -> int:
     """Return the number of columns for a number of loops."""
-    return loops * len(CURVES) + len(COURSES) + 2
+    return loops * len(coverage.curves) + len(COURSES) + 2
 
 
-def find_column(name: str, declaration: Declaration) -> int | None:
+def find_column(name: str, declaration: Declaration, coverage: Coverage) -> int | None:
     """Return the column of a covered metric; None if the law has no such metric."""
+    curves = coverage.curves
     if name in COURSES:
-        return len(declaration.loops) * len(CURVES) + [*COURSES].index(name)
+        return len(declaration.loops) * len(curves) + [*COURSES].index(name)
     loop, _, plain = name.rpartition(".")
     for number, one in enumerate(declaration.loops):
         if one.name == loop and CURVES[plain].applies(one):
-            return number * len(CURVES) + [*CURVES].index(plain)
+            return number * len(curves) + curves.index(plain)
     return None
 
 
@@ -104,75 +189,81 @@ def is_angle(name: str, declaration: Declaration) -> bool:
     return unit == "deg"
 
 
-def build_loops(declaration: Declaration) -> NDArray[Any] | None:
-    """Return the loops of a law as `LOOP` records; None if a reference is not supported."""
+_MOST_PHASES: Final = 60
+"""Largest number of phases of a law: each has a bit of 64."""
+
+
+def build_loops(declaration: Declaration) -> NDArray[Any]:
+    """Return the loops of a covered law as `LOOP`."""
     phases = declaration.phase_names
     rows = []
     for loop in declaration.loops:
-        if loop.reference not in REFERENCES or loop.limit is not None or len(phases) > 60:
-            return None
         own = sum(1 << phases.index(phase) for phase in declaration.list_phases(loop.name))
         kinds = SIGNALS.index(loop.signal), REFERENCES.index(loop.reference)
         rows.append((own, phases.index(PAUSE), *kinds, loop.command == "turn_rate"))
     return np.array(rows, LOOP)
 
 
-def allocate_memory(ticks: int, samples: int, loops: int) -> Memory:
-    """Return arrays for rows with at most the given numbers of poses, samples and loops."""
-    numbers = np.empty((USES_OF_ROW, max(2 * ticks, samples)))
-    return Memory(numbers, np.empty(ticks, np.int64), np.empty(loops, SPAN))
+def allocate_memory(
+    ticks: int, samples: int, loops: int, path: Path | None = None
+) -> Memory | PathMemory:
+    """Return arrays for rows with at most these numbers of poses, samples and loops.
 
-
-def name_measurement() -> str:
-    """Return the name of the measurement in numba's cache."""
-    return f"measure_{_bind(tuple(CURVES), tuple(COURSES))[1]}"
-
-
-def compile_measurement(
-    entry: Function, curves: tuple[str, ...] = (), courses: tuple[str, ...] = ()
-) -> Any:
-    """Return the compiled function that measures a row, with all or only some metrics.
-
-    Args:
-        entry: The outermost function.
-        curves: Metrics of curves. If neither list contains a metric, every metric is computed.
-        courses: Metrics of the whole run.
+    `path` is the path of the rows, if they track one.
     """
-    if not curves and not courses:
-        curves, courses = tuple(CURVES), tuple(COURSES)
-    functions, stamp = _bind(curves, courses)
+    coverage = GOALS if path is None else PATHS
+    numbers = np.empty((coverage.uses, max(2 * ticks, samples)))
+    memory = Memory(numbers, np.empty(ticks, np.int64), np.empty(loops, SPAN))
+    if path is None:
+        return memory
+    numbers_of_path = as_record(path.numbers), build_pieces(path), list_corners(path)
+    return PathMemory(*memory, *numbers_of_path, path.seam_rad)
+
+
+def build_pieces(path: Path | None) -> NDArray[Any]:
+    """Return the pieces of a path as rows of `PIECE`."""
+    return np.array([piece[1:] for piece in (() if path is None else path.ways)], PIECE)
+
+
+def name_measurement(coverage: Coverage) -> str:
+    """Return the name of a measurement in numba's cache."""
+    return f"measure_{coverage.name}_{_bind(coverage)[1]}"
+
+
+def compile_measurement(entry: Function, coverage: Coverage) -> Any:
+    """Return the compiled function that measures a row; `entry` is the outermost function."""
+    functions, stamp = _bind(coverage)
     twins = Twins(inline=False, wide=frozenset({"curve", "course", "row"}))
     scope = {name: twins.compile(function) for name, function in functions.items()}
-    scope |= {"ROW": Row, "CURVES": len(curves), "STAMP": int(stamp[:12], 16)}
-    return compile_entry(entry, f"measure_{stamp}", scope, type_measurement())
+    scope |= {"ROW": Row, "CURVES": len(coverage.curves), "STAMP": int(stamp[:12], 16)}
+    return compile_entry(entry, name_measurement(coverage), scope, type_measurement(coverage))
 
 
-def type_measurement() -> Any:
+_ANY_PATH: Final = Path(kind="line", points=((0.0, 0.0), (1.0, 0.0)))
+
+
+def type_measurement(coverage: Coverage) -> Any:
     """Return numba's type of the function that measures a row."""
     from numba import typeof, types
 
     entry = np.empty(1, np.bool_), np.empty(1), np.empty(1, np.int16)
     arrays = [np.empty(1, kind) for kind in (FACTS, TICK, SAMPLE, LINE, LOOP)]
-    return types.int64(*map(typeof, (*arrays, allocate_memory(1, 1, 1), entry)))
+    memory = allocate_memory(1, 1, 1, _ANY_PATH if coverage is PATHS else None)
+    return types.int64(*map(typeof, (*arrays, memory, entry)))
 
 
 @cache
-def _bind(curves: tuple[str, ...], courses: tuple[str, ...]) -> tuple[dict[str, Function], str]:
+def _bind(coverage: Coverage) -> tuple[dict[str, Function], str]:
     """Return the functions that the outermost function calls, and a stamp of all their sources."""
     from importlib.metadata import version
 
-    of_curve = _chain("curve", {name: CURVES[name] for name in curves})
-    of_course = _chain("course", {name: COURSES[name] for name in courses})
     functions: dict[str, Function] = {
         "IS_ANY": batch_kernel.is_any,
-        "PREPARE_ROW": batch_kernel.prepare_row,
-        "FIND_STRETCH": batch_kernel.find_stretch,
-        "READ_CURVE": batch_kernel.read_loop_curve,
-        "READ_COURSE": batch_kernel.read_course,
-        "MEASURE_CURVE": of_curve,
-        "MEASURE_COURSE": of_course,
+        **coverage.functions,
+        "MEASURE_CURVE": _chain("curve", {name: CURVES[name] for name in coverage.curves}),
+        "MEASURE_COURSE": _chain("course", COURSES),
     }
-    types = FACTS, TICK, SAMPLE, LINE, LOOP, SPAN
+    types = FACTS, TICK, SAMPLE, LINE, LOOP, SPAN, PIECE
     return functions, stamp_functions(functions.values(), *types, version("numba"), np.__version__)
 
 

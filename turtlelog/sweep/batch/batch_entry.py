@@ -1,4 +1,4 @@
-"""The outermost function of the batch's measurement, compiled when this module is imported.
+"""The outermost function of the batch's measurement, in a file of its own.
 
 Numba's cache checks the time and size of this file. The stamp in the name covers the called
 functions. The names in capitals are bound to compiled functions.
@@ -6,8 +6,6 @@ functions. The names in capitals are bound to compiled functions.
 
 # ruff: noqa: F821, PLR0913, PLR0917
 # mypy: ignore-errors
-
-from turtlelog.sweep.batch.batch_columns import compile_measurement
 
 
 def measure_row(facts, ticks, samples, line, loops, memory, entry):
@@ -25,7 +23,7 @@ def measure_row(facts, ticks, samples, line, loops, memory, entry):
             continue
         begin, end, reason = FIND_STRETCH(row, number)
         if reason == 0:
-            curve = READ_CURVE(row, number, begin, end, line[0].band)
+            curve = READ_CURVE(row, number, begin, end)
             MEASURE_CURVE(curve, asked[first:after], values[first:after], reasons[first:after])
         else:
             reasons[first:after] = reason
@@ -34,7 +32,3 @@ def measure_row(facts, ticks, samples, line, loops, memory, entry):
     pose = ticks[samples[0].pose_sequence]
     values[-2], values[-1] = pose.x_m, pose.y_m
     return STAMP
-
-
-MEASURE = compile_measurement(measure_row)
-"""The compiled function that measures a row."""

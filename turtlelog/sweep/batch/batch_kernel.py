@@ -16,16 +16,17 @@ from turtlelog.measure.reductions import USES
 
 NO_PHASE: Final = add_reason(Status.NO_PHASE, "the run has no such phase")
 _TOO_SHORT: Final = add_reason(Status.TOO_SHORT, "less than two poses in the loop")
-_NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
+NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
 _NO_SAMPLES: Final = -1
 
 SIGNALS: Final = ("heading", "along_track", "cross_track", "distance")
-REFERENCES: Final = ("zero", "goal_bearing", "goal_distance", "goal_heading", "bearing_now")
-"""Numbers of the references and signals of loops."""
-_HEADING, _ALONG, _CROSS, _DISTANCE = range(4)
+PATH: Final = "path"
+REFERENCES: Final = ("zero", "goal_bearing", "goal_distance", "goal_heading", "bearing_now", PATH)
+"""References and signals of loops, by number."""
+HEADING, ALONG, CROSS, _DISTANCE = range(4)
 _ZERO, _GOAL_BEARING, _GOAL_DISTANCE, _GOAL_HEADING, _BEARING_NOW = range(5)
 
-_TURN_RAD: Final = 2.0 * math.pi
+TURN_RAD: Final = 2.0 * math.pi
 
 
 class Memory(NamedTuple):
@@ -42,7 +43,7 @@ class Memory(NamedTuple):
     spans: Any
 
 
-_HEADINGS, _VALUES, _ERROR, _TIMES, _STEPS, _COMMAND_TIMES, _COMMANDS = range(USES, USES + 7)
+HEADINGS, VALUES, _ERROR, _TIMES, _STEPS, _COMMAND_TIMES, _COMMANDS = range(USES, USES + 7)
 USES_OF_ROW: Final = USES + 7
 
 
@@ -72,6 +73,7 @@ class LoopCurve(NamedTuple):
     limit: float
     commands: Commands
     memory: Memory
+    track: Any
 
 
 class Course(NamedTuple):
@@ -93,6 +95,7 @@ class Course(NamedTuple):
     heading_error_rad: float
     is_robot: bool
     memory: Memory
+    offset_m: Any
 
 
 class Row(NamedTuple):
@@ -114,7 +117,7 @@ class Row(NamedTuple):
     samples: Any
     line: Any
     loops: Any
-    memory: Memory
+    memory: Any
     start_ns: int
     end_ns: int
 
@@ -132,7 +135,7 @@ def prepare_row(facts: Any, ticks: Any, samples: Any, loops: Any, memory: Any) -
     end_ns = max((facts.ticks - 1) * facts.period_ns, samples[-1].time_ns)
     if facts.published > 0:
         end_ns = max(end_ns, samples[facts.published - 1].published_ns)
-    _unwrap(ticks, memory.numbers[_HEADINGS])
+    _unwrap(ticks, memory.numbers[HEADINGS])
     _find_spans(samples, loops, memory.spans)
     return samples[0].time_ns, end_ns
 
@@ -143,18 +146,18 @@ def _unwrap(ticks: Any, heading_rad: Any) -> None:
     before = heading_rad[0] = ticks[0].heading_rad
     for row in range(1, len(ticks)):
         now = ticks[row].heading_rad
-        turned += _find_turn(now - before)
+        turned += find_turn(now - before)
         heading_rad[row] = now + turned
         before = now
 
 
-def _find_turn(step_rad: float) -> float:
-    """Return the angle that numpy's unwrap adds from a given step on."""
+def find_turn(step_rad: float) -> float:
+    """Return the angle that numpy's unwrap adds from a step on."""
     if abs(step_rad) <= math.pi:
         return 0.0
-    rest: float = fmod(step_rad + math.pi, _TURN_RAD)
+    rest: float = fmod(step_rad + math.pi, TURN_RAD)
     if rest < 0.0:
-        rest += _TURN_RAD
+        rest += TURN_RAD
     return rest - math.pi - step_rad
 
 
@@ -198,11 +201,10 @@ def find_stretch(row: Row, number: int) -> tuple[int, int, int]:
     if 0 < pose < facts.ticks and pose * period_ns != start_ns:
         pose -= 1
     first, after = min(pose, facts.ticks), min(_end_ns(row, span) // period_ns + 1, facts.ticks)
-    if after - first < 2:
-        return first, after, _TOO_SHORT
     loop = row.loops[number]
-    is_unknown = loop.reference == _GOAL_HEADING and math.isnan(row.line.goal_heading_rad)
-    return first, after, _NO_REFERENCE if is_unknown else 0
+    if loop.reference == _GOAL_HEADING and math.isnan(row.line.goal_heading_rad):
+        return first, after, NO_REFERENCE
+    return first, after, _TOO_SHORT if after - first < 2 else 0
 
 
 def _end_ns(row: Row, span: Any) -> int:
@@ -211,14 +213,21 @@ def _end_ns(row: Row, span: Any) -> int:
 
 
 @called
-def read_loop_curve(row: Row, number: int, first: int, after: int, band: float) -> LoopCurve:
+def read_loop_curve(row: Row, number: int, first: int, after: int) -> LoopCurve:
     """Return the curve of a loop between two poses."""
-    facts, memory, samples, loop = row.facts, row.memory, row.samples, row.loops[number]
-    span = memory.spans[number]
-    start_ns, end_ns = samples[span.first].time_ns, _end_ns(row, span)
-    count, period_ns = after - first, facts.period_ns
+    loop = row.loops[number]
     values = _read_values(row, loop, first, after)
     reference = _read_target(row, loop, first, values)
+    return build_curve(row, number, first, values, reference, 0)
+
+
+def build_curve(
+    row: Row, number: int, first: int, values: Any, reference: float, track: Any
+) -> LoopCurve:
+    """Return the curve of a loop from its values, which begin at a pose, and its reference."""
+    facts, memory, samples, loop = row.facts, row.memory, row.samples, row.loops[number]
+    span, count, period_ns = memory.spans[number], len(values), facts.period_ns
+    start_ns, end_ns, after = samples[span.first].time_ns, _end_ns(row, span), first + len(values)
     error, time_s = memory.numbers[_ERROR][:count], memory.numbers[_TIMES][:count]
     step_s = memory.numbers[_STEPS][: count - 1]
     for place in range(count):
@@ -245,16 +254,17 @@ def read_loop_curve(row: Row, number: int, first: int, after: int, band: float) 
         error,
         values[0],
         reference,
-        band,
+        row.line.band,
         (start_ns - row.start_ns) / 1e9,
         ended_itself,
         facts.is_cut and end_ns == row.end_ns,
-        loop.signal == _HEADING,
+        loop.signal == HEADING,
         answered,
         clipped,
         limit,
         commands,
         memory,
+        track,
     )
 
 
@@ -282,10 +292,10 @@ def _read_commands(row: Row, loop: Any, span: Any, end_ns: int) -> Commands:
 def _read_values(row: Row, loop: Any, first: int, after: int) -> Any:
     """Return the signal of a loop at poses. A moving goal bearing is treated as fixed."""
     memory, ticks, line = row.memory, row.ticks, row.line
-    if loop.signal == _HEADING and loop.reference != _BEARING_NOW:
-        return memory.numbers[_HEADINGS][first:after]
-    values = memory.numbers[_VALUES][: after - first]
-    if loop.signal == _HEADING:
+    if loop.signal == HEADING and loop.reference != _BEARING_NOW:
+        return memory.numbers[HEADINGS][first:after]
+    values = memory.numbers[VALUES][: after - first]
+    if loop.signal == HEADING:
         _follow_bearing(row, first, values)
         return values
     for place in range(after - first):
@@ -294,7 +304,7 @@ def _read_values(row: Row, loop: Any, first: int, after: int) -> Any:
             values[place] = hypot(line.goal_x_m - tick.x_m, line.goal_y_m - tick.y_m)
         else:
             x_m, y_m = tick.x_m - line.x_m, tick.y_m - line.y_m
-            along = loop.signal == _ALONG
+            along = loop.signal == ALONG
             values[place] = (
                 x_m * line.cos + y_m * line.sin if along else y_m * line.cos - x_m * line.sin
             )
@@ -308,16 +318,16 @@ def _find_bearing(row: Row, place: int) -> float:
 
 
 def _follow_bearing(row: Row, first: int, values: Any) -> None:
-    """Write the heading as if the goal bearing kept its first value."""
-    heading_rad, turned = row.memory.numbers[_HEADINGS], 0.0
+    """Enter the heading as if the goal bearing kept its first value."""
+    heading_rad, turned = row.memory.numbers[HEADINGS], 0.0
     before = wrap_angle(_find_bearing(row, first) - heading_rad[first])
     values[0] = before
     for place in range(1, len(values)):
         now = wrap_angle(_find_bearing(row, first + place) - heading_rad[first + place])
-        turned += _find_turn(now - before)
+        turned += find_turn(now - before)
         values[place] = now + turned
         before = now
-    turns_rad = _TURN_RAD * rint(values[-1] / _TURN_RAD)
+    turns_rad = TURN_RAD * rint(values[-1] / TURN_RAD)
     target_rad = _find_bearing(row, first)
     for place in range(len(values)):
         values[place] = target_rad - (values[place] - turns_rad)
@@ -331,9 +341,9 @@ def _read_target(row: Row, loop: Any, first: int, values: Any) -> float:
     if loop.reference == _BEARING_NOW:
         return _find_bearing(row, first)
     wanted = _read_constant(row, loop)
-    if loop.signal != _HEADING:
+    if loop.signal != HEADING:
         return wanted
-    return wanted + rint((values[-1] - wanted) / _TURN_RAD) * 2.0 * math.pi  # type: ignore[no-any-return]
+    return wanted + rint((values[-1] - wanted) / TURN_RAD) * 2.0 * math.pi  # type: ignore[no-any-return]
 
 
 def _read_constant(row: Row, loop: Any) -> float:
@@ -349,9 +359,23 @@ def _read_constant(row: Row, loop: Any) -> float:
 
 def read_course(row: Row) -> Course:
     """Return the quantities of the whole run."""
+    last, line = row.ticks[-1], row.line
+    x_m, y_m = last.x_m - line.x_m, last.y_m - line.y_m
+    none, offset_m = row.memory.numbers[HEADINGS][:0], y_m * line.cos - x_m * line.sin
+    return build_course(row, none, offset_m, _find_heading_error(row))
+
+
+def build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: float) -> Course:
+    """Return the quantities of the whole run.
+
+    Args:
+        row: The row.
+        offset_m: Offset of every pose from the path; empty for the line from start to goal.
+        last_m: Offset of the last pose from either.
+        heading_error_rad: Heading error at the end.
+    """
     facts, ticks, line = row.facts, row.ticks, row.line
     last = ticks[-1]
-    x_m, y_m = last.x_m - line.x_m, last.y_m - line.y_m
     return Course(
         ticks.x_m,
         ticks.y_m,
@@ -365,10 +389,11 @@ def read_course(row: Row) -> Course:
         (row.end_ns - row.start_ns) / 1e9,
         ((facts.ticks - 1) * facts.period_ns - row.start_ns) / 1e9,
         last.heading_rad,
-        y_m * line.cos - x_m * line.sin,
-        _find_heading_error(row),
+        last_m,
+        heading_error_rad,
         False,  # noqa: FBT003
         row.memory,
+        offset_m,
     )
 
 
@@ -381,11 +406,11 @@ def _find_heading_error(row: Row) -> float:
     for number in range(len(row.loops)):
         loop = row.loops[number]
         is_known = loop.reference != _GOAL_HEADING or not math.isnan(row.line.goal_heading_rad)
-        if loop.signal == _HEADING and is_known:
+        if loop.signal == HEADING and is_known:
             acting = number if acting < 0 or spans[number].last > spans[acting].last else acting
     if acting < 0:
         return math.nan
     loop, last = row.loops[acting], len(row.ticks) - 1
     is_bearing = loop.reference == _BEARING_NOW
     wanted_rad = _find_bearing(row, last) if is_bearing else _read_constant(row, loop)
-    return wrap_angle(wanted_rad - row.memory.numbers[_HEADINGS][last])
+    return wrap_angle(wanted_rad - row.memory.numbers[HEADINGS][last])

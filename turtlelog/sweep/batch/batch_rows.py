@@ -16,6 +16,7 @@ from turtlelog.measure.measure_settings import SETTLING_BAND
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import CUT_SHORT
+from turtlelog.run.paths import Path
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.class_law import is_built_in
@@ -25,7 +26,7 @@ from turtlelog.simulate.compiled.twins import as_record
 from turtlelog.simulate.many import find_loop
 from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.simulate.streams import list_streams
-from turtlelog.sweep.batch.batch_columns import LINE, build_loops
+from turtlelog.sweep.batch.batch_columns import LINE, Coverage, find_coverage
 from turtlelog.sweep.plan import build_row_scenario
 
 _OF_LAW: Final = (
@@ -61,6 +62,7 @@ class PreparedRows:
         states: States that the loop changes, shape (n,).
         lines: Lines from start to goal, one per row, shape (n,).
         table: Table of the law, shared by all rows.
+        path: Path, shared by all rows; None if they track none.
         seeds: Seeds, shape (n,).
         streams: Names of the random streams that any row needs.
         ticks: Largest possible number of ticks of a row.
@@ -74,6 +76,7 @@ class PreparedRows:
     states: NDArray[Any]
     lines: NDArray[Any]
     table: NDArray[np.float64]
+    path: Path | None
     seeds: NDArray[Any]
     streams: frozenset[str]
     ticks: int
@@ -96,16 +99,19 @@ Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
 def find_column_kind(scenario: Scenario) -> Kind | None:
     """Return the kind of compiled loop for rows of a scenario; None if no loop fits.
 
-    The law must have a goal and a heading loop, supported references, and an ordinary end.
+    A measurement must cover its law, and its runs must have an ordinary end.
     """
-    law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
-    if not isinstance(law, LawPart):
+    law = find_law(scenario.law.kind)
+    if not isinstance(law, LawPart) or CUT_SHORT & {*law.stops}:
         return None
-    is_known = declaration.uses_goal and scenario.path is None
-    is_known = is_known and any(loop.signal == "heading" for loop in declaration.loops)
-    if not is_known or build_loops(declaration) is None or CUT_SHORT & {*law.stops}:
+    if find_scenario_coverage(scenario) is None:
         return None
-    return law, PLANTS[scenario.plant.kind], declaration.states
+    return law, PLANTS[scenario.plant.kind], declare_scenario(scenario).states
+
+
+def find_scenario_coverage(scenario: Scenario) -> Coverage | None:
+    """Return the measurement that covers the law of a scenario; None if there is none."""
+    return find_coverage(declare_scenario(scenario), has_path=scenario.path is not None)
 
 
 def is_free(law: LawPart) -> bool:
@@ -132,6 +138,9 @@ class _Case:
         line = find_line(start_xy_m, (scenario.goal.x_m, scenario.goal.y_m))
         heading_rad = math.nan if scenario.goal.heading_rad is None else scenario.goal.heading_rad
         goal = scenario.goal.x_m, scenario.goal.y_m, heading_rad
+        self.path = scenario.path
+        if self.path is not None:  # a law that tracks a path has no goal
+            goal = math.nan, math.nan, math.nan
         self.line = (*line.values(), *goal, SETTLING_BAND)
 
 
@@ -165,8 +174,8 @@ def prepare_rows(
                 base, kind, dict(zip(joint, (v for _, v in key), strict=True)), plant
             )
         case = cases[key]
-        # The memory of the loop holds one table.
-        has_other = case is not None and bool(found) and not same_table(case, found[0])
+        # The memory of the loop holds one table and one path.
+        has_other = case is not None and bool(found) and not is_alike(case, found[0])
         if case is None or has_other or any(column[place] is None for column in own.values()):
             others.append(row)
         else:
@@ -176,9 +185,11 @@ def prepare_rows(
     return _gather([rows[place] for place in taken], others, found, values)
 
 
-def same_table(case: _Case, other: _Case) -> bool:
-    """Return whether the laws of two cases have the same table."""
-    return case is other or np.array_equal(case.table, other.table, equal_nan=True)
+def is_alike(case: _Case, other: _Case) -> bool:
+    """Return whether the laws of two cases have the same table and the same path."""
+    if case is other:
+        return True
+    return case.path == other.path and np.array_equal(case.table, other.table, equal_nan=True)
 
 
 _NONE: Final = np.empty(0)
@@ -208,6 +219,7 @@ def _gather(
         states=starts.copy(),
         lines=lines,
         table=cases[0].table if cases else np.empty((0, 0)),
+        path=cases[0].path if cases else None,
         seeds=seeds,
         streams=frozenset[str]().union(*(case.streams for case in unique)),
         ticks=max((case.ticks for case in unique), default=1),

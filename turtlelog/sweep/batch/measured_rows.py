@@ -34,8 +34,10 @@ from turtlelog.sweep.batch.batch_columns import (
     STATUS_OF,
     STATUSES,
     TOO_LARGE,
+    Coverage,
     allocate_memory,
     build_loops,
+    build_pieces,
     count_columns,
     find_column,
     is_angle,
@@ -49,11 +51,12 @@ from turtlelog.sweep.batch.batch_rows import (
     PreparedRows,
     find_column_kind,
     find_line,
+    find_scenario_coverage,
     prepare_rows,
 )
 from turtlelog.sweep.plan import build_row_scenario
 
-_MEASURING: Final = "turtlelog.sweep.batch.batch_entry"
+_ENTRY: Final = "turtlelog.sweep.batch.batch_entry"
 _MEASURING_S: Final = 5.0
 """Additional time for compiling the measurement together with the loop [s]."""
 
@@ -76,42 +79,43 @@ class Batch(NamedTuple):
 
 
 @cache
-def _find_batch(kind: Kind) -> CompiledLoops:
+def _find_batch(kind: Kind, coverage: Coverage) -> CompiledLoops:
     return CompiledLoops(
-        partial(_load, kind),
-        partial(_is_kept, kind),
+        partial(_load, kind, coverage),
+        partial(_is_kept, kind, coverage),
         cost_s=COST_S,
         first_s=FIRST_S + _MEASURING_S,
-        beside=(_MEASURING,),
+        beside=(coverage.module,),
     )
 
 
-def _load(kind: Kind) -> Batch:
+def _load(kind: Kind, coverage: Coverage) -> Batch:
     from turtlelog.simulate.compiled.compiled_loop import compile_loop, compile_rows
 
     loop = compile_loop(*kind)
-    measurement = import_beside(_MEASURING)
-    return Batch(loop, compile_rows(loop, measurement.MEASURE, type_measurement()))
+    measurement = import_beside(coverage.module)
+    return Batch(loop, compile_rows(loop, measurement.MEASURE, type_measurement(coverage)))
 
 
-def _is_kept(kind: Kind) -> bool:
+def _is_kept(kind: Kind, coverage: Coverage) -> bool:
     from turtlelog.simulate.compiled.compiled_loop import name_loop
 
     try:
         name = name_loop(*kind)
     except TypeError:  # not compilable; the compilation reports it
         return False
-    is_measured = is_kept(_MEASURING, name_measurement())
+    is_measured = is_kept(_ENTRY, name_measurement(coverage))
     return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
 
 
 def find_batch(base: Scenario) -> CompiledLoops | None:
     """Return the compiled code for rows that vary keys of a scenario; None if the law has none."""
     try:
-        kind = find_column_kind(resolve_scenario(base))
+        scenario = resolve_scenario(base)
+        kind, coverage = find_column_kind(scenario), find_scenario_coverage(scenario)
     except TurtlelogError:  # the rows may supply missing values
         return None
-    return None if kind is None else _find_batch(kind)
+    return None if kind is None or coverage is None else _find_batch(kind, coverage)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -294,8 +298,10 @@ class _Work:
 
     def _run_compiled(self, kernel: Batch, rows: Sequence[int], threads: int) -> list[int]:
         base = resolve_scenario(self._base)
-        self._declaration = declare_scenario(base)
-        self._places = {name: find_column(name, self._declaration) for name in self._metrics}
+        declaration, coverage = declare_scenario(base), find_scenario_coverage(base)
+        assert coverage is not None
+        self._declaration, self._coverage = declaration, coverage
+        self._places = {name: find_column(name, declaration, coverage) for name in self._metrics}
         prepared = prepare_rows(base, self._columns, rows, self._plant)
         cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known in advance, unless a disturbance moves the waiting
@@ -315,8 +321,7 @@ class _Work:
     def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
         """Simulate and measure prepared rows from their start states; `states` is overwritten."""
         loops = build_loops(self._declaration)
-        assert loops is not None
-        shape = len(prepared.rows), count_columns(len(loops))
+        shape = len(prepared.rows), count_columns(len(loops), self._coverage)
         cells = _Cells(np.full(shape, np.nan), np.zeros(shape, np.int16))
         prepared.begin()
         asked = np.zeros(shape[1], np.bool_)
@@ -368,8 +373,11 @@ class _Work:
             or len(local.rows.ticks) < ticks
             or (len(local.rows.samples) < samples)
         ):
-            local.rows = kernel.loop.kinds.allocate(ticks, samples)._replace(table=prepared.table)
-            local.memory = allocate_memory(ticks, samples, len(self._declaration.loops))
+            rows = kernel.loop.kinds.allocate(ticks, samples)
+            pieces = build_pieces(prepared.path)
+            local.rows = rows._replace(table=prepared.table, pieces=pieces)
+            loops = len(self._declaration.loops)
+            local.memory = allocate_memory(ticks, samples, loops, prepared.path)
             local.seed = None
         if local.seed != seed:
             draw_streams(local.rows, prepared.streams, seed, ticks, samples)

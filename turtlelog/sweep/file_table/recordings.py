@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -255,9 +255,15 @@ class _MeasureFile:
             zip(_TEXTS, (run.name, run.source, run.stop_reason, notes or None), strict=True)
         )
         for name, metric in measure_run(run, self.settings, only=self.only).items():
-            row[Key(name, "real", metric.unit)] = metric.value
-            row[Key(f"{name}{_STATUS}")] = metric.status.value
+            value, status = _name_columns(name, metric.unit)
+            row[value], row[status] = metric.value, metric.status.value
         return [row]
+
+
+@lru_cache(maxsize=1024)  # of one folder: all metrics of some laws
+def _name_columns(name: str, unit: str) -> tuple[Key, Key]:
+    """Return the keys of the value and the status of a metric."""
+    return Key(name, "real", unit), Key(f"{name}{_STATUS}")
 
 
 def plan_metric_table(

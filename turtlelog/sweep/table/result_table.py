@@ -6,6 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from turtlelog.errors import LogError, SweepError
 from turtlelog.files.urls import is_there
 from turtlelog.libraries import load_library
@@ -151,13 +154,51 @@ def _build_schema(table: ResultTable) -> Any:
 
 def _build_array(column: ResultColumn, rows: slice, kind: Any) -> Any:
     cells = column.cells[rows]
-    if hasattr(cells, "__arrow_array__"):
-        return load_library("pyarrow").array(cells, kind)
+    if hasattr(cells, "build_arrow"):
+        return cells.build_arrow()
+    numbers: NDArray[Any]
+    if isinstance(cells, np.ndarray) and column.type != "text":
+        numbers = cells.astype(_NUMBERS[column.type])
+        return build_numbers(numbers, np.ones(len(numbers), np.bool_), kind)
+    has_value = np.array([cell is not None for cell in cells], np.bool_)
     if column.type == "text":
-        cells = [cell if cell is None or isinstance(cell, str) else str(cell) for cell in cells]
-    elif column.type == "real" and isinstance(cells, list | tuple):
-        cells = [None if cell is None else float(cell) for cell in cells]
-    return load_library("pyarrow").array(cells, kind)
+        return build_texts(["" if cell is None else str(cell) for cell in cells], has_value)
+    known = (cell for cell in cells if cell is not None)
+    numbers = np.zeros(len(has_value), _NUMBERS[column.type])
+    numbers[has_value] = np.fromiter(known, numbers.dtype, int(has_value.sum()))
+    return build_numbers(numbers, has_value, kind)
+
+
+_NUMBERS: Final = {"whole": np.int64, "real": np.float64, "truth": np.bool_}
+
+
+def build_numbers(numbers: NDArray[Any], has_value: NDArray[np.bool_], kind: Any) -> Any:
+    """Return numbers or truths as an Arrow array, null where there is no value.
+
+    From buffers, because `pyarrow.array` loads pandas if it is installed, which takes longer than
+    loading turtlelog.
+    """
+    pa = load_library("pyarrow")
+    stored = _pack_bits(numbers) if numbers.dtype == np.bool_ else pa.py_buffer(numbers)
+    return pa.Array.from_buffers(kind, len(numbers), [_pack_nulls(has_value), stored])
+
+
+def build_texts(texts: Sequence[str], has_value: NDArray[np.bool_]) -> Any:
+    """Return texts as an Arrow array, null where there is no value; see `build_numbers`."""
+    pa, stored = load_library("pyarrow"), [text.encode() for text in texts]
+    ends = np.zeros(len(stored) + 1, np.int32)
+    np.cumsum([len(text) for text in stored], out=ends[1:])
+    buffers = [_pack_nulls(has_value), pa.py_buffer(ends), pa.py_buffer(b"".join(stored))]
+    return pa.Array.from_buffers(pa.string(), len(stored), buffers)
+
+
+def _pack_nulls(has_value: NDArray[np.bool_]) -> Any:
+    """Return Arrow's mask of the values; None if there is a value everywhere."""
+    return None if has_value.all() else _pack_bits(has_value)
+
+
+def _pack_bits(values: NDArray[np.bool_]) -> Any:
+    return load_library("pyarrow").py_buffer(np.packbits(values, bitorder="little"))
 
 
 def has_result_file(path: Path) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.libraries import load_library
-from turtlelog.sweep.table.result_table import ResultColumn
+from turtlelog.sweep.table.result_table import ResultColumn, build_numbers, build_texts
 
 Cell = str | int | float | None
 CellType = Literal["text", "real", "whole"]
@@ -96,13 +96,15 @@ class StoredCells(Sequence[Any]):
         has: NDArray[np.bool_] = self._numbers != _NONES[self._kind]
         return has & ~np.isnan(self._numbers) if self._kind == "real" else has
 
-    def __arrow_array__(self, type: Any = None) -> Any:  # noqa: A002 - as Arrow calls it
-        pa, lacks = load_library("pyarrow"), ~self.has_value
+    def build_arrow(self) -> Any:
+        """Return the cells as an Arrow array."""
+        has_value = self.has_value
         if self._kind != "text":
-            return pa.array(self._numbers, type, mask=lacks)
-        used, places = np.unique(self._numbers, return_inverse=True)
-        texts = [None if number < 0 else self._texts[number] for number in used.tolist()]
-        return pa.array(texts, type).take(pa.array(places))
+            pa = load_library("pyarrow")
+            kind = pa.int64() if self._kind == "whole" else pa.float64()
+            return build_numbers(self._numbers, has_value, kind)
+        texts = ["" if number < 0 else self._texts[number] for number in self._numbers.tolist()]
+        return build_texts(texts, has_value)
 
 
 @dataclass(frozen=True, slots=True)
