@@ -139,10 +139,13 @@ def compile_measurement(
     if not curves and not courses:
         curves, courses = tuple(CURVES), tuple(COURSES)
     functions, stamp = _bind(curves, courses)
-    twins = Twins(inline=False, wide=frozenset({"curve", "course", "row"}))
-    scope = {name: twins.compile(function) for name, function in functions.items()}
-    scope |= {"ROW": Row, "CURVES": len(curves), "STAMP": int(stamp[:12], 16)}
-    return compile_entry(entry, f"measure_{stamp}", scope, type_measurement())
+
+    def bind(compiler: Any) -> dict[str, Any]:
+        twins = Twins(compiler, inline=False, wide=frozenset({"curve", "course", "row"}))
+        scope = {name: twins.compile(function) for name, function in functions.items()}
+        return {**scope, "ROW": Row, "CURVES": len(curves), "STAMP": int(stamp[:12], 16)}
+
+    return compile_entry(entry, f"measure_{stamp}", bind, type_measurement())
 
 
 def type_measurement() -> Any:
