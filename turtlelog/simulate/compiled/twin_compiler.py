@@ -10,7 +10,7 @@ Other versions of numba may lack what this file imports: `compile_entry` then us
 
 # mypy: disallow-subclassing-any=False
 
-from typing import Any
+from typing import Any, Final
 
 from llvmlite.binding import Linkage
 from numba import _dynfunc
@@ -20,6 +20,11 @@ from numba.core.compiler import CompilerBase, _LowerResult
 from numba.core.compiler_machinery import LoweringPass, PassManager, register_pass
 from numba.core.funcdesc import PythonFunctionDescriptor
 from numba.core.lowering import Lower
+
+LARGE: Final = 400
+"""Largest function that LLVM may repeat where it is called [instructions as lowered]. It repeats
+each one that has a single caller, however large, and its time grows faster than a function does.
+With 400 the measurement of a sweep takes half of LLVM's time and runs as fast."""
 
 
 class _TwinLibrary(JITCodeLibrary):
@@ -85,6 +90,10 @@ class _LowerTwin(LoweringPass):
         with context.push_code_library(library):
             lower = Lower(context, library, described, state.func_ir, metadata=state.metadata)
             lower.lower()
+        size = sum(len(block.instructions) for block in lower.function.blocks)
+        if size > LARGE and not flags.forceinline:
+            name = described.llvm_func_name
+            library.get_function(name).add_function_attribute("noinline")
         # Numba requires an object; Python never calls it.
         module, name = described.lookup_module(), described.qualname
         call = _dynfunc.make_function(module, name, "", 0, lower.env, (library,))
