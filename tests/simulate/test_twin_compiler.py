@@ -100,6 +100,7 @@ def write_step(lines: int) -> Any:
 def test_large_twin_is_not_repeated_where_it_is_called(
     compile_step: Callable[[Any], Any], lines: int, *, is_repeated: bool
 ) -> None:
+    """A step of two hundred lines is compiled."""
     long_step = write_step(lines)
     made = compile_step(long_step)
     code = made.overloads[made.signatures[0]].library.get_llvm_str()
