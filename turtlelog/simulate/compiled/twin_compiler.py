@@ -12,7 +12,6 @@ Other versions of numba may lack what this file imports: `compile_entry` then us
 
 from typing import Any, Final
 
-from llvmlite.binding import Linkage
 from numba import _dynfunc
 from numba.core import typed_passes, untyped_passes
 from numba.core.codegen import JITCodeLibrary
@@ -50,8 +49,8 @@ class _EntryLibrary(JITCodeLibrary):
         """Optimise once: what numba does before that prepares the counting of references."""
         for function in self._final_module.functions:
             # Names of twins are unique only in one process, and this code is loaded by others.
-            if function.linkage == Linkage.linkonce_odr:
-                function.linkage = Linkage.internal
+            if function.linkage.name == "linkonce_odr":
+                function.linkage = "internal"
         passes, builder = self._codegen._module_pass_manager()
         passes.run(self._final_module, builder)
 
