@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # The tests start hundreds of processes: without compiled files each compiles the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all check words torture recordings pictures gallery notebooks contact-sheet bench clean
+.PHONY: demo test test-all check words torture recordings pages pictures gallery notebooks contact-sheet bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
@@ -81,6 +81,10 @@ pictures: .venv/installed
 # One picture of each kind, by the commands of docs/gallery.md.
 gallery: .venv/installed-dev
 	$(BIN)/python -m tests.docs.gallery
+
+# What the commands of the pages print; PAGES="metrics why" chooses. Read the difference.
+pages: .venv/installed-dev
+	$(BIN)/python -m tests.docs.console_pages $(PAGES)
 
 # The pages of the notebooks, with their outputs.
 notebooks: .venv/installed-dev

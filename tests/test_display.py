@@ -46,7 +46,10 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
         lambda: tl.METRICS["run.duration"],
         "<MetricKind [s]: Time from the first sample",
     ),
-    "kind of signal": (lambda: tl.SIGNALS["x"], "<SignalKind [m]: Position in the world frame.>"),
+    "kind of signal": (
+        lambda: tl.SIGNALS["x"],
+        "<SignalKind [m]: Coordinate x in the world frame.>",
+    ),
     "kind of figure": (
         lambda: tl.draw.FIGURES["plant"],
         "<FigureKind: Impulse, step and ramp response",
@@ -117,7 +120,10 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "texts"),
     [
-        ("run", ["ends 0.107 m from the goal after 12.61 s", "770 samples", "<svg"]),
+        (
+            "run",
+            ["missed the goal by 0.107 m (allowed: 0.00669 m) after 12.6 s", "770 samples", "<svg"],
+        ),
         ("scenario", ["sequential-p to (2, 10) m", "law.kp_linear", "All 25 keys"]),
         ("signal", ["793 values in m, 2.", "<svg"]),
         ("loop", ["first differs in", "largest difference"]),

@@ -1,7 +1,8 @@
 """turtlelog: what did my loop really do?
 
-Simulate the ROS 2 turtlesim robot under feedback, record, replay, measure and compare. The names
-stand in `__init__.pyi` and load on first use: importing the package costs neither numpy nor rerun.
+Simulate the ROS 2 turtlesim robot under feedback, record, replay, measure and compare. The public
+names are in `__init__.pyi` and load on first use: importing the package loads neither numpy nor
+rerun.
 """
 
 from turtlelog.libraries import attach_names

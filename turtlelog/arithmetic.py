@@ -16,29 +16,30 @@ _pack, _unpack = _FLOATS.pack, _FLOATS.unpack
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 hypot = math.hypot
-"""The nearest double to the hypotenuse; the libm's, which compiled code would take, is not."""
+"""The double nearest to the hypotenuse. The libm function, which compiled code would call, is less
+exact."""
 
 fmod = math.fmod
 
 
 floor, ceil = math.floor, math.ceil
-"""Whole numbers; compiled they are floats, which no large value overflows."""
+"""Whole numbers. In compiled code, whole numbers are floats, so that no large value overflows."""
 
 
 def called(function: _Function) -> _Function:
-    """Mark a long function: compiled code calls it instead of repeating it where it is called."""
+    """Mark a long function that compiled code calls instead of inlining."""
     function.is_called = True  # type: ignore[attr-defined]
     return function
 
 
 def inlined(function: _Function) -> _Function:
-    """Mark a function that returns an array: it is compiled as a part of what calls it."""
+    """Mark a function that returns an array; compiled code inlines it into its caller."""
     function.is_inlined = True  # type: ignore[attr-defined]
     return function
 
 
 def compiled_as(twin: Callable[..., Any]) -> Callable[[_Function], _Function]:
-    """Have compiled code call another function, a loop over rows, in place of one of numpy's."""
+    """Let compiled code call another function, a loop over rows, instead of this numpy function."""
 
     def mark(function: _Function) -> _Function:
         function.twin = twin  # type: ignore[attr-defined]
@@ -49,7 +50,7 @@ def compiled_as(twin: Callable[..., Any]) -> Callable[[_Function], _Function]:
 
 @dataclass(slots=True)
 class Direction:
-    """An angle whose cosine and sine were taken last: most are taken of the same again."""
+    """The last angle with its cosine and sine: most calls repeat the last angle."""
 
     angle_rad: float = math.nan
     cosine: float = 0.0
@@ -57,7 +58,7 @@ class Direction:
 
 
 def find_direction(direction: Any, angle_rad: float) -> tuple[float, float]:
-    """Return cosine and sine; of the angle before as they were."""
+    """Return the cosine and sine of an angle; for the same angle as before, the stored values."""
     if angle_rad != direction.angle_rad or angle_rad == 0.0:  # there are two zeros
         direction.angle_rad = angle_rad
         direction.cosine, direction.sine = math.cos(angle_rad), math.sin(angle_rad)
@@ -75,12 +76,12 @@ def most(left: float, right: float) -> float:
 
 
 def clip(value: float, limit: float) -> float:
-    """Return a value whose magnitude is bounded."""
+    """Return a value clipped to a magnitude."""
     return limit if value > limit else -limit if value < -limit else value
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """Return the same direction in [-pi, pi) [rad]; an angle inside comes back bit for bit."""
+    """Return the same direction in [-pi, pi) [rad]. Angles in this range do not change by a bit."""
     if -math.pi <= angle_rad < math.pi:
         return angle_rad
     rest = fmod(angle_rad, _TURN_RAD)
@@ -90,7 +91,7 @@ def wrap_angle(angle_rad: float) -> float:
 
 
 def count_begun(table: Any, rows: int, place: float) -> int:
-    """Return how many rows begin at a place or before it, by their first column, which rises."""
+    """Return how many rows begin at or before a place, by their first column, which rises."""
     low, high = 0, rows
     while low < high:
         middle = (low + high) // 2
@@ -102,7 +103,10 @@ def count_begun(table: Any, rows: int, place: float) -> int:
 
 
 def round_to_step(value: float, step: float) -> float:
-    """Return the nearest multiple of a step, the even one of two; without a step the value."""
+    """Return the nearest multiple of a step, in a tie the even one.
+
+    Without a step, return the value.
+    """
     if step == 0.0:
         return value
     steps = value / step
@@ -111,12 +115,12 @@ def round_to_step(value: float, step: float) -> float:
 
 
 def nearest(value: float) -> float:
-    """Return the nearest whole number, the even one of two; never -0.0."""
+    """Return the nearest whole number, in a tie the even one; never -0.0."""
     return round(value)
 
 
 def nearest_int(value: float) -> int:
-    """Return the nearest whole number as an int, the even one of two."""
+    """Return the nearest whole number as an int, in a tie the even one."""
     return round(value)
 
 
@@ -140,13 +144,16 @@ def pose_to_float32(x_m: float, y_m: float, heading_rad: float) -> tuple[float, 
 def message_to_float32(
     x_m: float, y_m: float, heading_rad: float, speed: float, turn_rate: float
 ) -> tuple[float, float, float, float, float]:
-    """Return what a pose message holds as 32-bit floats."""
+    """Return the contents of a pose message as 32-bit floats."""
     found: tuple[float, float, float, float, float]
     found = _unpack(_pack(x_m, y_m, heading_rad, speed, turn_rate))
     return found
 
 
 def begin_row(rows: Any, new: Any, number: int) -> Any:
-    """Return the row of a number, with defaults; plain: `new` makes it, compiled it is copied."""
+    """Return the row of a number, with defaults.
+
+    Plain code makes the row with `new`; compiled code copies the row.
+    """
     row = rows[number] = new()
     return row

@@ -1,4 +1,4 @@
-"""How public values show themselves: one line in a console, a table in a notebook."""
+"""Display of public values: one line in a console, a table in a notebook."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,16 +14,16 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LARGEST_NS: Final = 2**62
 
 _LISTED: Final = 4
-"""Names that the line of a catalogue lists."""
+"""Number of names in the one-line display of a catalogue."""
 
 
 def describe_count(number: int, noun: str) -> str:
-    """Return how many there are, as in `1 row` and `2 rows`."""
+    """Return a count with its noun, as in `1 row` and `2 rows`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def fit_line(text: str) -> str:
-    """Return the one line in angle brackets that a value shows in a console: 80 letters at most."""
+    """Return the line in angle brackets that a console shows for a value: at most 80 characters."""
     text = escape_controls(text)
     return text if len(text) <= _LINE else f"{text[: _LINE - 4]}...>"
 
@@ -39,14 +39,15 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
 def split_numbers(name: str) -> list[str | tuple[int, str]]:
     """Return a key for the natural order of names, `run2` before `run10`: text, number, text, ...
 
-    A number is how many digits it has and these: Python reads no int of many thousand.
+    A number in the key is the count of its digits and the digits: Python does not parse an int of
+    many thousand digits.
     """
     parts = re.split(r"0*([0-9]+)", name)
     return [(len(part), part) if index % 2 else part for index, part in enumerate(parts)]
 
 
 def format_number(number: float | None, unit: str = "") -> str:
-    """Return a number with its unit in five digits, an angle in degrees; `-` for none."""
+    """Return a number with its unit in five digits, an angle in degrees; `-` for no number."""
     if number is None:
         return "-"
     number, unit = show_angle(number, unit)
@@ -54,7 +55,7 @@ def format_number(number: float | None, unit: str = "") -> str:
 
 
 def format_short(number: float, unit: str = "") -> str:
-    """Return a number with its unit in three digits, lengths below a centimetre in mm."""
+    """Return a number with its unit in three digits; lengths below a centimetre are in mm."""
     number, unit = show_angle(number, unit)
     if unit == "m" and 0.0 < abs(number) < _SHORT_M:
         number, unit = 1e3 * number, "mm"
@@ -65,21 +66,21 @@ def format_short(number: float, unit: str = "") -> str:
 _SHORT_M: Final = 0.01
 _WHOLE: Final = 1e3
 _LONG: Final = 1e6
-"""Where `.3g` writes a power of ten, whole numbers are read more easily up to here."""
+"""Largest whole number that is written in full where `.3g` would write a power of ten."""
 
 
 def show_angle(value: float, unit: str) -> tuple[float, str]:
-    """Return a value and its unit as they are printed: angles in degrees, all else as it is.
+    """Return a value and its unit for printing: angles in degrees, other values unchanged.
 
-    Turn rates stay in rad/s, and integrals of angles in the unit that they have.
+    Turn rates stay in rad/s, and integrals of angles keep their unit.
     """
     return (degrees(value), "deg") if unit == "rad" else (value, unit)
 
 
 def format_pair(first: object, second: object, unit: str = "") -> tuple[str, str]:
-    """Return two values with their unit, in as many digits as tell them apart, six at least.
+    """Return two values with their unit, in at least six digits and enough to distinguish them.
 
-    Angles are in degrees; a count, and what is no number, has no unit.
+    Angles are in degrees. Counts and values that are not numbers have no unit.
     """
     if not (isinstance(first, float) and isinstance(second, float)):
         one, other = ("none" if v is None else escape_controls(str(v)) for v in (first, second))
@@ -100,12 +101,12 @@ def _round(first: float, second: float, digits: int) -> tuple[str, str]:
 def format_html(
     rows: Iterable[Sequence[object]], *, heads: Sequence[str] = (), title: str = ""
 ) -> str:
-    """Return a table as HTML, every text escaped; numbers stand on the right, with their title.
+    """Return a table as HTML with escaped text; columns of numbers are aligned to the right.
 
     Args:
-        rows: Cells; None is an empty one.
-        heads: Titles of the columns, none where empty.
-        title: Caption, none where empty.
+        rows: Cells; None is an empty cell.
+        heads: Titles of the columns; no titles if empty.
+        title: Caption; no caption if empty.
     """
     rows = [*rows]
     lines = ['<table class="turtlelog">']
@@ -121,29 +122,29 @@ def format_html(
 
 
 def format_answer(answer: str, *parts: str) -> str:
-    """Return what a notebook shows of a value: its answer in a sentence, and below it the rest.
+    """Return the HTML that a notebook shows for a value: the answer, then the details.
 
-    Colours are the notebook's own, light or dark.
+    The colours are those of the notebook, light or dark.
 
     Args:
         answer: Text, which is escaped.
-        parts: HTML; empty ones are left out.
+        parts: HTML of the details; empty parts are left out.
     """
     head = f"<p><strong>{_escape(answer)}</strong></p>"
     return "\n".join(['<div class="turtlelog">', head, *filter(None, parts), "</div>"])
 
 
 def format_details(summary: str, html: str) -> str:
-    """Return a part of an answer that stays folded until it is asked for."""
+    """Return a part of an answer as HTML that stays folded until a click."""
     return f"<details><summary>{_escape(summary)}</summary>{html}</details>"
 
 
 def format_curve_svg(values: Sequence[float], *, label: str) -> str:
-    """Return values as a small curve; one that is not finite leaves a gap.
+    """Return values as a small curve in SVG; a value that is not finite leaves a gap.
 
     Args:
-        values: At equal distances.
-        label: What it shows, for who does not see it.
+        values: Values at equal distances.
+        label: Description of the curve for readers who do not see it.
     """
     known = [value for value in values if isfinite(value)]
     if not known:
@@ -168,7 +169,7 @@ def format_curve_svg(values: Sequence[float], *, label: str) -> str:
 _CURVE_WIDTH: Final = 320.0
 _CURVE_HEIGHT: Final = 60.0
 _CURVE_COLOUR: Final = "#0082cc"
-"""Told apart from white and from the black of dark notebooks."""
+"""Colour with contrast to white and to the black of dark notebooks."""
 
 
 def _format_head(head: str, cells: Sequence[object]) -> str:
@@ -201,16 +202,16 @@ def _escape(text: str) -> str:
 
 
 class NamedValues(Mapping[str, Value]):
-    """Values by name, read-only, that show their names and not themselves."""
+    """Read-only values by name. The display shows only the names."""
 
     __slots__ = ("_kind", "_values")
 
     def __init__(self, kind: str, values: Mapping[str, Value]) -> None:
-        """Take values over.
+        """Store the values.
 
         Args:
-            kind: What each of them is: `metric`.
-            values: By name, in the order in which they are shown.
+            kind: Kind of each value: `metric`.
+            values: Values by name, in the order of display.
         """
         self._kind = kind
         self._values = dict(values)
@@ -243,9 +244,9 @@ def format_utc(time_ns: int) -> str:
 
 
 def parse_utc(text: str) -> int | None:
-    """Return an ISO 8601 time in nanoseconds since 1970 UTC; None where it is no such time.
+    """Return an ISO 8601 time in nanoseconds since 1970 UTC; None if the text is not such a time.
 
-    A time that names no zone is taken for UTC: where it was told is not known.
+    A time without a time zone is read as UTC, because its zone is unknown.
     """
     try:
         moment = datetime.fromisoformat(text)

@@ -1,6 +1,6 @@
-"""One error root, one child per stage.
+"""One root of all errors, and one child per stage.
 
-A message is one line: the place as it was typed, what is wrong, and what to write.
+A message is one line: the place as the user typed it, what is wrong, and what to type.
 """
 
 import re
@@ -11,20 +11,21 @@ from typing import Any, Final
 from turtlelog.escapes import cut_text, escape_controls, hide_secrets
 
 _LONGEST: Final = 4000
-"""Letters of one message: a name in it may have megabytes."""
+"""Largest number of characters in a message: a name in a message may have megabytes."""
 
 _QUOTED: Final = 60
-"""Letters of a name that a message repeats."""
+"""Largest number of characters of a name that a message repeats."""
 
 _TIE: Final = 0.15
-"""How much less alike than the nearest name another one may be that is suggested with it [1]."""
+"""Largest difference in similarity to the nearest name with which another name is also suggested
+[1]."""
 
 _LISTED: Final = 14
-"""Names in one message; of more, `...` stands for the rest."""
+"""Largest number of names in a message; more are replaced by `...`."""
 
 
 class TurtlelogError(Exception):
-    """Root of every error that turtlelog raises on purpose."""
+    """Root of every error that turtlelog raises deliberately."""
 
     def __str__(self) -> str:
         """Return the message in one line."""
@@ -32,7 +33,10 @@ class TurtlelogError(Exception):
 
 
 def format_line(text: str) -> str:
-    """Return text in one line that names cannot break, steer or flood; URLs keep secrets."""
+    """Return text in one line for a terminal; no name can break, control or flood the line.
+
+    URLs do not show their secrets.
+    """
     shown = hide_secrets(cut_text(text, 2 * _LONGEST))
     if len(text) > _LONGEST:
         shown = f"{shown[:_LONGEST]}... ({len(text) - _LONGEST:,} letters more)"
@@ -40,7 +44,7 @@ def format_line(text: str) -> str:
 
 
 def describe_error(err: BaseException) -> str:
-    """Return an error of somebody else's in one line, with its kind."""
+    """Return an error of another library in one line, with its kind."""
     try:
         text = " ".join(str(err).split())
     except Exception:  # what an error says is its own code
@@ -49,9 +53,10 @@ def describe_error(err: BaseException) -> str:
 
 
 def make_portable(err: Exception) -> Exception:
-    """Return an error that another process can raise: itself, or its line where it does not fit.
+    """Return an error that another process can raise: the error itself, or its line.
 
-    An error whose constructor takes other arguments than it keeps can be packed, not unpacked.
+    If the constructor of an error takes other arguments than the error keeps, the error can be
+    pickled but not unpickled.
     """
     import pickle
 
@@ -78,11 +83,11 @@ _SYNONYMS: Final = MappingProxyType(
         "mechanisms": "causes", "mechanism": "causes", "effects": "causes", "keys": "laws",
     }
 )  # fmt: skip
-"""What others call commands, signals, keys and figures."""
+"""Other words for commands, signals, keys and figures."""
 
 
 def find_near(name: str, known: Iterable[str], *, most: int = 3) -> list[str]:
-    """Return the known names nearest to an unknown one: by letters, by meaning, by a part."""
+    """Return the known names nearest to an unknown name: by letters, by meaning, by a part."""
     import difflib  # Only mistakes pay for it.
 
     listed = list(known)
@@ -108,13 +113,13 @@ def find_near(name: str, known: Iterable[str], *, most: int = 3) -> list[str]:
 
 
 def describe_unknown(kind: str, name: str, known: Iterable[str], *, place: str = "") -> str:
-    """Return an error line for a name that is none of those known: which are near, or all.
+    """Return an error line for an unknown name, with the nearest known names or with all.
 
     Args:
-        kind: What it should name: `metric`, `preset or file`.
-        name: As it was given.
-        known: Names that there are.
-        place: What lists them: a command.
+        kind: Kind of thing that the name should denote: `metric`, `preset or file`.
+        name: Name as given.
+        known: All known names.
+        place: Command that lists the known names.
     """
     listed, name = list(known), str(name)
     near = find_near(name, listed)
@@ -126,12 +131,12 @@ def describe_unknown(kind: str, name: str, known: Iterable[str], *, place: str =
 
 
 def quote_name(name: str) -> str:
-    """Return a name in quotes, cut where it is long."""
+    """Return a name in quotes; a long name is cut."""
     return f'"{name if len(name) <= _QUOTED else f"{name[:_QUOTED]}..."}"'
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return names in a row, the last behind `or`; of many the first."""
+    """Return names as a list with `or` before the last; of many names, only the first ones."""
     if len(names) > _LISTED:
         return f"{', '.join(names[:_LISTED])}, ..."
     *others, last = names or ["none"]
@@ -139,16 +144,16 @@ def join_names(names: Sequence[str]) -> str:
 
 
 def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
-    """Suggest known names for an unknown one: the nearest, else the first."""
+    """Return the known names nearest to an unknown name, or the first known names."""
     listed = list(known)
     return join_names(find_near(name, listed, most=most) or listed)
 
 
 class ExpressionError(TurtlelogError):
-    """An expression that does not parse, or names what is not there.
+    """An expression that does not parse, or contains an unknown name.
 
     Attributes:
-        column: Column in its text, counted from 1; None if the error has no place.
+        column: Column in the text of the expression, from 1; None if the error has no place.
     """
 
     def __init__(self, message: str, *, column: int | None = None) -> None:
@@ -157,35 +162,35 @@ class ExpressionError(TurtlelogError):
 
 
 class LibraryError(TurtlelogError):
-    """Something needs a library that is not installed, as a slim installation lacks some."""
+    """A library is needed that is not installed, for example in a slim installation."""
 
 
 class LibraryImportError(LibraryError, ImportError):
-    """A library, or what needs it, that was to be imported."""
+    """A library that cannot be imported, or a name that needs such a library."""
 
 
 class LibraryAttributeError(LibraryError, AttributeError):
-    """A public name that needs such a library."""
+    """A public name that needs a library which is not installed."""
 
 
 class ProcessError(TurtlelogError):
-    """A process that ends before its work does."""
+    """A process that ends before its work is done."""
 
 
 class RemoteError(TurtlelogError):
-    """A URL whose file is not there, not to be had, or broken off on the way."""
+    """A URL whose file is missing, not available, or cut off during the transfer."""
 
 
 class FrameError(TurtlelogError):
-    """Arrays that are no vectors."""
+    """Arrays that are not vectors."""
 
 
 class PathError(TurtlelogError, ValueError):
-    """Points and sizes that make no path; the line begins with the key."""
+    """Points and sizes that do not form a path. The line begins with the key."""
 
 
 class RunError(TurtlelogError):
-    """Columns that do not make a run."""
+    """Columns that do not form a run."""
 
 
 class LawError(TurtlelogError):
@@ -193,7 +198,7 @@ class LawError(TurtlelogError):
 
 
 class ParameterError(LawError, ValueError):
-    """A parameter of a law that contradicts the others; the line begins with its key."""
+    """A parameter of a law that contradicts other parameters. The line begins with the key."""
 
 
 class ScenarioError(TurtlelogError):
@@ -201,17 +206,17 @@ class ScenarioError(TurtlelogError):
 
 
 class SimulationError(TurtlelogError):
-    """A simulation that cannot go on.
+    """A simulation that cannot continue.
 
     Attributes:
-        run: The `Run` up to there, None if it had no sample.
+        run: The `Run` up to the error; None if the run had no sample.
     """
 
     run: Any = None
 
 
 class TheoryError(TurtlelogError):
-    """A question that the ideal loop has no answer to."""
+    """A question that the theory of the ideal loop cannot answer."""
 
 
 class LogError(TurtlelogError):
@@ -223,7 +228,7 @@ class ReplayError(TurtlelogError):
 
 
 class MeasureError(TurtlelogError):
-    """A metric or signal that is not known."""
+    """An unknown metric or signal."""
 
 
 class IdentifyError(TurtlelogError):
@@ -247,7 +252,7 @@ class TuneError(TurtlelogError):
 
 
 class ShowError(TurtlelogError):
-    """A picture, table or viewer that cannot be made."""
+    """A picture, table or viewer that cannot be created."""
 
 
 class CheckError(TurtlelogError):
@@ -255,7 +260,7 @@ class CheckError(TurtlelogError):
 
 
 class UndecidedError(CheckError, AssertionError):
-    """A truth was asked for where it is unknown: neither it nor its negation passes."""
+    """A truth value was requested that is unknown: neither the formula nor its negation passes."""
 
 
 class MissingValueError(UndecidedError):
@@ -263,4 +268,4 @@ class MissingValueError(UndecidedError):
 
 
 class UsageError(TurtlelogError):
-    """Options of a command that do not go together, or an argument that is not a path."""
+    """Options of a command that exclude each other, or an argument that is not a path."""

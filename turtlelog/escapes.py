@@ -1,6 +1,6 @@
-"""Text of others that stays text, in a terminal, in Markdown, in a spreadsheet, and keeps secrets.
+"""Escape foreign text for a terminal, Markdown or a spreadsheet, and hide secrets in URLs.
 
-Names cannot steer what shows them. A URL is shown without its password and its signature.
+No name can control the program that shows it. A URL is shown without password and signature.
 """
 
 import re
@@ -9,8 +9,9 @@ from typing import Final
 
 _UNUSUAL: Final = re.compile(r"[^ -~]")
 _HIDDEN: Final = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
-"""Unicode's controls, invisible marks (of direction, width, joining), halves of characters, and
-separators of lines and paragraphs: nobody sees them, and some change how the rest is seen."""
+"""Unicode categories: control characters, invisible marks (of direction, width, joining),
+surrogates, and separators of lines and paragraphs. These characters are invisible, and some change
+how other text looks."""
 
 _INLINE: Final = re.compile(
     r"[\\`*|~$]"  # code, emphasis, cells, mathematics
@@ -24,48 +25,51 @@ _FORMULA: Final = re.compile(r"\s*+(?:'++\s*+)?[=+\-@\uff0b\uff0d\uff1d\uff20]")
 _HARMLESS: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|-")
 
 _SCHEME: Final = r"[A-Za-z][A-Za-z0-9+._-]{1,40}"
-"""At least two letters: `C:` is a drive. fsspec has schemes with `_`, as `async_wrapper`. Known
-schemes have up to 20 letters; without a limit a long word is searched from each of its letters."""
+"""Scheme of a URL. A scheme has at least two letters, because `C:` is a drive. fsspec has schemes
+with `_`, for example `async_wrapper`. Known schemes have up to 20 letters. Without a limit, the
+search in a long word starts again at each letter."""
 
 URL: Final = re.compile(rf"(?:{_SCHEME}::){{0,8}}{_SCHEME}://")
-"""`simplecache::https://` is one within the other, rarely in a third; the limit is as above."""
+"""Beginning of a URL. URLs can be nested: `simplecache::https://`, rarely in a third. The limit
+keeps the search short."""
 
 _LOGIN: Final = (
     r"(?:[^\s/?#]{0,1000}@"  # up to the last @ before the path
     r"|[^\s:/?#@'\"<>`\[]{1,200}:(?!\d*(?!\w))(?:\S{0,1000}@|[^/?#\n]{0,200}@))?"
 )
-"""User and password in a sentence. A password may have quotes; behind `user:` also `/`, or blanks.
-A number behind the colon is a port. Without the limits a long word is searched from each URL."""
+"""User and password in a sentence. A password may contain quotes; behind `user:` it may also
+contain `/` or blanks. A number behind the colon is a port. Without the limits, the search in a long
+word starts again at each URL."""
 
 _IN_TEXT: Final = re.compile(
     URL.pattern
     + _LOGIN
     + r"(?:[^\s?#]{0,1000}[?#]\S*(?<![.,;:!?)'\"<>`])|[^\s'\"<>`]*(?<![.,;:!?)]))"
 )
-"""A URL within a sentence, whose marks are behind it. In a query, as in a path before it, quotes
-are letters like others."""
+"""A URL within a sentence, without the sentence's punctuation behind it. Quotes in the query, or in
+a path before the query, belong to the URL."""
 
 _LONG_WORD: Final = re.compile(r"\S{1000,}")
-"""A password in it may be longer than `_LOGIN` looks for."""
+"""A word that may contain a longer password than `_LOGIN` finds."""
 
 _LINK: Final = re.compile(rf"::(?={_SCHEME}(?:::|://))")
-"""Between two of such a chain; `::` may also be in a password or an address."""
+"""Separator between two URLs of a chain; a password or address may also contain `::`."""
 
 _PORT: Final = re.compile(r"(?:[^:]*|\[[^]]*\])(?::\d*)?|arn:.*")
-"""A host, with a port or without: what has another colon is a name and a password. S3 has names of
-buckets with colons, which begin with `arn:`."""
+"""A host, with or without a port. Text with another colon is a name and a password. S3 has bucket
+names with colons, which begin with `arn:`."""
 
 _SHORT: Final = 4
-"""Characters of a password or a value of a query at least, to be looked for within a message: what
-is shorter is part of many words."""
+"""Smallest length of a password or query value that is searched within a message. Shorter text is
+part of many words."""
 
 
 def escape_controls(text: str, *, keep: str = "") -> str:
-    r"""Return text that cannot steer a terminal: `\x1b`, `\n`, `\u202e` for what is not seen.
+    r"""Return text that cannot control a terminal: `\x1b`, `\n`, `\u202e` for invisible characters.
 
     Args:
-        text: Of anybody.
-        keep: Characters that stay, as the ends of lines of a text of our own.
+        text: Text from any source.
+        keep: Characters that are not escaped, for example line ends of trusted text.
     """
     if not _UNUSUAL.search(text):
         return text
@@ -79,28 +83,28 @@ def escape_controls(text: str, *, keep: str = "") -> str:
 
 
 def escape_markdown(text: str, *, starts_line: bool = False) -> str:
-    """Return text as Markdown that shows it as it is, in one line.
+    """Return text as Markdown that shows the text unchanged, in one line.
 
     Args:
-        text: Of anybody.
-        starts_line: Whether it stands where a heading, a list or a quotation could begin.
+        text: Text from any source.
+        starts_line: Whether a heading, list or quotation could begin at the place of the text.
     """
     inline = _INLINE.sub(r"\\\g<0>", escape_controls(" ".join(text.split())))
     return _BLOCK.sub(r"\1\\", inline) if starts_line else inline
 
 
 def fence_markdown(text: str) -> str:
-    """Return lines of text as a block of Markdown that no line of them ends."""
+    """Return lines of text as a fenced block of Markdown that no line of the text can end."""
     longest = max(map(len, re.findall("`+", text)), default=0)
     fence = "`" * max(longest + 1, 3)
     return f"{fence}\n{text}\n{fence}"
 
 
 def guard_cell(cell: object) -> object:
-    """Return a cell of a CSV table that no spreadsheet takes for a formula.
+    """Return a cell of a CSV table that no spreadsheet reads as a formula.
 
-    Where a text would be one, an apostrophe stands before it. Numbers are never changed, nor is a
-    text that is one.
+    A text that looks like a formula gets an apostrophe in front. Numbers, and texts that are
+    numbers, do not change.
     """
     if not isinstance(cell, str) or not _FORMULA.match(cell) or _HARMLESS.fullmatch(cell):
         return cell
@@ -108,7 +112,7 @@ def guard_cell(cell: object) -> object:
 
 
 def show_url(url: str) -> str:
-    """Return a URL without what may be secret: user, password, query and fragment."""
+    """Return a URL without the parts that may be secret: user, password, query and fragment."""
     return "::".join(map(_show_one, _LINK.split(url)))
 
 
@@ -120,9 +124,9 @@ def _show_one(url: str) -> str:
 
 
 def _find_login(rest: str) -> str:
-    """Return user and password before the host, with their `@`; the whole where there is no host.
+    """Return user, password and `@` before the host. Without a host, return the whole text.
 
-    A password may hold what belongs behind a host, as `/` in the secret keys of S3 and `?`.
+    A password may contain `/`, as in secret keys of S3, or `?`, which usually follow a host.
     """
     host = re.split(r"[/?#]", rest, maxsplit=1)[0]
     if "@" in host:
@@ -140,8 +144,9 @@ def hide_secrets(text: str, url: str = "") -> str:
     """Return a message with its URLs as `show_url` returns them.
 
     Args:
-        text: What a library or the user wrote.
-        url: What it is about: its user, password and query are hidden also where they stand alone.
+        text: Text from a library or the user.
+        url: URL that the message is about. The user, password and query of this URL are also hidden
+            outside a URL.
     """
     text = _LONG_WORD.sub(lambda found: _drop_logins(found[0]), text)
     text = _IN_TEXT.sub(lambda found: show_url(found[0]), text)
@@ -151,7 +156,7 @@ def hide_secrets(text: str, url: str = "") -> str:
 
 
 def _drop_logins(word: str) -> str:
-    """Return a word without what stands between its first URL's `://` and its last `@`."""
+    """Return a word without the text between its first `://` and its last `@`."""
     found, last = URL.search(word), word.rfind("@")
     if found is None or last < found.end():
         return word
@@ -159,9 +164,9 @@ def _drop_logins(word: str) -> str:
 
 
 def cut_text(text: str, most: int) -> str:
-    """Return the first letters of a text; of a URL that is cut, the scheme alone.
+    """Return the first characters of a text. A URL that must be cut is reduced to its scheme.
 
-    Where the end of a password is cut off, nothing tells that it is one.
+    If the end of a password were cut off, `show_url` could not recognise the password.
     """
     if len(text) <= most:
         return text

@@ -1,7 +1,7 @@
-"""Libraries that not every installation has, and the names of packages that need them.
+"""Libraries that not every installation has, and packages whose names load on first use.
 
-A library is loaded where it is needed. A public name loads on first use; where its library is not
-installed, the name is not there, and who imports it is told what to install.
+A library is loaded when it is needed. A public name loads on first use. If the library of a name is
+not installed, the package does not have the name, and the import error says what to install.
 """
 
 import sys
@@ -32,15 +32,15 @@ _PURPOSES: Final = MappingProxyType(
         "rerun_notebook": ("turtlelog[notebook]", "the widget of a notebook"),
     }
 )
-"""What each module's package is called, and what turtlelog needs it for."""
+"""Package name of each module, and the features of turtlelog that need it."""
 
 
 def load_library(module: str) -> Any:
-    """Return a module of a library that a slim installation lacks.
+    """Return a module of a library that a slim installation does not have.
 
     Raises:
-        LibraryImportError: It, or another of these that it needs, is not installed; what that is
-            needed for, and how to get it.
+        LibraryImportError: If the library, or another library that it needs, is not installed. The
+            message says what needs the library and how to install it.
     """
     try:
         return import_module(module)
@@ -62,19 +62,19 @@ _NEEDED: Final = MappingProxyType(
         "turtlelog.draw.rerun": ("rerun", "pyarrow"),
     }
 )
-"""Packages without which libraries none of their names can be used."""
+"""Libraries without which none of a package's names can be used."""
 
 
 def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], Any]]:
     """Return `__getattr__` and `__dir__` of a package whose names load on first use.
 
-    The names are those of the `.pyi` file beside `file`. A name whose library is not installed is
-    in neither `__all__` nor `dir()`; an import does not pay for that search. The `__getattr__` of
-    such a name raises LibraryAttributeError, which is an AttributeError: `hasattr` is False, and
-    `getattr(package, name, None)` is None. Python turns that into "cannot import name" for
-    `from package import name`, but first it asks the finders of modules. One of ours then raises
-    LibraryImportError, an ImportError. Both say what to install. No class can be both, because
-    Python stores the two kinds differently. Both are a LibraryError.
+    The names are read from the `.pyi` file beside `file`. A name whose library is not installed is
+    in neither `__all__` nor `dir()`. `__getattr__` of such a name raises LibraryAttributeError, a
+    subclass of AttributeError: `hasattr` returns False, and `getattr(package, name, None)` returns
+    None. For `from package import name`, Python would turn this error into "cannot import name",
+    but first asks the module finders. Our finder then raises LibraryImportError, a subclass of
+    ImportError. Both errors are a LibraryError and say what to install. No class can be both an
+    AttributeError and an ImportError, because Python stores the two kinds differently.
     """
     load, _, listed = lazy_loader.attach_stub(package, file)
 
@@ -96,7 +96,7 @@ def attach_names(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
 
 
 def _list_lacking(package: str, file: str) -> Iterator[str]:
-    """Yield the names of a package, from its stub, whose library is not installed."""
+    """Yield the names in the stub of a package whose library is not installed."""
     rooms = (room for room in _NEEDED if room.startswith(f"{package}."))
     lacking = [room for room in rooms if not all(map(_is_installed, _NEEDED[room]))]
     if not lacking:
@@ -124,19 +124,19 @@ def _is_installed(library: str) -> bool:
 
 
 class _Absent:
-    """Finds no module: what is asked for after a name was absent gets the reason for that."""
+    """Finder that finds no module, but gives the reason why a name is missing."""
 
     reasons: Final[dict[str, str]] = {}
 
     @classmethod
     def tell(cls, name: str, reason: str) -> None:
-        """Raise the reason when the name is imported from now on."""
+        """Raise this reason whenever the name is imported from now on."""
         cls.reasons[name] = reason
         if cls not in sys.meta_path:
             sys.meta_path.append(cls)
 
     @classmethod
     def find_spec(cls, name: str, *_: object) -> None:
-        """Raise LibraryImportError for such a name; there is no module for any other."""
+        """Raise LibraryImportError for a missing name; find no module for any other name."""
         if name in cls.reasons:
             raise LibraryImportError(cls.reasons[name])

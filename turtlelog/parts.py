@@ -1,9 +1,10 @@
-"""What the closed loop is made of: the declaration of a control law, a plant and an effect.
+"""The parts of the closed loop: the declarations of a control law, a plant and an effect.
 
-A part is one file. Its `step` is a function of numbers in the subset of Python that numba compiles.
-It runs plain over objects with slots, and compiled over records of the same fields. It reads
-`settings`, the scenario as numbers: `settings.law.kp_linear`, `settings.sensing.bias_heading_rad`.
-A word is the number of its place in its `Literal`, a key without a value is NaN or -1.
+A part is one file. The `step` of a part is a function of numbers in the subset of Python that numba
+compiles. Plain Python runs `step` over objects with slots; compiled code runs it over records with
+the same fields. `step` reads `settings`, the scenario as numbers, for example
+`settings.law.kp_linear` or `settings.sensing.bias_heading_rad`. A word is represented by its
+position in its `Literal`, a missing value by NaN or -1.
 """
 
 import dataclasses
@@ -21,27 +22,28 @@ from msgspec import Meta
 from turtlelog.run.loops import Cause
 
 ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
-"""Metadata of a key that a scenario's text leaves out while it has its default, so that adding it
-changes no file that was written before."""
+"""Metadata of a key that a scenario's text omits while the key has its default. Adding such a key
+does not change files that were written before."""
 
 MAY_BE_INFINITE: Final[Mapping[str, bool]] = MappingProxyType({"may_be_infinite": True})
-"""Metadata of a key whose inf means that there is no such limit."""
+"""Metadata of a key for which inf means no limit."""
 
 LARGEST_M: Final = 1e6
-"""Farthest from the origin that a robot starts or goes [m]: a double tells 0.1 nm apart there."""
+"""Largest distance from the origin at which a robot starts or has its goal [m]. A double resolves
+0.1 nm there."""
 
 MOST_RAD_S: Final = 1e3
-"""Fastest push of a turn rate, 160 turns a second [rad/s]: the way of the lagged robot is
-integrated turn by turn, and more would take minutes."""
+"""Largest disturbance of a turn rate, 160 turns a second [rad/s]. The distance of a robot model is
+integrated turn by turn; a larger disturbance would take minutes."""
 
 MOST_S: Final = 1e6
 """Longest time [s]."""
 
 LARGEST_FLOAT: Final = 3.4e38
-"""Poses and applied velocities are published as 32-bit floats."""
+"""Largest 32-bit float: poses and applied velocities are published as 32-bit floats."""
 
 NEVER_NS: Final = 2**63 - 1
-"""Later than any time of a run."""
+"""A time later than any time of a run."""
 
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
@@ -67,21 +69,22 @@ Place = Literal[
     "push",
     "next_push",
 ]
-"""Where an effect acts, and what its step returns there:
+"""Place where an effect acts, and what its step returns at this place:
 
-- `lose_pose`, `lose_command`: whether a pose, or a command, is lost; `value` is what is so before.
-- `pose_travel`, `command_travel`: when it arrives [ns].
-- `sense`: the pose that is read.
-- `shape`, `limit`: the command (speed, turn rate) after shaping, after the limits; `dt_s` is the
-  time since the last one [s].
+- `lose_pose`, `lose_command`: whether a pose or command is lost; `value` is the answer of earlier
+  effects.
+- `pose_travel`, `command_travel`: time at which the pose or command arrives [ns].
+- `sense`: the pose that the controller reads.
+- `shape`, `limit`: the command (speed, turn rate) after shaping or after the limits; `dt_s` is the
+  time since the last command [s].
 - `repeat`: how often a command arrives.
-- `push`: what is added to speed and turn rate of the plant in the step to a tick; `time_ns` is a
-  time of that step, `period_ns` its length.
-- `next_push`: the next time [ns] after `time_ns` at which that changes within a step.
+- `push`: disturbance of the plant's speed and turn rate in the step to a tick; `time_ns` is a time
+  in this step, `period_ns` the length of the step.
+- `next_push`: the next time after `time_ns` at which the disturbance changes within a step [ns].
 """
 
 Complaint = tuple[str, str, str]
-"""A key that is wrong, what was expected there, and what was found."""
+"""A wrong key, what was expected, and what was found."""
 
 
 def load_parts(package: str, files: tuple[str, ...]) -> Any:
@@ -90,21 +93,21 @@ def load_parts(package: str, files: tuple[str, ...]) -> Any:
 
 
 def absent(default: Any, *, may_be_infinite: bool = False) -> Any:
-    """Return a field that stays out of a file while it has its default."""
+    """Return a field that files omit while the field has its default."""
     infinite = MAY_BE_INFINITE if may_be_infinite else {}
     return field(default=default, metadata={**ABSENT_BY_DEFAULT, **infinite})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stream:
-    """Random numbers of an effect, drawn for each of its events whether it uses them or not.
+    """Random numbers of an effect, drawn for every event, used or not.
 
     Attributes:
-        number: Of this stream alone. It and the seed determine all that is drawn, for good.
-        kind: `uniform`: from 0 to below 1; `normal`: of mean 0 and standard deviation 1.
+        number: Number of this stream alone. The number and the seed determine all drawn values.
+        kind: `uniform`: from 0 to below 1; `normal`: mean 0, standard deviation 1.
         fields: Names of the numbers of one event.
-        keys: The scenario's keys: where all of them are 0, none of its numbers is used.
-        is_chance: Whether its keys are probabilities: where they are 1, the seed changes nothing.
+        keys: Keys of the scenario. If all keys are 0, no number of the stream is used.
+        is_chance: Whether the keys are probabilities. If all keys are 1, the seed changes nothing.
     """
 
     number: int
@@ -116,15 +119,15 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Action:
-    """What an effect does at one place.
+    """Action of an effect at one place.
 
     Attributes:
-        step: A function of numbers. The names of its parameters say what it gets: `settings`,
-            `state` (of its effect), `drawn` (its random numbers), `value`, and what belongs to the
-            place. It returns the new value; where its keys are neutral, what it got.
-        stream: Its random numbers.
-        keys: Those of which one must differ from its neutral value for it to act; (): any of the
-            effect's.
+        step: Function of numbers. The arguments are chosen by the names of the parameters:
+            `settings`, `state` (of the effect), `drawn` (random numbers), `value`, and the values
+            of the place. The function returns the new value; with neutral keys, the received value.
+        stream: Random numbers of the action.
+        keys: Keys of which at least one must differ from its neutral value for the action to act;
+            (): any key of the effect.
     """
 
     step: Callable[..., Any]
@@ -134,19 +137,19 @@ class Action:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Effect:
-    """What lies between law and plant; of the loop's own settings there are no actions.
+    """An effect between law and plant. Effects that the loop itself computes have no actions.
 
     Attributes:
-        name: Of its state and of its random numbers.
-        tables: Its keys with defaults, bounds and units: a frozen dataclass for each table of a
+        name: Name of the effect, its state and its random numbers.
+        tables: Keys with defaults, bounds and units: a frozen dataclass for each table of a
             scenario.
-        actions: By place.
-        State: A dataclass with slots and defaults: what it remembers.
-        causes: Of `explain`: what it adds to the ideal loop.
-        modelled: Keys whose part in the loop theory knows, or that have none.
-        added: Keys that theory leaves out, and that make no unstable loop stable.
-        judge: Yields the keys that contradict others of a scenario.
-        notes: Yields settings that have no effect, in words.
+        actions: Actions by place.
+        State: A dataclass with slots and defaults: the memory of the effect.
+        causes: Causes that the effect adds to the ideal loop, for `explain`.
+        modelled: Keys that theory models, and keys without influence on the loop.
+        added: Keys that theory ignores and that cannot make an unstable loop stable.
+        judge: Function that yields keys which contradict other keys of a scenario.
+        notes: Function that yields sentences on settings without any effect.
     """
 
     name: str
@@ -161,15 +164,15 @@ class Effect:
 
     @property
     def neutral(self) -> Mapping[str, object]:
-        """Values of its keys without it."""
+        """Neutral values of the keys, with which the effect does nothing."""
         return {key: value for one in self.causes for key, value in one.neutral.items()}
 
     def acts(self, scenario: Any) -> bool:
-        """Whether a scenario has it: one of its keys is not neutral."""
+        """Return whether a scenario has this effect: one of the keys is not neutral."""
         return any(read(scenario) != value for read, value in _list_neutral(self, None))
 
     def acts_at(self, place: Place, scenario: Any) -> bool:
-        """Whether a scenario has what it does at a place."""
+        """Return whether a scenario has the action of this effect at a place."""
         return any(read(scenario) != value for read, value in _list_neutral(self, place))
 
 
@@ -177,9 +180,9 @@ class Effect:
 def _list_neutral(
     effect: Effect, place: Place | None
 ) -> tuple[tuple[Callable[[Any], object], object], ...]:
-    """Return what reads the keys of an effect, or of what it does at a place, with neutral values.
+    """Return readers of the keys of an effect, or of its action at a place, with neutral values.
 
-    Every run asks for them.
+    The result is cached, because every run needs it.
     """
     neutral = effect.neutral
     keys = () if place is None else effect.actions[place].keys
@@ -191,14 +194,13 @@ class Plant:
     """The facts of a plant that the loop around it needs.
 
     Attributes:
-        name: As people call it.
-        period_ns: One step [ns].
-        low_m: The least coordinate of start and goal [m].
-        high_m: The largest [m].
-        watchdog_ns: The plant stops when more than this has passed since it last took a command
-            [ns], whatever its period; inf: it never does.
-        steps_per_tick: Steps that take as long as one tick of the plant as it is; 1 but for a finer
-            clock.
+        name: Name of the plant in texts for users.
+        period_ns: Duration of one step [ns].
+        low_m: Smallest allowed coordinate of start and goal [m].
+        high_m: Largest allowed coordinate of start and goal [m].
+        watchdog_ns: Time after the last taken command beyond which the plant stops, for any period
+            [ns]; inf: the plant never stops.
+        steps_per_tick: Number of steps per tick of the original plant; 1 unless the clock is finer.
     """
 
     name: str
@@ -210,11 +212,11 @@ class Plant:
 
     @property
     def period_s(self) -> float:
-        """One step [s]."""
+        """Duration of one step [s]."""
         return self.period_ns / 1e9
 
     def refine(self, times: int) -> "Plant":
-        """Return the same plant with a clock that is so many times finer."""
+        """Return the same plant with a clock that is finer by a factor."""
         period_ns, rest = divmod(self.period_ns, times)
         if rest:
             raise ValueError(f"expected a divisor of {self.period_ns} ns, found {times}")
@@ -224,29 +226,32 @@ class Plant:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlantPart:
-    """What is driven.
+    """A kind of plant, as a scenario names it.
 
     Attributes:
-        name: Its `kind` in a scenario.
-        meaning: What it is, in one line.
-        Keys: Its keys of the table `[plant]`: a frozen dataclass.
-        find_facts: What the loop needs to know, of its keys.
-        State: A dataclass with slots and defaults: what it remembers, and `hit_wall`. One with
-            `waiting_first` needs no earlier row of `waiting` any more.
+        name: `kind` of the plant in a scenario.
+        meaning: Description of the plant in one line.
+        Keys: Keys of the table `[plant]`: a frozen dataclass.
+        find_facts: Function of the keys that returns the facts that the loop needs.
+        State: A dataclass with slots and defaults: the memory of the plant, including `hit_wall`.
+            If it has `waiting_first`, earlier rows of `waiting` are no longer needed.
         Waiting: A dataclass with slots and defaults: a command that the plant follows later.
-        begin: Returns the state at the start: of keys, x [m], y [m], heading [rad], and whether
-            these are rounded to 32 bits.
-        hold: `(settings, state, rows, time_ns, speed, turn_rate)`: a command arrives. The
-            plant may add it to `rows.waiting`, with `begin_row` and `rows.new[0].waiting`.
-        push: `(settings, state, speed, turn_rate)`: what is added to its rates from now on.
-        move: `(settings, state, rows, time_ns)`: move to a time; False where it cannot.
-        read: Returns x [m], y [m], heading [rad], magnitude of the velocity [m/s] and turn rate
-            [rad/s] of a state.
-        acts_in_steps: Whether a command, and a push, acts on the whole step in which it arrives:
-            one is taken each step. Otherwise both act from the time at which they come.
-        delays: Its keys that are delays, which last no longer than a run.
-        causes: Of `explain`: limits that it may have, by keys that are None without them.
-        added: Keys that theory leaves out, and that make no unstable loop stable.
+        begin: Function of the keys, x [m], y [m], heading [rad], and whether these are rounded to
+            32 bits; returns the state at the start.
+        hold: `(settings, state, rows, time_ns, speed, turn_rate)`: accept a command that arrives.
+            The plant may add the command to `rows.waiting`, with `begin_row` and
+            `rows.new[0].waiting`.
+        push: `(settings, state, speed, turn_rate)`: set the disturbance of the rates from now on.
+        move: `(settings, state, rows, time_ns)`: move to a time; return False if that is
+            impossible.
+        read: Function of a state that returns x [m], y [m], heading [rad], magnitude of the
+            velocity [m/s] and turn rate [rad/s].
+        acts_in_steps: Whether a command or disturbance acts on the whole step in which it arrives;
+            one command is taken per step. Otherwise both act from their time of arrival.
+        delays: Keys of delays, which must not be longer than a run.
+        causes: Causes for `explain`: optional limits of the plant, with keys that are None without
+            a limit.
+        added: Keys that theory ignores and that cannot make an unstable loop stable.
     """
 
     name: str

@@ -1,8 +1,8 @@
-"""Work on many things in several processes: the results in order, never many at once in memory.
+"""Work on many items in several processes: results in order, and never many of them in memory.
 
-Processes are spawned: the same everywhere, and safe beside threads. They import the module that
-runs: a script that asks for more than one keeps its own work under `if __name__ == "__main__":`.
-Where libraries take a second of each, they are forked instead, on Linux.
+Processes are spawned, which works on every system and beside threads. Each process imports the main
+module: a script that uses several processes keeps its own work under `if __name__ == "__main__":`.
+If loading libraries would take a second per process, Linux forks the processes instead.
 """
 
 import os
@@ -30,56 +30,56 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _QUEUED: Final = 3
-"""Items that a process holds: one that it works on and two that wait, so that it does not idle
-while the caller prints."""
+"""Number of items that a process holds: one in work and two that wait, so that the process is not
+idle while the caller prints."""
 
 _AHEAD: Final = 64
-"""Results for each process that may wait for an earlier one: one slow file does not stop the other
-processes, and of ten thousand results no more are in memory."""
+"""Largest number of results per process that may wait for an earlier result. One slow file does not
+stop the other processes, and of ten thousand results only a few are in memory."""
 
 _WATCH_S: Final = 2.0
-"""Between two questions whether a service is there, while a result is awaited [s]."""
+"""Time between two checks of a service while a result is awaited [s]."""
 
 _SUBMITTED: Final = 1024
-"""Items that a cluster holds at a time: some for each of a few hundred cores."""
+"""Number of items that a cluster holds at a time: several for each of a few hundred cores."""
 
 LONG_S: Final = 2.0
-"""Work on one core that more processes make shorter [s]: to start one takes 0.5 to 1 s, and two
-save half of the work."""
+"""Work on one core from which more processes save time [s]. Starting a process takes 0.5 to 1 s,
+and two processes save half of the work."""
 
 FILE_S: Final = 3e-3
-"""To read and measure a usual file [s], besides its bytes."""
+"""Time to read and measure a typical file, in addition to the time for its bytes [s]."""
 
 _BYTES_PER_S: Final = 100e6
-"""How fast one core reads, decompresses and measures files [bytes/s]."""
+"""Rate at which one core reads, decompresses and measures files [bytes/s]."""
 
 _REMOTE_S: Final = 0.2
-"""To read a file behind a URL [s]: a few requests. Its size is not asked for."""
+"""Time to read a file behind a URL [s]: a few requests. The size of the file is not requested."""
 
 CAN_FORK: Final = sys.platform == "linux"
-"""Whether a process can be forked safely: elsewhere libraries of the system forbid it."""
+"""Whether a process can be forked safely: on other systems, system libraries forbid it."""
 
 
 class Watched(ABC):
-    """An executor whose work may end without a word, so that its futures wait for ever.
+    """An executor whose service may end without an error, so that its futures would wait forever.
 
     Attributes:
-        is_gone: Whether it has ended.
+        is_gone: Whether the service has ended.
     """
 
     is_gone: bool = False
 
     @abstractmethod
     def require_alive(self) -> None:
-        """Refuse to wait any longer.
+        """Raise an error if the service has ended, instead of waiting any longer.
 
         Raises:
-            ProcessError: Where the service has ended.
+            ProcessError: If the service has ended.
         """
 
 
 def count_cores() -> int:
-    """Return how many cores this process may use; of a worker 1, as it starts no others."""
+    """Return how many cores this process may use; 1 in a worker, which starts no processes."""
     loaded = sys.modules.get("multiprocessing")  # not before the first process is started
     if loaded is not None and loaded.current_process().daemon:
         return 1
@@ -96,12 +96,12 @@ def choose_jobs(
     file_s: float = FILE_S,
     count_read: Callable[[Path], int] | None = None,
 ) -> int:
-    """Return how many processes read files soonest: 1 where starting more takes longer than that.
+    """Return the number of processes that read files fastest; 1 if starting more takes too long.
 
     Args:
-        paths: Files and folders; what is missing takes no time.
-        file_s: What each takes besides its bytes [s].
-        count_read: How many bytes of a path are read; None: all.
+        paths: Files and folders; missing paths take no time.
+        file_s: Time for each file, in addition to the time for its bytes [s].
+        count_read: Function that returns how many bytes of a path are read; None: all.
     """
     cores = count_cores()
     if cores == 1 or len(paths) < 2:
@@ -118,7 +118,7 @@ def choose_jobs(
 
 
 def count_bytes(path: Path) -> int:
-    """Return the size of a file, or of all files in a folder; 0 of what is not there."""
+    """Return the size of a file, or of all files in a folder; 0 if the path does not exist."""
     with suppress(OSError, RemoteError):
         files = path.rglob("*") if path.is_dir() else [path]
         return sum(found.stat().st_size for found in files)
@@ -133,19 +133,21 @@ def map_in_processes(
     name: Callable[[T], str] = str,
     is_forked: bool = False,
 ) -> Generator[R, None, None]:
-    """Yield what work makes of every item, in their order, as `map` does.
+    """Yield the result of the work for each item, in order, like `map`.
 
     Args:
-        work: It can be pickled unless processes are forked, as can items and results. What it
-            raises is raised here, where its result would stand.
-        items: What to work on.
-        jobs: Processes; with 1, or of one item, the work is done in this one. Or what takes the
-            work, as `connect_cluster` yields it.
-        name: What an item is called in an error.
-        is_forked: Whether processes begin with all that this one has loaded; see `CAN_FORK`.
+        work: Function of one item. Unless processes are forked, the function, the items and the
+            results must be picklable. An exception is raised again at the place of the result.
+        items: Items to work on.
+        jobs: Number of processes. With 1, or for one item, this process does the work. An executor
+            is also possible, as `connect_cluster` yields it.
+        name: Word for an item in errors.
+        is_forked: Whether processes begin with all modules that this process has loaded; see
+            `CAN_FORK`.
 
     Raises:
-        ProcessError: Where a process ends before its work does, as one that runs out of memory.
+        ProcessError: If a process ends before its work is done, for example because memory is used
+            up.
     """
     if not isinstance(jobs, int):
         yield from _map_on(jobs, work, items, name)
@@ -166,9 +168,9 @@ def map_in_processes(
 
 
 def start_pool(jobs: int) -> "Executor":
-    """Return processes that take work again and again; they end when nobody holds them any more.
+    """Return processes that can be used repeatedly, and that end when no longer referenced.
 
-    For `map_in_processes`, where it is called many times and would start them each time.
+    Many calls of `map_in_processes` share these processes instead of starting new ones.
     """
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
@@ -186,13 +188,14 @@ def _list_signals(*names: str) -> tuple[signal.Signals, ...]:
 
 
 _OF_PARENT: Final = _list_signals("SIGINT", "SIGHUP")
-"""Ctrl-C and the end of a terminal reach all processes; the parent ends the others."""
+"""Signals that reach all processes: Ctrl-C and the end of a terminal. The parent ends the
+others."""
 
 
 def _prepare_worker() -> None:
-    """Leave Ctrl-C to the parent, end in silence as it asks, let warnings be notes, not places.
+    """Ignore Ctrl-C, end silently when the parent asks, and print warnings without their place.
 
-    A forked process has the handlers of its parent, which raise KeyboardInterrupt.
+    A forked process inherits the handlers of its parent, which raise KeyboardInterrupt.
     """
     _pickle_read_only_mappings()
     for number in _OF_PARENT:
@@ -248,7 +251,7 @@ def _await_result(executor: "Executor", future: "Future[R]", name: str) -> R:
 
 
 class _Worker:
-    """A process, and the items that it holds, the first of which it works on."""
+    """A process and the items that it holds; it works on the first item."""
 
     def __init__(
         self,
@@ -278,7 +281,7 @@ class _Worker:
             self.pipe.send(item)
 
     def take(self) -> tuple[int, Any, bool]:
-        """Return the place of a result, the result, and whether it is an error."""
+        """Return the position of a result, the result, and whether the result is an error."""
         try:
             result, is_error = self.pipe.recv()
         except (EOFError, OSError) as err:
@@ -304,7 +307,7 @@ class _Worker:
 
 
 def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
-    """Yield results in order while the workers are kept busy."""
+    """Yield results in order, and keep the workers busy."""
     from multiprocessing.connection import wait
 
     found: dict[int, tuple[Any, bool]] = {}
@@ -330,7 +333,7 @@ def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
 
 
 def _serve(pipe: "Connection", work: Callable[[Any], Any]) -> None:
-    """Work until the other side ends, however it does."""
+    """Work until the connection to the parent ends for any reason."""
     _prepare_worker()
     with suppress(EOFError, OSError):
         while True:
@@ -338,7 +341,7 @@ def _serve(pipe: "Connection", work: Callable[[Any], Any]) -> None:
 
 
 def _answer(work: Callable[[Any], Any], packed: bytes) -> Any:
-    """Return the result of an item and False, or its error and True; both are packed."""
+    """Return the packed result of an item and False, or the packed error and True."""
     from multiprocessing.reduction import ForkingPickler
 
     try:
@@ -350,7 +353,7 @@ def _answer(work: Callable[[Any], Any], packed: bytes) -> Any:
 
 
 def _pickle_read_only_mappings() -> None:
-    """Let read-only mappings, which many results hold, go from one process to another."""
+    """Make read-only mappings picklable, because many results contain them."""
     from multiprocessing.reduction import ForkingPickler
 
     ForkingPickler.register(MappingProxyType, _reduce_mapping)
@@ -366,7 +369,7 @@ def _make_read_only(mapping: dict[Any, Any]) -> "MappingProxyType[Any, Any]":
 
 @contextmanager
 def _block_signals(numbers: Sequence[signal.Signals]) -> Iterator[None]:
-    """Let no signal of these reach a process that is started, not even before its first line."""
+    """Block these signals in a process that is started, even before its first line."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,3 +1,3 @@
-"""The version of turtlelog, which recordings name."""
+"""The version of turtlelog, which recordings contain."""
 
 __version__ = "0.1.0"

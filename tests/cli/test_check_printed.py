@@ -66,7 +66,8 @@ def test_value_limit_and_margin_share_a_line_at_80_columns(
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "80")
     lines = call("check", tmp_path / "first.toml", "kp10.mcap", "--all").out.splitlines()
-    first, head, *rows = lines[2:19]
+    start = lines.index("") + 1
+    first, head, *rows = lines[start : start + 17]
     assert first.split() == ["first"]
     assert head.split() == ["check", "unit", "value", "limit", "margin", "violation"]
     assert max(map(len, rows)) <= 80
@@ -216,11 +217,11 @@ def test_the_verdict_comes_first_and_all_fits_a_screen(
     call("check", "--init", kp4.name, "-o", "first.toml")
     expected = {
         (kp4.name,): "PASS: kp4.mcap: all 13 checks pass",
-        (kp10.name,): "FAIL: kp10.mcap: 7 of 13 checks fail (rotate.overshoot and 6 more)",
+        (kp10.name,): "FAIL: kp10.mcap: 7 of 13 checks fail",
         (
             kp4.name,
             kp10.name,
-        ): "FAIL: 2 recordings: 7 of 26 checks fail (rotate.overshoot and 6 more)",
+        ): "FAIL: 2 recordings: 7 of 26 checks fail",
     }
     for files, first in expected.items():
         lines = call("check", "first.toml", *files).out.splitlines()

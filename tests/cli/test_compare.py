@@ -20,8 +20,9 @@ def test_the_first_line_is_the_answer_and_the_best_are_named_below(
         first,
         "loop.start_backlog differ too): no run is best at everything.",
     ]
-    said = [" ".join(line.split()) for line in lines[2:6]]
+    said = [" ".join(line.split()) for line in lines[2:7]]
     assert said == [
+        "None reaches the goal.",
         "most accurate paper-kp4 8.52 mm worst: paper-kp10, 0.107 m",
         "shortest paper-kp4 11.2 s worst: paper-kp10, 12.6 s",
         "settles first (rotate) paper-kp10 2.21 s worst: paper-kp4, 2.28 s",
@@ -290,3 +291,21 @@ def test_names_are_separated_by_one_comma(call: Call, kp4: Path, command: str, o
     answer = call(command, *files, option, "a,,b")
     assert answer.code == 2
     assert f"{option} a,,b: must be names separated by commas" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (("kp1", "kp2", "kp4"), "Only paper-kp1 and paper-kp2 reach the goal."),
+        (("kp1", "kp2"), "All reach the goal."),
+        (("kp4", "kp10"), "None reaches the goal."),
+    ],
+)
+def test_the_runs_that_reach_the_goal_are_named(
+    call: Call, tmp_path: Path, names: tuple[str, ...], told: str
+) -> None:
+    for name in names:
+        run = tl.simulate_run(tl.load_scenario(f"paper-{name}"))
+        tl.write_recording(run, tmp_path / f"{name}.mcap")
+    answer = call("compare", *(tmp_path / f"{name}.mcap" for name in names))
+    assert told in answer.out.splitlines()

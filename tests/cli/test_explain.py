@@ -122,13 +122,14 @@ def test_the_answer_begins_with_the_value_and_its_causes(call: Call, kp10: Path)
     assert lines[:3] == [
         "kp10.mcap: final.position_error is 0.1067 m: queue +0.05108 m, pause +0.05057 m",
         "",
-        "Two effects of the implementation cause it, in about equal parts:",
+        "Two effects of the implementation cause it, in about equal parts in this run:",
     ]
     assert lines[3].startswith("  queue  +0.05108 m  commands wait: dead time 4 ticks rotating")
     assert lines[4].startswith("  pause  +0.05057 m  the controller is silent for 0.528 s")
     assert "Design parameter: tolerance (without it, tolerances of 1e-06: 0.0009877 m)." in lines
     sure = "Confidence: exact. The re-simulation reproduces all 770 samples bit for bit."
-    assert lines[-2:] == [sure, "Every cause, setting and its evidence: --details"]
+    given = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
+    assert lines[-3:] == [sure, given, "Every cause, setting and its evidence: --details"]
 
 
 def test_the_details_are_the_table_of_causes_and_of_settings(call: Call, kp10: Path) -> None:

@@ -26,18 +26,20 @@ def test_a_newcomer_sees_the_end_first_and_then_the_loops_side_by_side(
     call: Call, kp10: Path
 ) -> None:
     lines = call("metrics", kp10).out.splitlines()
-    assert lines[:3] == [
-        "kp10.mcap: ends 0.107 m from the goal, heading error 1.07 deg, after 12.6 s.",
+    assert lines[:5] == [
+        "kp10.mcap: missed the goal by 0.107 m (allowed: 0.00669 m) after 12.6 s.",
+        "The end is 0.107 m right of the line from start to goal.",
+        "Final heading error: 1.07 deg.",
         "Both loops saturate: rotate 87 %, translate 59 % of their samples.",
         "Longest silence of the controller: 0.528 s.",
     ]
-    assert lines[4].split() == ["rotate", "translate"]
-    rows = {line[:18].strip(): line[18:].split("  ") for line in lines[6:14]}
+    assert lines[6].split() == ["rotate", "translate"]
+    rows = {line[:18].strip(): line[18:].split("  ") for line in lines[8:16]}
     assert [cell.strip() for cell in rows["settling time"] if cell] == ["2.21 s", "5.58 s"]
     assert [cell.strip() for cell in rows["overshoot"] if cell] == ["1.01 %", "0.945 %"]
     assert [cell.strip() for cell in rows["dead time"] if cell] == ["0.064 s", "0.096 s"]
     assert lines[-2] == f"Why? turtlelog explain {kp10}"
-    assert lines[-1] == f"All {len(METRICS)} metrics with their ids: --all"
+    assert lines[-1] == f"All {len(METRICS)} metrics with their ids: turtlelog metrics {kp10} --all"
     assert len(lines) <= 40
     assert max(map(len, [line for line in lines if str(kp10) not in line])) <= 80
 
@@ -52,7 +54,7 @@ def test_a_loop_that_never_settles_is_said_before_the_table(call: Call, tmp_path
     }
     write_textbook(file, changes)
     head, *table = call("metrics", file).out.split("\n\n")
-    assert head.startswith("swinging.mcap: ends 5.69 m from the goal, heading error ")
+    assert head.startswith("swinging.mcap: missed the goal by 5.69 m (allowed: 0.00669 m) after ")
     words = head.splitlines()
     assert "The oscillation does not die out: rotate." in words
     assert "rotate does not settle: the phase ends outside the 2 % band." in words
@@ -63,7 +65,7 @@ def test_a_loop_that_never_settles_is_said_before_the_table(call: Call, tmp_path
 @pytest.mark.parametrize(
     ("law", "first"),
     [
-        ("posture", "ends 1.27 mm from the goal, heading error 0.00429 deg, after 12.4 s."),
+        ("posture", "reached the goal within 1.27 mm after 12.4 s. Final heading error: 0.00429"),
         ("open-loop", "the path is 0 m long and takes 2.4 s."),
     ],
 )
@@ -80,7 +82,7 @@ def test_the_first_line_holds_for_other_laws(
 
 def test_all_shows_every_metric_and_why_values_are_missing(call: Call, kp4: Path) -> None:
     out = call("metrics", kp4, "--all").out
-    assert out.startswith("kp4.mcap: ends 8.52 mm from the goal, heading error 0.0857 deg, after")
+    assert out.startswith("kp4.mcap: missed the goal by 8.52 mm (allowed: 6.69 mm) after")
     assert all(re.search(rf"^{re.escape(name)} ", out, re.M) for name in METRICS)
     assert "not_reached: the response does not overshoot twice." in out
     assert "--all" not in out
@@ -160,7 +162,10 @@ def test_seven_runs_show_the_same_metrics_as_six(call: Call, kp4: Path, tmp_path
 
 def test_runs_have_a_row_each_in_order_of_their_gains(call: Call, kp4: Path, kp10: Path) -> None:
     lines = call("metrics", kp10, kp4).out.splitlines()
-    assert lines[0].startswith("2 runs: they end 8.52 mm (paper-kp4) to 0.107 m (paper-kp10) from")
+    first = (
+        "2 runs: none reaches the goal; the ends are 8.52 mm (paper-kp4) to 0.107 m (paper-kp10) "
+    )
+    assert " ".join(lines).startswith(first)
     assert "after 11.2 s (paper-kp4) to 12.6 s (paper-kp10)." in " ".join(lines[:2])
     rows = [line.split() for line in lines if line.startswith("paper-")]
     assert [row[0] for row in rows] == ["paper-kp4", "paper-kp10"]

@@ -28,7 +28,7 @@ def split_answer(out: str) -> tuple[str, list[str]]:
     return " ".join(lines[: len(lines) - len(written)]), written
 
 
-ENDING = "paper-kp4: missed the goal by 8.52 mm after 11.2 s."
+ENDING = "paper-kp4: missed the goal by 8.52 mm (allowed: 6.69 mm) after 11.2 s."
 
 
 def test_plot_writes_what_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

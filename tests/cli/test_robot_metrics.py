@@ -84,7 +84,7 @@ def test_the_table_of_a_bag_without_commands_says_what_would_add_them(
 
 def test_a_bag_with_a_goal_ends_that_far_from_it(call: Call, robot: Path) -> None:
     assert call("metrics", robot, "--goal", "1,0").out.startswith(
-        "robot.mcap: ends 0.6 m from the goal after 4.95 s.\n"
+        "robot.mcap: ended 0.6 m from the goal after 4.95 s.\n"
     )
 
 

@@ -16,12 +16,13 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
     assert (answer.code, answer.err) == (0, "")
     lines = answer.out.splitlines()
     assert lines[:2] == [
-        "paper-kp10: missed the goal by 0.107 m after 12.6 s.",
+        "paper-kp10: missed the goal by 0.107 m (allowed: 0.00669 m) after 12.6 s.",
         "770 samples. The run ended: standstill.",
     ]
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80
-    assert ["final.position_error", "m", "0.10673"] in map(str.split, answer.out.splitlines())
+    assert ["overshoot", "1.01", "%", "0.945", "%"] in [line.split() for line in lines]
+    assert lines[-1] == "To explain, plot or compare this run, record it: -o FILE.mcap"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -29,12 +30,15 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
     ("words", "first"),
     [
         (["paper-kp1"], "paper-kp1: reached the goal within 2.52 mm after 20.5 s."),
-        (["paper-kp4"], "paper-kp4: missed the goal by 8.52 mm after 11.2 s."),
+        (["paper-kp4"], "paper-kp4: missed the goal by 8.52 mm (allowed: 6.69 mm) after 11.2 s."),
         (["posture"], "posture: reached the goal within 0.998 mm after 12.9 s."),
-        (["track-square"], "track-square: ended after 40 s, cross.rms_error 0.0506 m."),
+        (
+            ["track-square"],
+            "track-square: cross-track error 0.0506 m RMS, 0.185 m at most, in 40 s.",
+        ),
         (
             ["textbook", "--set", "law.kp_angular=6", "--set", "max_duration_s=4"],
-            "textbook: missed the goal by 4.62 m after 4 s.",
+            "textbook: missed the goal by 4.62 m (allowed: 0.00669 m) after 4 s.",
         ),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",

@@ -120,7 +120,7 @@ def test_run_is_a_table_in_a_notebook() -> None:
     html = dataclasses.replace(RUN, name="<b>bold</b>")._repr_html_()
     assert "<b>bold" not in html
     assert "&lt;b&gt;bold" in html
-    for text in ("(2, 10) m", "12.61 s", "standstill", "770 samples", "rotate 2.46 s"):
+    for text in ("(2, 10) m", "12.6 s", "standstill", "770 samples", "rotate 2.46 s"):
         assert text in html
 
 
@@ -157,4 +157,4 @@ def test_the_answer_of_a_run_says_why_it_stopped_or_that_nobody_knows(
 ) -> None:
     html = dataclasses.replace(RUN, stop_reason=stop_reason)._repr_html_()
     (answer,) = [line for line in html.splitlines() if line.startswith("<p><strong>")]
-    assert f"after 12.61 s, {text}.<" in answer
+    assert f"after 12.6 s, {text}.<" in answer

@@ -16,10 +16,11 @@ _SAME: Final = 1e-6
 """Share of the largest value below which a step counts as 0: two platforms differ by less."""
 
 _DIGITS: Final = 4
-"""Digits of the largest value; all others have as many decimals, so that printed values add up."""
+"""Number of digits of the largest value. All other values have as many decimals, so that printed
+values add up."""
 
 _MOST_PERCENT: Final = 1000.0
-"""Largest part of a value in percent that is printed; of a value near 0, larger parts mean
+"""Largest part of a value in percent that is printed. For a value near 0, larger parts mean
 nothing."""
 
 _MOST_NAMED: Final = 2
@@ -29,18 +30,18 @@ picture."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttributionStep:
-    """A bar of the waterfall, with its words.
+    """A bar of the waterfall, with its texts.
 
     Attributes:
         kind: `total` for the logged value, `contribution` for a step down or up, `left` for the
             remainder without all causes.
         cause: Name of the cause; empty for total, left, and a step without a cause.
-        start: Start of the bar, in the metric's unit: 0, or the end of the step before.
+        start: Start of the bar, in the metric's unit: 0, or the end of the previous step.
         end: End of the bar.
-        name: Label beside the bar, in a word or two.
+        name: Label next to the bar, in a word or two.
         text: Size in words, with its part of the logged value.
-        color: Colour: that of the run for the total, that of the ghost without all causes for the
-            remainder.
+        color: Colour of the bar: the run's colour for the total, the colour of the ghost without
+            all causes for the remainder.
     """
 
     kind: Literal["total", "contribution", "left"]
@@ -59,7 +60,7 @@ class StepScale:
     Attributes:
         factor: Factor from the metric's unit.
         unit: Unit on the axis: `mm` for a metric in m that stays below 1 m; empty for a number.
-        decimals: Number of decimals of its values.
+        decimals: Number of decimals of the values.
     """
 
     factor: float
@@ -67,7 +68,7 @@ class StepScale:
     decimals: int
 
     def format_value(self, value: float, *, signed: bool = False) -> str:
-        """Return a value of the metric in words; a nonzero value never becomes a plain 0."""
+        """Return a value of the metric as text. A nonzero value never becomes a plain 0."""
         scaled = value * self.factor
         sign = "+" if signed else ""
         text = f"{scaled:{sign}.{self.decimals}f}"
@@ -78,13 +79,13 @@ class StepScale:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waterfall:
-    """Bars below each other, each starting where the one above it ends.
+    """Bars below each other; each bar starts where the bar above it ends.
 
     Attributes:
-        steps: Bars, each with its name before it and its size in words after it.
-        scale: Unit in which they are drawn.
-        metric: Metric of their total.
-        notes: Notes for the reader, a line each, below the axis.
+        steps: Bars, each with its name on the left and its size in words on the right.
+        scale: Unit in which the bars are drawn.
+        metric: Metric of the total.
+        notes: Notes for the reader, one line each, below the axis.
     """
 
     steps: tuple[AttributionStep, ...]
@@ -105,14 +106,14 @@ class Waterfall:
 
     @property
     def label(self) -> str:
-        """Name of the metric with the unit in which it is drawn."""
+        """Name of the metric with the drawn unit."""
         words = self.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
         unit = f" [{self.scale.unit}]" if self.scale.unit else ""
         return f"{words.replace('.', ' ')}{unit}"
 
 
 def draw_up_attribution(found: Attribution) -> Waterfall:
-    """Return the waterfall of an attribution; without steps if contributions are withheld."""
+    """Return the waterfall of an attribution, without steps if contributions are withheld."""
     # If only one cause acts, its contribution is the effect of its removal.
     is_average = len(choose_acting_contributions(found)) > 1
     seeds = 0 if found.seeds is None else found.seeds.used
@@ -134,12 +135,12 @@ def _note_averages(orders: str, seeds: int, *, is_average: bool) -> tuple[str, .
 def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
     """Return the steps from the logged value to the remainder without all causes.
 
-    Between them is each cause that changes the value, the largest contribution first. A difference
-    between log and re-simulation, or between one seed and the mean over seeds, is a step of its
-    own.
+    Between these two is a step for each cause that changes the value, the largest contribution
+    first. A difference between log and re-simulation, or between one seed and the mean over seeds,
+    is a separate step.
 
     Returns:
-        The steps; empty if the contributions are withheld, for a reason in the attribution.
+        The steps; empty if the contributions are withheld. The attribution contains the reason.
     """
     left = found.without_all
     total = found.resimulated if found.as_logged is None else found.as_logged
@@ -178,7 +179,7 @@ def choose_step_scale(found: Attribution) -> StepScale:
 
 
 def _choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
-    """Return the unit and the decimals for drawing values of a metric's unit."""
+    """Return the unit and the decimals for drawing values that have a metric's unit."""
     largest = max(abs(value) for value in (*values, 0.0) if value is not None)
     factor, unit = (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, unit)
     digits = _DIGITS - 1 - (math.floor(math.log10(largest * factor)) if largest else 0)
@@ -228,7 +229,7 @@ def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
 
 
 def _describe_contribution(one: Contribution, total: float, scale: StepScale) -> str:
-    """Return how removing it changes the value, and its part of the logged value."""
+    """Return how removing a cause changes the value, and the cause's part of the logged value."""
     value = one.contribution or 0.0
     size = scale.format_value(-value, signed=True)
     if one.standard_error is not None:
@@ -255,7 +256,7 @@ def _explain_left(found: Attribution) -> str:
 
 
 def _explain_little(found: Attribution, value: float) -> str:
-    """Return that the tolerances allow the remainder, for a final error that they bound."""
+    """Return a sentence that the tolerances allow the remainder, for a bounded final error."""
     if found.metric not in {"final.position_error", "final.heading_error"}:
         return ""
     if abs(value) > found.resolution.size or "tolerance" not in found.resolution.reason:
@@ -264,7 +265,7 @@ def _explain_little(found: Attribution, value: float) -> str:
 
 
 def draw_up_difference(found: ExplainedDifference) -> Waterfall:
-    """Return the waterfall of a difference; without steps if contributions are withheld."""
+    """Return the waterfall of a difference, without steps if contributions are withheld."""
     steps = list_difference_steps(found)
     return Waterfall(
         steps=steps,
@@ -277,10 +278,10 @@ def draw_up_difference(found: ExplainedDifference) -> Waterfall:
 def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, ...]:
     """Return the steps from the value of the first run to that of the second.
 
-    Between them is each change with its contribution, the largest first.
+    Between these two is a step for each change with its contribution, the largest first.
 
     Returns:
-        The steps; empty if the contributions are withheld, for a reason in the answer.
+        The steps; empty if the contributions are withheld. The answer contains the reason.
     """
     first, second = found.first.resimulated, found.second.resimulated
     if not found.contributions or first is None or second is None:

@@ -1,4 +1,4 @@
-"""Runs and pictures in sentences: how runs ended, and text alternatives of pictures."""
+"""Sentences on runs and pictures: how runs ended, and text alternatives of pictures."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -11,14 +11,14 @@ from turtlelog.display import describe_count, format_short
 from turtlelog.explain import choose_metric
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
-from turtlelog.run.ending import describe_goal_end
+from turtlelog.run.ending import find_goal_end
 
 _ERROR: Final = "final.position_error"
 _DURATION: Final = "run.duration"
 
 
 def describe_runs(runs: Sequence[Run]) -> str:
-    """Return how a run ended, or the range of the distances from the goal of several runs."""
+    """Return how a run ended, or for several runs the range of their distances from the goal."""
     names = name_runs(runs)
     if len(runs) == 1:
         return f"{names[0]}: {describe_end(runs[0])}."
@@ -41,7 +41,10 @@ def describe_end(run: Run) -> str:
     """Return the distance to the goal at the end; for a run without a goal, its motion."""
     if not len(run.poses):
         return f"commands for {run.duration_s:.3g} s, no poses"
+    end = find_goal_end(run)
     metric = choose_metric(run.declaration)
+    if end is not None and metric == _ERROR:
+        return end.describe()
     found = _measure(run, metric, _DURATION, "run.path_length")
     value, duration_s = found[metric].value, found[_DURATION].value
     after = "" if duration_s is None else f" after {duration_s:.3g} s"
@@ -50,10 +53,7 @@ def describe_end(run: Run) -> str:
         if not len(run.samples) and length_m is not None:
             return f"drove {format_short(length_m, 'm')} in {duration_s:.3g} s"
         return f"ended{after}; {metric} has no value: {found[metric].reason}"
-    size = format_short(value, found[metric].unit)
-    if metric != _ERROR:
-        return f"ended{after}, {metric} {size}"
-    return describe_goal_end(run, value, duration_s)
+    return f"ended{after}, {metric} {format_short(value, found[metric].unit)}"
 
 
 def _measure(run: Run, *names: str) -> Mapping[str, Metric]:
@@ -69,7 +69,7 @@ def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]])
 
     Args:
         title: Title of the plot, with the unit of its values.
-        curves: Name and values of each run, shape (n,); values that are not finite are gaps.
+        curves: Name and values of each run, shape (n,). Values that are not finite are gaps.
     """
     finite = [(name, values[np.isfinite(values)]) for name, values in curves]
     known = [(name, values) for name, values in finite if len(values)]
@@ -101,7 +101,7 @@ def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) 
 
     Args:
         title: Title of the plane.
-        ends: Name of each run, and its poses [m], shape (n, 2).
+        ends: Name of each run, with its poses [m], shape (n, 2).
     """
     if len(ends) > _MOST_NAMED:
         return f"{title}: the paths of {describe_count(len(ends), 'run')} in the plane."

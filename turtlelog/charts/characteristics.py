@@ -1,4 +1,4 @@
-"""Metrics that can be marked on a curve, as in figures, views and reports."""
+"""Metrics that can be marked on a curve, for figures, views and reports."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ ALONG_ERROR: Final = "along_track_error"
 TO_REFERENCE: Final = "distance_to_reference"
 
 _ROUNDING_NS: Final = 1_000
-"""Rounding of metric times: a command that begins within this time counts as begun [ns]."""
+"""Rounding of metric times [ns]: a command that begins within this time counts as begun."""
 
 
 MarkShape = Literal["disc", "square", "cross"]
@@ -46,8 +46,8 @@ peak is marked with its overshoot."""
 SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
     {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
 )
-"""Letters that Rerun's viewer can draw: other letters, such as the heavy multiplication sign, crash
-it."""
+"""Letters that Rerun's viewer can draw. Other letters, such as the heavy multiplication sign, crash
+the viewer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,19 +61,20 @@ class Characteristic:
         word: Word for a label: `rise`, `settled`, `overshoot`.
         value: Value in `unit`.
         unit: Unit of the metric.
-        at_s: Time of the metric, from the first sample [s]; for a pause or a saturation, its start;
-            for a dead time, the pose answered by the loop's largest change of command, which the
-            robot follows after the dead time.
+        at_s: Time of the metric, from the first sample [s]. A pause or a saturation has the time of
+            its start. A dead time has the time of the pose that the loop answers by its largest
+            change of command; the robot follows that change after the dead time.
         level: Value of the curve at that time, in the unit of the curve (headings in deg); None for
             a pause, which has no curve.
-        span_s: Start and end of its interval [s]: a rise lasts from 10 % to 90 %; a settling time
-            from when the curve stays in its band to the end of the loop's segment. Pause, dead time
-            and saturation have their whole interval. None if it has a single time.
-        levels: Two related levels in the unit of the curve: for a rise 10 % and 90 % of the step,
-            for a settling time the ends of its band, for peak and overshoot the reference and the
-            peak; None for others.
+        span_s: Start and end of the metric's interval [s]. A rise lasts from 10 % to 90 %. A
+            settling time lasts from when the curve stays in its band to the end of the loop's
+            segment. Pause, dead time and saturation have their whole interval. None if the metric
+            has a single time.
+        levels: Two related levels in the unit of the curve: for a rise, 10 % and 90 % of the step;
+            for a settling time, the ends of the band; for peak and overshoot, the reference and the
+            peak. None for other metrics.
         loop: Name of the metric's loop; empty if the metric belongs to the whole run.
-        start_s: Start of its loop's segment, from the first sample [s].
+        start_s: Start of the loop's segment, from the first sample [s].
     """
 
     signal: str
@@ -110,7 +111,7 @@ class Characteristic:
 
     @property
     def text(self) -> str:
-        """Text of its mark, with useful precision."""
+        """Text for the mark, with useful precision."""
         if self.kind == "dead_time":
             return f"{self.word} {1e3 * self.value:.3g} ms"
         if self.kind == "overshoot" and self.value < 0.0:
@@ -120,7 +121,7 @@ class Characteristic:
 
 
 def list_mark_texts(mark: Characteristic, others: Iterable[Characteristic]) -> list[str]:
-    """Return the texts of a mark: for an overshoot its peak and its part of the step.
+    """Return the texts of a mark: for an overshoot, its peak and its part of the step.
 
     Without an overshoot the peak is the only entry.
     """
@@ -155,14 +156,14 @@ def list_characteristics(
 ) -> tuple[Characteristic, ...]:
     """Return the metrics that have a value and can be marked on a curve, and the pauses.
 
-    For each loop, these are the metrics of its step on the controlled signal, or its largest error
-    if its reference moves. Its longest saturation is on its command. The final error of a heading
-    is also included.
+    For each loop, these are the metrics of the step on the controlled signal; for a moving
+    reference, the largest error. The longest saturation is marked on the command. The final error
+    of a heading is also included.
 
     Args:
         run: The run.
         metrics: Metrics from `measure_run`.
-        settings: Settings with which they were measured.
+        settings: Settings with which the metrics were measured.
     """
     curves: dict[str, Curve | None] = {}
     responses: dict[str, Response | None] = {}
@@ -183,7 +184,7 @@ def list_characteristics(
 
 
 def read_marked_curve(run: Run, signal: str) -> Curve | None:
-    """Return the curve of a characteristic, headings in deg; None if the run lacks it.
+    """Return the curve of a characteristic, headings in deg; None if the run does not have it.
 
     In addition to signals there are `along_track_error` and `distance_to_reference`, for laws with
     a moving reference.
@@ -211,7 +212,7 @@ def _find_response(
 def _place(
     run: Run, place: _Place, metric: Metric, curve: Curve | None, response: Response | None
 ) -> Characteristic | None:
-    """Return a metric at its position; None if it has none."""
+    """Return a metric with its position; None if the metric has no position."""
     start_s = 0.0 if response is None else response.start_s
     at_s = _find_dead_start(run, place.loop) if place.kind == "dead_time" else metric.at_s
     if metric.value is None or at_s is None or curve is None:
@@ -235,8 +236,8 @@ def _place(
 def _find_dead_start(run: Run, loop: ControlLoop | None) -> float | None:
     """Return the time of the pose that a loop answers by its largest change of command [s].
 
-    The dead time is most visible there. The first answers, which may have waited, and those before
-    the last change of the dead time are excluded, because their dead time differs.
+    The dead time is most visible at this pose. The first answers, which may have waited, and
+    answers before the last change of the dead time are excluded, because their dead time differs.
     """
     found = None if loop is None else find_dead_time(run, loop)
     if loop is None or found is None or isinstance(found, Missing):
@@ -339,7 +340,7 @@ def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
 
 
 def _read_level(curve: Curve, at_s: float) -> float:
-    """Return the value of a curve at a time; linearly interpolated unless it is held."""
+    """Return the value of a curve at a time, linearly interpolated or held."""
     time_ns = curve.start_ns + round(at_s * 1e9)
     if curve.holds:
         row = int(np.searchsorted(curve.time_ns, time_ns + _ROUNDING_NS, side="right")) - 1

@@ -11,40 +11,44 @@ from numpy.typing import ArrayLike, NDArray
 from turtlelog.run import Run
 
 ARRIVED_M: Final = 1.0
-"""A run that ends further from the goal than this has not arrived [m].
+"""Distance from the goal beyond which a run has not arrived [m].
 
 The paper's runs miss by 1 to 107 mm on a path of 5.7 m. A close-up with 1 m or more to each side
-would look like the plane."""
+would look like the plane.
+"""
 
 _ROOM: Final = 1.25
-"""Half-width as a multiple of the furthest end's distance, with room for its dot and its text."""
+"""Half-width as a multiple of the furthest end's distance, with room for the dot and the text of
+the end."""
 
 _TOLERANCES: Final = 3.0
-"""Smallest half-width as a multiple of the law's tolerance, so that its square is visible as
-such."""
+"""Smallest half-width as a multiple of the law's tolerance, so that the square of the tolerance is
+visible."""
 
 _LEAST_HALF_M: Final = 1e-3
 _HALVES: Final = ((1.2, 0.5), (1.5, 0.5), (2.5, 1.0), (4.0, 1.0), (6.0, 2.0), (8.0, 2.0))
-"""Half-widths and distances between rings in one decade: each has two or three rings."""
+"""Half-widths and distances between rings in one decade; each half-width has two or three rings."""
 
 _MOST_LISTED: Final = 3
-"""Largest number of distances in one label; with more, it gives the least and the greatest."""
+"""Largest number of distances in one label. With more, a label gives the smallest and the
+largest."""
 
 _MOST_TOLD: Final = 12
 """Largest number of ends with text; with more, only the furthest has text, because text would hide
 the dots."""
 
 _LONGEST: Final = 16
-"""Longest name in it [letters]: with its distance it takes half of a close-up 430 pixels wide."""
+"""Longest name in a close-up [letters]. Such a name and its distance take half of a close-up 430
+pixels wide."""
 
 _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Upward offsets of text from its dot, best first [lines]."""
 
 _ANGLES_RAD: Final = np.radians([90.0, -90.0, 60.0, 120.0, -60.0, -120.0, 45.0, 135.0])
-"""Angles for the names of the rings, best first [rad]: names above each other need least room."""
+"""Angles for the names of the rings, best first [rad]; names above each other need least room."""
 
 _RING_POINTS: Final = 97
-"""Points of a ring: one per 4 degrees."""
+"""Number of points of a ring: one per 4 degrees."""
 
 Point = tuple[float, float]
 
@@ -55,8 +59,8 @@ class End:
 
     Attributes:
         run: Number of the run.
-        xy_m: Position of its last pose [m].
-        miss_m: Distance from there to the goal [m].
+        xy_m: Position of the run's last pose [m].
+        miss_m: Distance from this position to the goal [m].
         name: Name of the run next to its distance; empty if there is a legend.
     """
 
@@ -71,11 +75,11 @@ class CloseUp:
     """Content of the close-up.
 
     Attributes:
-        goal_xy_m: Position of its centre [m].
-        half_m: Half of its width and height, a round length [m].
-        rings_m: Radii of its rings, round lengths, rising [m].
-        ends: Ends of the runs inside it, nearest first.
-        outside: Number of runs with that goal that end outside.
+        goal_xy_m: Position of the goal, at the centre [m].
+        half_m: Half of the close-up's width and height, a round length [m].
+        rings_m: Radii of the rings, round lengths, rising [m].
+        ends: Ends of the runs inside the close-up, nearest first.
+        outside: Number of runs with this goal that end outside.
     """
 
     goal_xy_m: Point
@@ -91,11 +95,11 @@ class CloseUp:
         return [np.array(self.goal_xy_m) + ring_m * circle for ring_m in self.rings_m]
 
     def describe(self) -> str:
-        """Return its half-width, and the number of runs outside, for a title."""
+        """Return the half-width and the number of runs outside, for a title."""
         return f"±{format_length(self.half_m)}{self.count_outside()}"
 
     def count_outside(self) -> str:
-        """Return the number of runs outside, for the end of a title; empty if there are none."""
+        """Return the number of runs outside, for the end of a title; empty if no run is outside."""
         count = self.outside + len(self.ends)
         return f", {self.outside} of {count} runs outside" if self.outside else ""
 
@@ -110,8 +114,8 @@ class Lettering:
         gap: Distance between a dot and its text.
         reach: Distance from the goal to the left and right border of the picture, which may be
             wide.
-        most_told: Number of ends that can all have text. If there are more, only the furthest has
-            text, and the last run (highest gain) if runs have names.
+        most_told: Number of ends that can all have text. Of more ends, only the furthest has text,
+            and the last run (highest gain) if runs have names.
     """
 
     letter: float
@@ -126,7 +130,7 @@ class Label:
     """Text in the close-up.
 
     Attributes:
-        text: One or more distances; with names of runs, a line each, in the order of `runs`.
+        text: One or more distances. With names of runs, each has a line, in the order of `runs`.
         xy_m: Centre of the text [m].
         runs: Numbers of the runs whose ends it labels; empty for a ring.
     """
@@ -167,7 +171,7 @@ def choose_rings(furthest_m: float) -> tuple[float, tuple[float, ...]]:
 
 
 def name_ends(close_up: CloseUp, names: Sequence[str]) -> CloseUp:
-    """Return a close-up with names for the runs, in their order, cut if long."""
+    """Return a close-up with names for the runs, in their order; long names are cut."""
     short = [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}..." for name in names]
     ends = tuple(replace(end, name=short[end.run]) for end in close_up.ends)
     return replace(close_up, ends=ends)
@@ -186,10 +190,10 @@ def format_length(length_m: float) -> str:
 
 
 def list_miss_labels(close_up: CloseUp, lettering: Lettering) -> tuple[Label, ...]:
-    """Return the distance of each end from the goal, beside it; crowded ends share their text.
+    """Return labels with the distances of ends from the goal; crowded ends share a label.
 
-    If there are too many ends, only the furthest has text, and the last run if runs have names;
-    rings show the distances of the others.
+    If there are too many ends, only the furthest has text, and the last run if runs have names.
+    Rings show the distances of the other ends.
     """
     if len(close_up.ends) > lettering.most_told:
         furthest, last = close_up.ends[-1], max(close_up.ends, key=lambda end: end.run)
@@ -258,7 +262,7 @@ def _gather(close_up: CloseUp, lettering: Lettering) -> list[list[End]]:
 def _place(
     close_up: CloseUp, ends: Sequence[End], taken: Sequence[Label], lettering: Lettering
 ) -> Label | int:
-    """Return the text for some ends, moved up or down if necessary; or the text in its way."""
+    """Return the text for some ends, moved up or down if necessary, or the text in its way."""
     label = _label_ends(close_up, ends, lettering)
     for lines in _SHIFTS:
         y_m = label.xy_m[1] + lines * lettering.line * close_up.half_m
@@ -271,7 +275,7 @@ def _place(
 
 
 def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) -> Label:
-    """Return the text for some ends, on the side away from the goal if it fits there."""
+    """Return the text for some ends, on the side away from the goal if it fits."""
     misses_m = sorted(end.miss_m for end in ends)
     ends = sorted(ends, key=lambda end: end.run)
     if len(ends) > _MOST_LISTED:
@@ -293,7 +297,7 @@ def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) ->
 
 
 def _join(lengths_m: Sequence[float], word: str) -> str:
-    """Return lengths with their unit once if it is the same."""
+    """Return lengths as text, with a common unit only once."""
     texts = list(dict.fromkeys(format_length(length_m) for length_m in lengths_m))
     units = {text.rpartition(" ")[2] for text in texts}
     if len(units) > 1:

@@ -1,4 +1,4 @@
-"""The curves of a run for screen and print, their levels and their moving references.
+"""Curves of a run for screen and print, with their levels and moving references.
 
 Headings are in degrees. Long curves are thinned to rows that give the same picture.
 """
@@ -21,18 +21,18 @@ from turtlelog.run.loops import DONE, PAUSE, PUSH_KEYS, REFERENCE_WORDS, Control
 Values = NDArray[np.float64]
 
 REFERENCE: Final = REFERENCE_WORDS["recorded"]
-"""Name of the curves of a reference that a law records."""
+"""Name of the curves of a recorded reference of a law."""
 
 BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
 
 _FARTHEST_M: Final = 1e150
-"""Distance from the origin whose square is still a number [m]."""
+"""Largest distance from the origin whose square is still a finite number [m]."""
 
 _NO_LIMIT: Final = 1e9
 """Speed [m/s], rate [rad/s] or tolerance that no robot reaches, so that it counts as infinite.
 
-Its line is not drawn, because it would flatten every curve."""
+The line of such a limit is not drawn, because it would flatten every curve."""
 
 MOST_POINTS: Final = 20_000
 """Number of points from which a curve is thinned: 3 for each of 6,666 segments.
@@ -49,7 +49,7 @@ def require_near(runs: Sequence[Run]) -> None:
     """Raise an error for poses too far away to be drawn.
 
     Raises:
-        ShowError: If there is such a pose; with the run and the distance.
+        ShowError: If there is such a pose. The message has the run and the distance.
     """
     for run in runs:
         far_m = float(np.abs(run.poses.xy_m).max(initial=0.0))
@@ -68,8 +68,8 @@ class Curve:
         start_ns: Time of the first sample in the run's time [ns].
         time_ns: Times in the run's time [ns], shape (n,).
         values: Values in deg, m, m/s or rad/s, shape (n,); NaN for gaps.
-        holds: Whether a value is held until the next.
-        label: Label for the legend, if it is not the run's.
+        holds: Whether a value is held until the next value.
+        label: Label for the legend, if it differs from the run's label.
     """
 
     start_ns: int
@@ -100,7 +100,7 @@ class Level:
 
 
 def read_curve(run: Run, signal_name: str) -> Curve | None:
-    """Return a signal; None if the run lacks it, such as the state of another run's law.
+    """Return a signal; None if the run does not have it, such as the state of another run's law.
 
     In addition to the named signals there are `world_velocity_x` and `world_velocity_y`: gain times
     error.
@@ -124,7 +124,7 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
 
 
 def find_unit(run: Run, signal_name: str) -> str:
-    """Return the unit of the values of `read_curve`: deg for an angle, otherwise the signal's."""
+    """Return the unit of the values of `read_curve`: deg for an angle, else the signal's unit."""
     unit = list_signals(run.declaration)[signal_name].unit
     return "deg" if unit == "rad" else unit
 
@@ -135,7 +135,7 @@ def select_curve_rows(curve: Curve, rows: NDArray[np.int64]) -> Curve:
 
 
 def read_command(run: Run, command: Command) -> Curve | None:
-    """Return the commands; None if the run has none."""
+    """Return the commands; None if the run has no commands."""
     table = run.samples if len(run.samples) else run.commands
     if not len(table):
         return None
@@ -146,8 +146,9 @@ def read_command(run: Run, command: Command) -> Curve | None:
 def read_applied(run: Run, command: Command) -> Curve | None:
     """Return the applied `speed` or `turn_rate` of the plant; None if not recorded.
 
-    turtlesim publishes the magnitude of the applied speed, without its direction. Its applied
-    values are constant over a tick; the robot model reports the rates at the time of the pose.
+    turtlesim publishes the magnitude of the applied speed, without its direction. The applied
+    values of turtlesim are constant over a tick; the robot model reports the rates at the time of
+    the pose.
     """
     poses = run.poses
     values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
@@ -158,7 +159,7 @@ def read_applied(run: Run, command: Command) -> Curve | None:
 
 
 def read_sensed(run: Run, signal: str) -> Curve | None:
-    """Return the `x`, `y` or `heading` that the controller read; None if it read the pose."""
+    """Return the `x`, `y` or `heading` that the controller read; None if it read the true pose."""
     return read_curve(run, f"sensed_{signal}") if signal in SENSED_SIGNALS else None
 
 
@@ -186,8 +187,8 @@ def list_levels(run: Run, signal: str) -> list[Level]:
     """Return the constant references of a signal.
 
     The levels are the references of its declared loops, and the goal for `x`, `y` and the
-    along-track coordinate. If the loops of a run are unknown, it is the goal's bearing from the
-    start.
+    along-track coordinate. If the loops of a run are unknown, the level is the goal's bearing from
+    the start.
     """
     if signal in ("x", "y"):
         goal = run.goal_xy_m
@@ -224,7 +225,7 @@ def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
 
 
 def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
-    """Return the values of a parameter in all runs, rising; infinite values are left out."""
+    """Return the values of a parameter in all runs, rising, without infinite values."""
     found = {run.parameters.get(key) for run in runs}
     numbers = [value for value in found if isinstance(value, int | float)]
     return sorted(float(value) for value in numbers if is_limit(value))
@@ -233,7 +234,7 @@ def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
 def is_limit(value: float) -> bool:
     """Return whether a limit of speed [m/s] or rate [rad/s], or a tolerance, can be reached.
 
-    Scenarios without a limit have infinity as its value, or a value that is never reached.
+    In a scenario without a limit, its value is infinite or never reached.
     """
     return value < _NO_LIMIT
 
@@ -241,8 +242,8 @@ def is_limit(value: float) -> bool:
 def list_aims(run: Run, signal: str) -> list[Curve]:
     """Return the references that change with time: of `x`, `y` and the signals of loops.
 
-    Recorded references are those of the samples; headings are shifted by full turns to those of the
-    robot.
+    Recorded references come from the samples. Headings are shifted by full turns to the headings of
+    the robot.
     """
     found = [_read_recorded(run, signal), _read_arcs(run) if signal == "along_track" else None]
     if any(loop.reference == "bearing_now" for loop in list_loops(run, signal)):
@@ -251,7 +252,7 @@ def list_aims(run: Run, signal: str) -> list[Curve]:
 
 
 def read_distance_to_reference(run: Run) -> Values | None:
-    """Return the signal of a loop of the distance to a recorded reference, at each sample [m]."""
+    """Return the distance to a recorded reference at each sample [m], the signal of such a loop."""
     xy_m = run.samples.reference_xy_m
     if xy_m is None or not any(
         loop.moves and loop.signal == "distance" for loop in run.declaration.loops
@@ -264,7 +265,7 @@ def read_distance_to_reference(run: Run) -> Values | None:
 def find_end_of_turn(run: Run) -> int | None:
     """Return when the heading's loops first stop acting, before their pause [ns].
 
-    None if one acts in the last declared phase, or if none ever acted.
+    The result is None if a heading loop acts in the last declared phase, or if none ever acted.
     """
     loops = list_loops(run, "heading")
     names = {loop.name for loop in loops}
@@ -279,9 +280,9 @@ def find_end_of_turn(run: Run) -> int | None:
 
 
 def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
-    """Return gain times error along x and y [m/s], and the times of the samples that have it [ns].
+    """Return gain times error along x and y [m/s], with the times of the samples that have it [ns].
 
-    None if no sample has it.
+    The result is None if no sample has these values.
     """
     time_ns, velocity = run.samples.time_ns, run.samples.world_velocity_m_s
     known = None if velocity is None else np.isfinite(velocity).all(axis=1)
@@ -298,9 +299,10 @@ def choose_rows(
 ) -> NDArray[np.int64] | None:
     """Return the rows of a curve to draw; None if all rows are few enough.
 
-    The rows are split into equal segments. In each segment the first row and the rows of the
-    minimum and maximum of every column are kept, and the very last row. NaN is neither; the first
-    NaN of a segment is kept too, so that no line is drawn across a gap.
+    The rows are split into equal segments. In each segment, the first row and the rows of the
+    minimum and maximum of every column are kept. The very last row is kept too. NaN is neither a
+    minimum nor a maximum. The first NaN of a segment is kept too, so that no line is drawn across a
+    gap.
 
     Args:
         values: Values, shape (n,) or (n, columns).
@@ -350,7 +352,7 @@ def _read_recorded(run: Run, signal: str) -> Curve | None:
 
 
 def _read_arcs(run: Run) -> Curve | None:
-    """Return the arc length of the path's reference at every pose, by its time law."""
+    """Return the arc length of the path's moving reference at every pose."""
     loops = [loop for loop in list_loops(run, "along_track") if loop.reference == "path"]
     values = read_reference(run, loops[0]) if loops else None
     if not isinstance(values, np.ndarray):
@@ -360,7 +362,7 @@ def _read_arcs(run: Run) -> Curve | None:
 
 
 def _read_bearings(run: Run) -> Curve | None:
-    """Return the bearing from the present position, while a loop of it acts."""
+    """Return the bearing from the present position, while a loop with this reference acts."""
     loops = [loop for loop in list_loops(run, "heading") if loop.reference == "bearing_now"]
     bearings = read_reference(run, loops[0])
     if not isinstance(bearings, np.ndarray):
@@ -389,7 +391,7 @@ def _find_in_stretches(
 ) -> NDArray[np.int64]:
     """Return the row in each segment of a length that argmin or argmax finds, the first of equals.
 
-    For truth values that are all false it is the first row.
+    For truth values that are all false, this is the first row.
     """
     whole = len(values) // length * length
     rows = find(values[:whole].reshape(-1, length), axis=1)

@@ -1,4 +1,4 @@
-"""The ideal loop: the step that each loop answers, and its ideal response as a curve."""
+"""The ideal loop: the step that each loop answers, and the ideal response as a curve."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -39,11 +39,11 @@ class LoopStep:
     Attributes:
         loop: Loop of the step.
         kp: Proportional gain [1/s].
-        start_ns: Start of its first segment, in the run's time [ns].
-        end_ns: End of that segment with its pause [ns].
+        start_ns: Start of the loop's first segment, in the run's time [ns].
+        end_ns: End of this segment with its pause [ns].
         initial: Value of the signal at the start of the segment [deg or m].
-        reference: Reference of the signal [deg or m]; a heading is shifted by full turns to the end
-            of the segment.
+        reference: Reference of the signal [deg or m]. A heading is shifted by full turns so that it
+            is nearest to the value at the end of the segment.
     """
 
     loop: ControlLoop
@@ -56,9 +56,9 @@ class LoopStep:
     def respond(
         self, time_s: ArrayLike, *, initial: float | None = None, target: float | None = None
     ) -> Values:
-        """Return the ideal response at times from the start of its segment [s], shape (n,).
+        """Return the ideal response at times from the start of the segment [s], shape (n,).
 
-        `initial` and `target` are those of another signal that the loop drives, in its unit.
+        `initial` and `target` belong to another signal that the loop drives, and have its unit.
         """
         return compute_step_response(
             self.kp,
@@ -100,8 +100,8 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
 def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
     """Return the ideal responses of a signal for loops with the same gains.
 
-    Each starts with the value and time of its loop. None if no loop of theory drives the signal,
-    the reference moves, or the gain or the goal is unknown.
+    Each response starts with the value and time of its loop. The result is None if no loop of
+    theory drives the signal, the reference moves, or the gain or the goal is unknown.
     """
     measured = read_curve(run, signal_name)
     if measured is None or signal_name not in _DRIVEN_BY:
@@ -129,7 +129,7 @@ def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) 
 
 
 def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
-    """Return the final value of a signal under a loop, in the unit of its curve."""
+    """Return the final value of a signal under a loop, in the unit of the signal's curve."""
     if signal_name in _ERRORS:
         return 0.0
     if signal_name in ("x", "y"):

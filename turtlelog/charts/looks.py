@@ -1,7 +1,7 @@
 """The meaning of each colour, dash and marker in all pictures.
 
-A run has a colour, and in print a marker. A loop of its law has a dash. Other curves have a colour
-and a dash by their kind.
+A run has a colour, and in print also a marker. A loop of its law has a dash. The kind of any other
+curve determines its colour and dash.
 """
 
 import math
@@ -31,16 +31,16 @@ _FIXED: Final[Mapping[CurveKind, Color]] = MappingProxyType(
 _DASHES: Final[Mapping[CurveKind, Dash]] = MappingProxyType(
     {"ideal": "dotted", "aim": "dash-dot", "shaped": "dash-dot"}
 )
-"""Dashes of the kinds of curves other than the run's own."""
+"""Dashes of all kinds of curves except the run's own."""
 
 LIMIT_DASH: Final[Dash] = "dashed"
-"""Dash of limits and tolerances; a reference is solid."""
+"""Dash of limits and tolerances; references are solid."""
 
 SUPPOSED_DASH: Final[Dash] = "dashed"
-"""Dash of what did not happen: a run without some effects, the output of a model."""
+"""Dash of curves that did not happen: a run without some effects, the output of a model."""
 
 LOOP_DASHES: Final[tuple[Dash, ...]] = ("solid", "dashed", "dash-dot", "dotted")
-"""Dashes of a law's loops in declared order; more loops start again."""
+"""Dashes of a law's loops in declared order. With more loops, the dashes repeat."""
 
 RUN_MARKERS: Final[tuple[Marker, ...]] = ("up", "diamond", "down", "plus", "star", "left", "right")
 """Markers of runs with distinct hues, for pictures without colour: triangles up, down, left and
@@ -52,8 +52,8 @@ def choose_curve_color(kind: CurveKind, run: Color, *, is_alone: bool) -> Color:
 
     Args:
         kind: Kind of the curve.
-        run: Colour of its run.
-        is_alone: Whether the picture has no other run; among several runs, measured values have the
+        run: Colour of the curve's run.
+        is_alone: Whether the picture has no other run. Among several runs, measured values have the
             colour of their run.
     """
     if kind in ("measured", "outlier"):
@@ -66,7 +66,7 @@ def choose_curve_color(kind: CurveKind, run: Color, *, is_alone: bool) -> Color:
 
 
 def choose_dash(kind: CurveKind) -> Dash:
-    """Return the dash of a curve of a run, by its kind."""
+    """Return the dash of a curve of a run, which depends on the kind of the curve."""
     return _DASHES.get(kind, "solid")
 
 
@@ -74,15 +74,15 @@ _FEW_TURTLES: Final = 4
 """Largest number of turtles of full size; more are smaller."""
 
 _SMALLEST_TURTLE: Final = 0.3
-"""Smallest size of a turtle as a share of the full size: a shell of 4 pixels, as large as its
+"""Smallest size of a turtle as a share of the full size: a shell of 4 pixels, as large as the
 dot."""
 
 
 def choose_turtle_size(turtles: int) -> float:
-    """Return the size of each turtle in a group: many turtles cover as much area as a few."""
+    """Return the size of each turtle in a group. Many turtles cover as much area as a few."""
     return max(min(1.0, math.sqrt(_FEW_TURTLES / max(turtles, 1))), _SMALLEST_TURTLE)
 
 
 def choose_markers(count: int) -> tuple[Marker, ...]:
-    """Return markers that distinguish several runs; a single run and very many have none."""
+    """Return markers that distinguish several runs. A single run, and very many runs, have none."""
     return RUN_MARKERS[:count] if 1 < count <= len(RUN_MARKERS) else ()

@@ -1,4 +1,4 @@
-"""Effect of chance on a run: values and ends from every start or with every seed."""
+"""Effect of chance on a run: values and ends over starts or seeds."""
 
 import math
 from collections.abc import Sequence
@@ -18,13 +18,13 @@ from turtlelog.explain import Luck, LuckCurve
 Values = NDArray[np.float64]
 
 _DIGITS: Final = 2
-"""Digits of a value in text: neighbouring starts differ in the third digit."""
+"""Number of digits of a value in text; neighbouring starts differ in the third digit."""
 
 _MOST_DIGITS: Final = 5
-"""Largest number of digits of two values, if fewer do not distinguish them."""
+"""Largest number of digits of two values that fewer digits do not distinguish."""
 
 _SMALL: Final = 0.5
-"""Share of the least value with all effects below which values are given by an upper bound."""
+"""Share of the smallest value with all effects below which values are given by an upper bound."""
 
 _JUMP: Final = 0.02
 """Smallest visible jump between neighbours, as a share of the picture's height."""
@@ -34,7 +34,8 @@ _SMOOTH: Final = 6.0
 slope."""
 
 _FROM_ZERO: Final = 0.5
-"""Ratio of least to greatest value below which the axis begins at 0; for errors it always does."""
+"""Ratio of smallest to largest value below which the axis begins at 0; for errors it always
+does."""
 
 _ROOM: Final = 0.06
 """Margin above and below the curves, as a share of the axis."""
@@ -50,12 +51,12 @@ class LuckLine:
     """A curve over the starts.
 
     Attributes:
-        name: Short label at its right end; the sentences have the full name.
-        color: Colour of the run, of its cause, or of the ghost without all causes.
-        kind: `run` with all effects, `cause` without one, `ghost` without all.
+        name: Short label at the right end of the curve; the sentences have the full name.
+        color: Colour of the run, of the cause, or of the ghost without all causes.
+        kind: `run` with all effects, `cause` without one cause, `ghost` without all causes.
         values: Values in the unit of the picture, shape (n,); NaN if missing.
         pieces: First and last row of each part without a jump.
-        is_joined: Whether neighbours are joined by lines; those of seeds are independent.
+        is_joined: Whether lines join neighbouring values; values of seeds are independent.
     """
 
     name: str
@@ -72,11 +73,11 @@ class LuckPlane:
 
     Attributes:
         title: Title of the picture.
-        half_m: Half of its width and height [m].
-        rings_m: Radii of its rings, round lengths, rising [m].
+        half_m: Half of the picture's width and height [m].
+        rings_m: Radii of the rings, round lengths, rising [m].
         names: Labels of the rings.
         ends_m: Ends with all effects, relative to the goal [m], shape (n, 2).
-        ghosts_m: Ends without all acting causes, shape (n, 2); empty if there are none.
+        ghosts_m: Ends without all acting causes, shape (n, 2); empty without such ends.
         recorded_m: End of the run itself [m], shape (2,).
         note: How close the ghosts end, in two lines; empty without ghosts.
     """
@@ -99,10 +100,10 @@ class LuckPicture:
         varied: Start headings or seeds: `start` or `seed`.
         sentences: Result in words, for above the picture.
         places: Position of each start on the axis [deg], or of each seed, from 1.
-        place_label: Label of that axis.
+        place_label: Label of the axis of places.
         value_label: Label of the axis of values.
         limits: Limits of the axis of values.
-        lines: The curves, the one with all effects first.
+        lines: The curves; the curve with all effects is first.
         recorded: Position and value of the run itself; None if it has no value.
         recorded_name: Label of the run's own value.
         plane: Ends of the runs; None without a goal.
@@ -120,7 +121,7 @@ class LuckPicture:
     plane: LuckPlane | None
 
     def find_end(self, line: LuckLine) -> tuple[float, float]:
-        """Return the end of a curve; the lower end of the axis if it has no value."""
+        """Return the value at the end of a curve; without a value, the lower end of the axis."""
         if not line.pieces:
             return float(self.places[-1]), self.limits[0]
         last = line.pieces[-1][1]
@@ -157,7 +158,7 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
 def spread_labels(
     values: Sequence[float], height: float, limits: tuple[float, float]
 ) -> list[float]:
-    """Return positions of labels near their values without overlap, in the values' order.
+    """Return positions of labels near their values without overlap, in the order of the values.
 
     Args:
         values: Preferred positions.
@@ -193,19 +194,19 @@ def _top(group: Sequence[float], height: float) -> float:
 
 
 def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
-    """Return the factor and unit in which values are shown: mm below 1 m."""
+    """Return the factor and unit for showing values: mm below 1 m."""
     largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in columns)
     return (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, "" if unit == "1" else unit)
 
 
 def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
-    """Return two values with enough digits to distinguish them; one value if they are equal.
+    """Return two values with enough digits to distinguish them; if they are equal, one value.
 
     Args:
-        low: The least value.
-        high: The greatest value.
+        low: Smallest value.
+        high: Largest value.
         unit: Unit of the metric.
-        told: Value to write instead, with as many digits.
+        told: Value to write instead, with the same number of digits.
     """
     factor, name = _choose_unit([np.array([low, high])], unit)
     for digits in range(_DIGITS, _MOST_DIGITS + 1):
@@ -224,7 +225,7 @@ def _write_bound(most: float, unit: str) -> str:
 
 
 def _round(value: float, digits: int) -> str:
-    """Return a value with the given number of digits, and at least whole."""
+    """Return a value as text with the given number of digits; whole numbers have all digits."""
     return (
         f"{value:.0f}" if value == round(value) else f"{value:.{_count_decimals(value, digits)}f}"
     )
@@ -235,7 +236,7 @@ def _count_decimals(value: float, digits: int) -> int:
 
 
 def _order(luck: Luck) -> NDArray[np.intp]:
-    """Return starts unchanged; seeds sorted by the value with all effects."""
+    """Return starts unchanged, or seeds sorted by the value with all effects."""
     values = luck.curves[0].values
     return np.argsort(values, kind="stable") if luck.varied == "seed" else np.arange(len(values))
 

@@ -1,4 +1,4 @@
-"""Readable pictures of many runs: equal ones once, unsettled ones dimmed, short names."""
+"""Readable pictures of many runs: equal runs once, unsettled runs dimmed, short names."""
 
 import re
 from collections import Counter
@@ -16,8 +16,8 @@ from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.run import Run
 
 MANY: Final = len(FEW)
-"""Largest number of runs with hues of their own; with more, colours follow their order, and a bar
-shows it."""
+"""Largest number of runs with distinct hues. With more, colours follow the order of the runs, and a
+bar shows this order."""
 
 _ARRIVED: Final = frozenset({"within_tolerance", "standstill", "path_end"})
 """Stop reasons of a run that came to rest, or to the end of its path, by itself."""
@@ -27,15 +27,15 @@ _MOST_SWINGS: Final = 10
 paper's runs that come to rest have at most 4."""
 
 LONGEST_NAME: Final = 24
-"""Longest name [letters]: with more, a legend takes half of a plot 350 pixels wide."""
+"""Longest name [letters]. With longer names, a legend takes half of a plot 350 pixels wide."""
 
 _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
 _MOST_NAMED: Final = 2
-"""Largest number of runs that a title names; with more, it gives their number."""
+"""Largest number of runs that a title names; of more runs, it gives the number."""
 
 _MOST_KEYS: Final = 3
-"""Largest number of keys in a name; with more, it would be as long as the name that it replaces."""
+"""Largest number of keys in a name; with more, the name would be as long as the replaced one."""
 
 _WORDS: Final[Mapping[str, str]] = {
     "loop.transport_delay_ticks": "delay",
@@ -50,12 +50,12 @@ _WORDS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainScale:
-    """The number in which many runs differ, in their order.
+    """The number in which many runs differ, with the runs in its order.
 
     Attributes:
         word: Name of the number: `Kp`, `pause_ticks`.
         values: Value of each run.
-        unit: Unit of a gain; empty for other numbers, whose keys contain it.
+        unit: Unit of a gain; empty for other numbers, whose keys contain the unit.
     """
 
     word: str
@@ -63,14 +63,14 @@ class GainScale:
     unit: str = ""
 
     def name_run(self, number: int) -> str:
-        """Return the name of a run in a picture, from the value that its colour shows."""
+        """Return the name of a run in a picture, from the value that the run's colour shows."""
         return f"{self.word} {self.values[number]:.3g}"
 
     def list_ticks(self, most: int) -> list[tuple[float, str]]:
-        """Return the values to write at a bar of the runs, in even steps if there are more.
+        """Return the values to write at a bar of the runs; of many values, some in even steps.
 
         Returns:
-            Mean number of the runs of each value, and the value.
+            Mean position of the runs of each value, and the value.
         """
         values = sorted({*self.values})
         rows = np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(int)
@@ -97,7 +97,7 @@ def group_equal(runs: Sequence[Run]) -> list[list[int]]:
 
 
 def find_restless(runs: Sequence[Run]) -> frozenset[int]:
-    """Return the numbers of runs that never come to rest, if at least as many do.
+    """Return the numbers of runs that never come to rest, unless they are the majority.
 
     A picture without most of its runs would be untrue.
     """
@@ -106,15 +106,15 @@ def find_restless(runs: Sequence[Run]) -> frozenset[int]:
 
 
 def describe_restless(runs: Sequence[Run]) -> str:
-    """Return the runs that never come to rest in words; empty if there are none."""
+    """Return a text on the runs that never come to rest; empty if there are none."""
     numbers = sorted(find_restless(runs))
     return join_run_names(numbers, name_runs(runs), find_color_scale(runs))
 
 
 def join_run_names(numbers: Sequence[int], names: Sequence[str], scale: GainScale | None) -> str:
-    """Return the names of several runs of a picture in words.
+    """Return the names of several runs of a picture as text.
 
-    If they are the last in order, they are named by their smallest value. Runs of one value are
+    If the runs are the last in order, they are named by their smallest value. Runs of one value are
     counted: `14 of Kp 10`.
     """
     if scale is None:
@@ -148,7 +148,7 @@ def _count_swings(values: "np.typing.NDArray[np.float64]") -> int:
 
 
 def choose_colors_by_value(runs: Sequence[Run]) -> tuple[Color, ...]:
-    """Return the colour of each run: many runs of one gain, or of one other number, share one."""
+    """Return the colour of each run. Many runs of one gain, or of one other number, share one."""
     scale = find_color_scale(runs)
     values = () if scale is None else scale.values
     if len({*values}) < 2:
@@ -159,7 +159,7 @@ def choose_colors_by_value(runs: Sequence[Run]) -> tuple[Color, ...]:
 
 
 def find_color_scale(runs: Sequence[Run]) -> GainScale | None:
-    """Return the number that the colours of many runs show: what differs, or else their gain."""
+    """Return the number that the colours of many runs show: the differing number, or the gain."""
     if len(runs) <= MANY:
         return None
     found, groups = find_gain_scale(runs), group_by_gain(runs)
@@ -172,7 +172,8 @@ def find_color_scale(runs: Sequence[Run]) -> GainScale | None:
 def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     """Return the gain if all runs have different gains, or the only number in which runs differ.
 
-    None if they differ in more, or in words. Seeds count only if nothing else differs.
+    The result is None if runs differ in more numbers, or in words. Seeds count only if nothing else
+    differs.
     """
     differing = list_differing(runs)
     differing = [key for key in differing if not key.endswith("seed")] or differing
@@ -219,7 +220,7 @@ def _are_apart(runs: Sequence[Run], key: str) -> bool:
 
 
 def shorten_run_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
-    """Return names, or if one is long, the differences of the runs: `Kp 4, no speed limit`."""
+    """Return names, or if a name is long, how the runs differ: `Kp 4, no speed limit`."""
     if max(map(len, names)) <= LONGEST_NAME or len(runs) < 2:
         return tuple(names)
     keys = list_differing(runs)
@@ -256,7 +257,7 @@ def _tell(run: Run, keys: Sequence[str], gains: Collection[str]) -> Iterator[str
 def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
     """Return names without their common first and last words: `kp1` and `kp10`.
 
-    Words are separated at spaces, and at dashes and underscores before letters, so that numbers
+    Words are separated at spaces, and at dashes and underscores before letters. Numbers therefore
     stay whole.
     """
     # Words and their separators alternate.
@@ -268,7 +269,7 @@ def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _count_alike(parts: Sequence[Sequence[str]]) -> int:
-    """Return the number of first parts that are common to all."""
+    """Return how many first parts are common to all names."""
     columns = zip(*parts, strict=False)
     alike = [len({*column}) == 1 for column in columns]
     return alike.index(False) if False in alike else len(alike)

@@ -1,4 +1,4 @@
-"""Common parts of maps of a sweep and their report: edges of cells, ranges of values, limits."""
+"""Common parts of maps of a sweep and of their report: edges of cells, ranges of values, limits."""
 
 import math
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
 Values = NDArray[np.float64]
 
 VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Colours of unstable, between and stable: different in lightness too, and light enough for
-theory's lines."""
+"""Colours of unstable, between and stable. The colours also differ in lightness, and are light
+enough for theory's lines."""
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 
 _DECADES: Final = 100.0
-"""Ratio of largest to smallest value from which colours are logarithmic: on a linear scale the
+"""Ratio of largest to smallest value from which colours are logarithmic. On a linear scale, the
 whole lower decade would share 3 of 256 shades."""
 
 _OUTLYING: Final = 10.0
 """Distance from the central 90 % of values, as a multiple of their range, beyond which values share
-the last colour. The bar has a pointed end then. Without this, all others would have less than a
-tenth of the colours."""
+the last colour. The bar then has a pointed end. Without this, all other values would have less than
+a tenth of the colours."""
 
 STABILITY: Final = "instability (theory)"
 GROWN: Final = "instability with the most dead time (theory)"
@@ -40,9 +40,9 @@ class ValueRange:
 
     Attributes:
         low: Value of the first colour.
-        high: Value of the last colour; greater.
+        high: Value of the last colour; greater than `low`.
         is_logarithmic: Whether the scale is logarithmic.
-        extend: Ends beyond which there are values: `neither`, `min`, `max` or `both`.
+        extend: Ends beyond which values exist: `neither`, `min`, `max` or `both`.
     """
 
     low: float
@@ -71,23 +71,23 @@ def find_value_range(values: Values) -> ValueRange:
 
 
 def find_verdict_classes(values: Values) -> Values:
-    """Return 0 for not stable, 1 for in between, 2 for stable; NaN is kept."""
+    """Return 0 for unstable, 1 for in between, 2 for stable; NaN stays NaN."""
     return np.where(values >= 1.0, 2.0, np.where(values <= 0.0, 0.0, values * 0.0 + 1.0))
 
 
 def label_metric(metric: SweptMetric) -> str:
-    """Return a metric's name with its unit, angles in degrees."""
+    """Return a metric's name with its unit; angles are in degrees."""
     unit = "deg" if metric.unit == "rad" else metric.unit
     return metric.name + (f" [{unit}]" if unit not in {"", "1"} else "")
 
 
 def scale_values(metric: SweptMetric, values: Values) -> Values:
-    """Return values in the unit in which they are shown."""
+    """Return values in their display unit."""
     return np.degrees(values) if metric.unit == "rad" else values
 
 
 def find_edges(axis: SweptAxis) -> Values:
-    """Return the edges of the cells of an axis: halfway between their centres."""
+    """Return the edges of the cells of an axis, halfway between the centres of the cells."""
     numbers = axis.numbers
     if len(numbers) == 1:
         half = abs(float(numbers[0])) * 0.1 or 0.5
@@ -98,7 +98,7 @@ def find_edges(axis: SweptAxis) -> Values:
 
 
 def is_logarithmic(axis: SweptAxis) -> bool:
-    """Return whether the numbers of an axis have more equal ratios than differences."""
+    """Return whether the numbers of an axis have equal ratios rather than equal differences."""
     numbers = axis.numbers
     if not axis.is_number or len(numbers) < 3 or numbers[0] <= 0.0:
         return False
@@ -113,7 +113,7 @@ def _find_middles(numbers: Values) -> Values:
 
 
 def list_branches(columns: Sequence[ColumnLimits | None], name: str) -> list[Values]:
-    """Return the values of a limit, one for each column, NaN if there is none.
+    """Return the values of a limit, one for each column; NaN for no limit.
 
     If a loop is stable in several ranges of its gain, or not from 0 on, each end is a branch.
     """

@@ -1,4 +1,4 @@
-"""Colours for colour-blind readers: of runs on screen and in print, and of other marks."""
+"""Colours for colour-blind readers: colours of runs on screen and in print, and of other marks."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -23,7 +23,8 @@ FEW: Final[tuple[Color, ...]] = (
 """Hues after Okabe and Ito for colour-blind readers, with a contrast of at least 3:1 to white and
 dark.
 
-The first four differ in grey by at least 0.08 of white."""
+The first four differ in grey by at least 0.08 of white.
+"""
 
 _OF_CAUSES: Final[tuple[Color, ...]] = (
     (196, 20, 52),
@@ -33,8 +34,8 @@ _OF_CAUSES: Final[tuple[Color, ...]] = (
     (84, 68, 244),
     (212, 100, 100),
 )
-"""Colours of causes, furthest in CIELAB from those of runs and from each other, also for red-green
-blind readers. All are visible on white and on black."""
+"""Colours of causes, as far as possible in CIELAB from the colours of runs and from each other,
+also for red-green blind readers. All are visible on white and on black."""
 
 _RAMP: Final[tuple[Color, ...]] = (
     (38, 69, 247),
@@ -44,7 +45,7 @@ _RAMP: Final[tuple[Color, ...]] = (
     (106, 147, 84),
     (176, 145, 33),
 )
-"""Ramp of many runs. Its lightness increases from end to end, so that the order is visible even in
+"""Ramp of many runs. The lightness increases from end to end, so that the order is visible even in
 grey. The contrast of 3:1 to white paper and dark ground leaves half of the range of lightness."""
 
 _SHADES: Final[tuple[Color, ...]] = (
@@ -55,7 +56,8 @@ _SHADES: Final[tuple[Color, ...]] = (
     (188, 200, 42),
     (250, 206, 60),
 )
-"""Ramp of values in cells, which need no contrast to the ground: twice the range of lightness."""
+"""Ramp of values in cells. Without a required contrast to the ground, it has twice the range of
+lightness."""
 
 _OKABE_ITO: Final[tuple[Color, ...]] = (
     (86, 180, 233),
@@ -69,98 +71,102 @@ _OKABE_ITO: Final[tuple[Color, ...]] = (
 """Palette of Okabe and Ito without its black, which is invisible on dark ground."""
 
 GROUND: Final[Color] = (13, 13, 13)
-"""Background of planes, also in a light theme; plots follow the theme, as their cursor does."""
+"""Background of planes, also in a light theme. Plots follow the theme, like their cursor."""
 
 REFERENCE: Final[Color] = (150, 150, 150)
-"""Goal bearing, goal position, limits, world border, moving references."""
+"""Colour of goal bearing, goal position, limits, world border and moving references."""
 
 TRACKED: Final[Color] = (95, 95, 95)
-"""Tracked paths: broad lines, dark enough that the driven path is visible on them."""
+"""Colour of tracked paths: broad lines, dark enough that the driven path is visible on them."""
 
 WALLS: Final[Color] = (118, 118, 118)
-"""End points of scans: below the driven paths, and still visible on the ground."""
+"""Colour of the end points of scans, which are below the driven paths and still visible on the
+ground."""
 
 SCAN: Final[Color] = (232, 128, 52)
-"""Present scan of the robot."""
+"""Colour of the robot's present scan."""
 
 OCCUPANCY_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (26 + shade, 26 + shade, 28 + shade, 255)
     for shade in (69 * percent // 100 for percent in range(101))
 )
-"""Cells of a map from free to occupied: a shade above the ground, up to that of a tracked path."""
+"""Colours of map cells from free to occupied, from a shade above the ground to the shade of a
+tracked path."""
 
 COST_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (*_OKABE_ITO[4], 0 if percent == 0 else 20 + percent) for percent in range(101)
 )
-"""Cells of a costmap, which leaves what is below it visible; what costs nothing has no colour."""
+"""Colours of costmap cells, through which lower layers stay visible. Cells without cost have no
+colour."""
 
 PATH_OF_MANY: Final[Color] = (105, 105, 105)
-"""Paths of very many runs on dark ground, whose ends have the colours."""
+"""Colour of the paths of very many runs on dark ground; only their ends have other colours."""
 
 GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)
 
 COMMAND: Final[Color] = _OKABE_ITO[2]
-"""Arrow of the command at a turtle."""
+"""Colour of the arrow of the command at a turtle."""
 
 SHAPED: Final[Color] = FEW[3]
-"""Shaped commands, before the limits."""
+"""Colour of shaped commands, before the limits."""
 
 MEASURED: Final[Color] = FEW[2]
-"""Response of the robot to a command: the reported or applied rate."""
+"""Colour of the robot's response to a command: the reported or applied rate."""
 
 MODEL: Final[Color] = FEW[1]
-"""Response of an identified model to a command; it is shown with a single run."""
+"""Colour of an identified model's response to a command, which is shown only for a single run."""
 
 SENSED: Final[Color] = (128, 128, 128)
-"""Sensed poses."""
+"""Colour of sensed poses."""
 
 DROPPED_OUT: Final[Color] = (128, 128, 128)
-"""Poses that dropped out."""
+"""Colour of poses that dropped out."""
 
 GHOST: Final[Color] = (170, 170, 170)
-"""Ghosts: a run without the acting effects, or the ideal loop."""
+"""Colour of ghosts: a run without the acting effects, or the ideal loop."""
 
 IDEAL: Final[Color] = (128, 128, 128)
-"""Ideal responses and moving references: contrast of at least 3.9:1 to white and to `GROUND`."""
+"""Colour of ideal responses and moving references, with a contrast of at least 3.9:1 to white and
+to `GROUND`."""
 
 DEAD_TIME: Final[Color] = _OKABE_ITO[4]
-"""Bar of a dead time, below those of the phases."""
+"""Colour of the bar of a dead time, below the bars of the phases."""
 
 EVENT: Final[Color] = (176, 124, 64)
-"""Events."""
+"""Colour of events."""
 
 WALL_HIT: Final[Color] = _OKABE_ITO[3]
-"""Contacts of a turtle with the wall."""
+"""Colour of a turtle's contacts with the wall."""
 
 PAUSED: Final[Color] = _OKABE_ITO[3]
-"""Start and end of a pause."""
+"""Colour of the start and end of a pause."""
 
 ERROR: Final[Color] = _OKABE_ITO[4]
-"""Arrow from the turtle to the goal."""
+"""Colour of the arrow from the turtle to the goal."""
 
 VIOLATION: Final[Color] = (235, 50, 50)
-"""Violations of a check; no run and no phase has this red."""
+"""Colour of violations of a check. No run and no phase has this red."""
 
 ALLOWED: Final[Color] = (128, 128, 128)
-"""Allowed band of a check, thin enough that curves on it are visible."""
+"""Colour of the allowed band of a check, thin enough that curves on it are visible."""
 
 
 def choose_run_colors(count: int) -> tuple[Color, ...]:
-    """Return one colour per run: distinct hues for a few, an ordered ramp for many."""
+    """Return one colour per run: distinct hues for a few runs, an ordered ramp for many."""
     if count <= len(FEW):
         return FEW[:count]
     return _mix(_RAMP, count)
 
 
 def choose_shades(count: int) -> tuple[Color, ...]:
-    """Return colours for rising values, for cells and broad strokes."""
+    """Return colours for increasing values, for cells and broad strokes."""
     return _mix(_SHADES, count)
 
 
 def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
-    """Return a colour for each cause, in the given order; none is that of a run.
+    """Return a colour for each cause, in the given order, different from the colours of runs.
 
     There are six colours, one for each cause of an attribution; for more causes they repeat.
     """
@@ -185,11 +191,11 @@ _BY_ORDER: Final = (
     (150, 58, 66),
     (24, 104, 118),
 )
-"""Hues of phases in declared order; more phases start again."""
+"""Hues of phases in declared order. With more phases, the hues repeat."""
 
 
 def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
-    """Return colours of the phase bars in declared order; `pause` and `done` have their own.
+    """Return colours of the phase bars in declared order; `pause` and `done` have special colours.
 
     The colours are dark enough for the viewer's white letters, and are used nowhere else.
     """
@@ -213,7 +219,7 @@ def dim(color: Color) -> Color:
 
 
 def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
-    """Return opaque colours in Rerun's fastest format, shape (n,)."""
+    """Return opaque colours in the format that is fastest for Rerun, shape (n,)."""
     red, green, blue = np.array(colors, dtype=np.uint32).reshape(-1, 3).T
     return (red << 24 | green << 16 | blue << 8 | 255).astype(np.uint32)
 

@@ -1,4 +1,4 @@
-"""Common parts of a plane with several runs: starts and goals, the origin, and groups of ends."""
+"""Common parts of a plane with several runs: starts, goals, origin, and groups of ends."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ def list_places(run: Run) -> Values:
 def is_in_world(runs: Sequence[Run]) -> bool:
     """Return whether every position lies in turtlesim's world.
 
-    A robot other than turtlesim, or one known to have no walls, is never in it.
+    The result is False for a robot other than turtlesim, or one known to have no walls.
     """
     if any(find_plant(run) != TURTLESIM or not is_turtlesim(run) for run in runs):
         return False
@@ -48,19 +48,21 @@ def is_in_world(runs: Sequence[Run]) -> bool:
 
 
 _FAR_M: Final = 10_000.0
-"""Distance from the origin from which coordinates are shifted [m]: their ticks would touch."""
+"""Distance from the origin beyond which coordinates are shifted [m], because their tick labels
+would touch."""
 
 LEAST_SHOWN_M: Final = 0.5
-"""Smallest side of a plane [m]: in a smaller one, noise of poses would look like a path."""
+"""Smallest side of a plane [m]; in a smaller plane, noise of poses would look like a path."""
 
 _STILL_M: Final = 1e-3
-"""Extent within which a robot has not moved [m], because poses have noise and a resolution."""
+"""Extent within which a robot counts as not moved [m], because poses have noise and a
+resolution."""
 
 _STILL_RAD: Final = 1e-3
 
 
 def find_origin(runs: Sequence[Run]) -> tuple[float, float]:
-    """Return the origin of x and y [m]: the first start in whole metres, or 0 if it is near.
+    """Return the origin of x and y [m]: the first start in whole metres, or 0 if the start is near.
 
     Each coordinate has its own offset. A path in a scenario is always near.
     """
@@ -71,12 +73,13 @@ def find_origin(runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def move_near(runs: Sequence[Run]) -> tuple[list[Run], str]:
-    """Return runs with coordinates relative to `find_origin`, and that offset in words.
+    """Return runs with coordinates relative to `find_origin`, and text on this offset.
 
     Pictures with 32-bit floats resolve half a metre at coordinates of five million.
 
     Returns:
-        The runs, and `x from 448,262 m, y from 5,411,933 m`; empty if all are near.
+        The runs, and text such as `x from 448,262 m, y from 5,411,933 m`, which is empty if all
+        runs are near.
     """
     origin_m = find_origin(runs)
     if origin_m == (0.0, 0.0):
@@ -92,7 +95,7 @@ def label_coordinate(name: str, origin_m: float) -> str:
 
 
 def tell_still(runs: Sequence[Run]) -> str:
-    """Return that some runs did not leave their start; empty if all did."""
+    """Return a sentence on runs that did not leave their start; empty if all did."""
     still = [run for run in runs if np.ptp(run.poses.xy_m, axis=0).max() < _STILL_M]
     if not still:
         return ""
@@ -122,14 +125,14 @@ def _round_far(coordinate_m: float) -> float:
 
 
 MANY_PATHS: Final = 24
-"""Largest number of coloured paths in a plane: more cover each other, and the last drawn would
-decide."""
+"""Largest number of coloured paths in a plane. More paths cover each other, and only the last drawn
+would be visible."""
 
 OUTLINE_LABEL: Final = "90 % of the ends of a gain"
 MEDIAN_LABEL: Final = "median end"
 
 _LEAST_RUNS: Final = 10
-"""Smallest number of ends of a gain with an outline: of fewer ends, nine tenths are all."""
+"""Smallest number of ends of a gain for an outline; of fewer ends, nine tenths are all."""
 
 _INSIDE: Final = 0.9
 
@@ -139,7 +142,7 @@ class GainEnds:
     """Ends of the runs of one gain.
 
     Attributes:
-        gain: Gain Kp of these runs.
+        gain: Gain Kp of the runs.
         runs: Numbers of the runs, rising.
         median_xy_m: Median of x and of y [m], shape (2,).
         outline_xy_m: Corners around the 90 % of the ends nearest to the median [m],
@@ -163,12 +166,12 @@ class GainEnds:
 
 
 def has_grey_paths(runs: Sequence[Run]) -> bool:
-    """Return whether a plane shows grey paths and coloured ends with medians and outlines."""
+    """Return whether a plane shows grey paths, and coloured ends with medians and outlines."""
     return len(runs) > MANY_PATHS
 
 
 def find_gain_ends(runs: Sequence[Run]) -> list[GainEnds]:
-    """Return the ends of the runs of each gain with enough runs; gains rise."""
+    """Return the ends of runs for each gain with enough runs, by rising gain."""
     found = []
     for gain, numbers in sorted(group_by_gain(runs).items()):
         if len(numbers) < _LEAST_RUNS:
@@ -211,7 +214,7 @@ def _turns_right(one: Values, other: Values, last: Values) -> bool:
 
 
 def _order_by_distance(points: Values, middle: Values) -> NDArray[np.int64]:
-    """Return the numbers of points from the centre outward, in units of their own spread."""
+    """Return the numbers of points from the centre outward, relative to the points' spread."""
     away = points - middle
     spread = np.linalg.pinv(np.cov(points.T))
     return np.argsort(np.einsum("ni,ij,nj->n", away, spread, away), kind="stable")

@@ -1,4 +1,4 @@
-"""Definition of a plot over time: its curves and their kinds, and states of a law in one plot."""
+"""Definition of a plot over time: curves and their kinds, and states of a law in one plot."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,16 +19,16 @@ CurveKind = Literal[
 ]  # fmt: skip
 """Kind of a curve.
 
-`run` is the run's own signal and `beside` a second one. `measured` is the robot's own measurement,
-`applied` the plant's rate, `wanted` the law's command, `shaped` the shaped one. `ideal` is the
-ideal loop, `aim` a moving reference. Points are `sensed`, `dropped_out` (not received) and
-`outlier`."""
+`run` is the run's own signal, `beside` a second signal. `measured` is the robot's own measurement,
+`applied` the plant's rate, `wanted` the law's command, `shaped` the shaped command. `ideal` is the
+ideal loop, `aim` a moving reference. `sensed`, `dropped_out` (not received) and `outlier` are
+points."""
 
 POINTS: Final[frozenset[CurveKind]] = frozenset({"sensed", "dropped_out", "outlier"})
 """Kinds that are points without joining lines."""
 
 OWN: Final[frozenset[CurveKind]] = frozenset({"run", "beside", "measured", "applied", "aim"})
-"""Kinds that a plot's range must include; theory and wanted commands may lie far beyond."""
+"""Kinds that a plot's range must include. Theory and wanted commands may lie far outside."""
 
 _MEASURED: Final = OWN - {"aim"}
 
@@ -44,11 +44,12 @@ class CurveEntry:
     """A curve of a plot over time.
 
     Attributes:
-        kind: Kind of the curve, which gives colour and dash.
-        read: Function that returns the curve of a run; several if its loop steps several times.
-        label: Label in a legend; a curve's own label takes precedence.
+        kind: Kind of the curve, which determines colour and dash.
+        read: Function that returns the curve of a run, or several curves if the loop steps several
+            times.
+        label: Label in a legend. A curve's own label has priority.
         name: Name that distinguishes the curves of a plot; empty for the run's own.
-        signal: Signal whose characteristics are marked on it; empty for other curves.
+        signal: Signal whose characteristics are marked on the curve; empty for other curves.
     """
 
     kind: CurveKind
@@ -64,21 +65,22 @@ class TimePlot:
 
     Attributes:
         title: Title of the plot.
-        unit: Unit of its values; empty if none is declared.
+        unit: Unit of the values; empty if no unit is declared.
         curves: Curves in the order of the legend.
         list_levels: Function that returns the level lines of a run.
-        is_log: Whether there is also a logarithmic plot of its magnitudes.
-        scale: Scale of its axis.
-        figure: Print figure of which it is a panel; a figure of that name is made if there is none.
+        is_log: Whether there is also a logarithmic plot of the magnitudes.
+        scale: Scale of the axis.
+        figure: Print figure that contains the plot as a panel. If no figure has this name, one is
+            created.
         needs: Data that a run must contain, by name in the table of needs.
         loop: Signal that a loop of a run must control; empty: any.
-        is_usual: Whether a figure reports it as missing if no run has data for it.
+        is_usual: Whether a figure reports the plot as missing if no run has data for it.
         pair: Name of the plot that shows x and y together if there is little room.
-        place: Column and row in a view of many plots; plots at one place are tabs.
-        is_compared: Whether a view of several runs contains it.
-        report: When a report contains it: always, if the reference moves, or never.
-        command: Command that it shows; None for any other signal.
-        is_filled: Whether a single oscillation would fill it from end to end.
+        place: Column and row in a view of many plots. Plots at one place are tabs.
+        is_compared: Whether a view of several runs contains the plot.
+        report: Reports that contain the plot: always, if the reference moves, or never.
+        command: Command that the plot shows; None for any other signal.
+        is_filled: Whether a single oscillation would fill the plot from end to end.
     """
 
     title: str
@@ -110,7 +112,7 @@ class PlottedCurve:
 
     Attributes:
         entry: Entry of the curve.
-        label: Label in a legend of the run alone.
+        label: Label in the legend of a single run.
         curve: Values of the curve.
     """
 
@@ -129,8 +131,8 @@ def list_plotted(
 ) -> list[PlottedCurve]:
     """Return the curves of a run in a plot, of some kinds or of all.
 
-    A run without a curve of its own has none: a reference alone is not shown. For a robot without
-    recorded commands, the applied rates replace them.
+    If a run has no curve of its own, no curves are returned: a reference alone is not shown. For a
+    robot without recorded commands, the applied rates replace the commands.
     """
     found = _read_entries(run, [one for one in plot.curves if kinds is None or one.kind in kinds])
     if kinds is not None and not found:
@@ -139,9 +141,10 @@ def list_plotted(
 
 
 def choose_kinds(number: int, count: int) -> frozenset[CurveKind] | None:
-    """Return the kinds of curves of one of several runs in a plot; None for a run alone: all.
+    """Return the kinds of curves for one of several runs in a plot; None for a single run: all.
 
-    Of many runs only the first and the last have an ideal response: all would be a grey area.
+    Of many runs, only the first and the last have an ideal response, because all of them would be a
+    grey area.
     """
     if count == 1:
         return None
@@ -149,7 +152,7 @@ def choose_kinds(number: int, count: int) -> frozenset[CurveKind] | None:
 
 
 def list_own(run: Run, plot: TimePlot) -> list[Curve]:
-    """Return the run's own curves in a plot; its axis must include them."""
+    """Return the run's own curves in a plot, which the axis must include."""
     return [one.curve for one in list_plotted(run, plot, OWN)]
 
 
@@ -173,17 +176,17 @@ def list_plot_levels(
 
 
 def leaves_out(count: int, plot: TimePlot) -> bool:
-    """Return whether a plot of this many runs leaves out those that never settle."""
+    """Return whether a plot of this many runs leaves out runs that never settle."""
     return count > MANY and plot.is_filled
 
 
 _LEAST_MAGNITUDE: Final = 1e-100
 """Smallest magnitude on a logarithmic scale: far below the resolution of an error in 64 bits, and
-far above the smallest number, below which the axis would end at 0."""
+far above the smallest float, below which the axis would end at 0."""
 
 
 def take_magnitude(curve: Curve) -> Curve:
-    """Return the magnitudes of a curve for a logarithmic scale: zeros are gaps."""
+    """Return the magnitudes of a curve for a logarithmic scale, with gaps at zeros."""
     sizes = np.abs(curve.values)
     return replace(curve, values=np.where(sizes < _LEAST_MAGNITUDE, np.nan, sizes))
 
@@ -197,14 +200,14 @@ def _read_entries(run: Run, entries: Iterable[CurveEntry]) -> list[PlottedCurve]
 
 
 _MOST_APART: Final = 3
-"""Largest number of views side by side; more would each be narrower than a legend."""
+"""Largest number of views side by side; with more, each would be narrower than a legend."""
 
 _LARGEST_RATIO: Final = 20.0
-"""Largest ratio of magnitudes of curves in one plot: smaller ones would take less than a twentieth
-of its height, and look like zero."""
+"""Largest ratio of magnitudes of curves in one plot. Smaller curves would take less than a
+twentieth of the height, and look like zero."""
 
 _MOST_TOGETHER: Final = len(FEW)
-"""Largest number of curves in one plot; more would share hues."""
+"""Largest number of curves in one plot; more curves would share hues."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,10 +215,10 @@ class StateGroup:
     """States that belong together.
 
     Attributes:
-        title: Title, as `State lyapunov`, `States of the turn rate`.
+        title: Title, such as `State lyapunov` or `States of the turn rate`.
         names: Names of the states in the law's declaration.
-        units: Unit of each state in the law's declaration; empty if there is none.
-        command: Command to which they belong; None for other states.
+        units: Unit of each state in the law's declaration; empty without a unit.
+        command: Command to which the states belong; None for other states.
     """
 
     title: str
@@ -225,7 +228,7 @@ class StateGroup:
 
     @property
     def label(self) -> str:
-        """Title, with the unit if all states have the same."""
+        """Title, with the unit if all states have the same unit."""
         return _add_unit(self.title, self.units[0] if len({*self.units}) == 1 else "")
 
     def label_state(self, name: str) -> str:
@@ -233,18 +236,18 @@ class StateGroup:
         return _add_unit(name, self.units[self.names.index(name)])
 
     def can_share(self, names: Sequence[str], columns: Sequence[NDArray[np.float64]]) -> bool:
-        """Return whether some of them can share a plot, by their units and values."""
+        """Return whether some of the states can share a plot, by their units and values."""
         units = {self.units[self.names.index(name)] for name in names}
         return len(units) <= 1 and are_comparable(columns)
 
 
 def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
-    """Return the states of laws in groups: of the turn rate, of the speed, then all others.
+    """Return the states of laws in groups: states of the turn rate, of the speed, then all others.
 
-    A state belongs to a loop if the loop's name is a word in it (`integral_rotate`), or if the
-    loop's gain ends in its last word (`integral_angular` with `law.kp_angular`). If all its loops
-    have the same command, the state belongs to this command. Other states have a view each while
-    there are few views.
+    A state belongs to a loop if the loop's name is a word in the state's name (`integral_rotate`).
+    A state also belongs to a loop whose gain ends in its last word (`integral_angular` with
+    `law.kp_angular`). If all loops of a state have the same command, the state belongs to this
+    command. Each other state has its own view, while there are few views.
     """
     of_command: dict[str, dict[str, None]] = {command: {} for command in COMMAND_WORDS}
     others: dict[str, None] = {}
@@ -269,13 +272,13 @@ def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
 
 
 def find_state_unit(name: str, declarations: Iterable[Declaration]) -> str:
-    """Return the unit of a state; empty if no law declares one or two laws differ."""
+    """Return the unit of a state; empty if no law declares a unit, or two laws differ."""
     units = {one.state_units.get(name, "") for one in declarations if name in one.states}
     return units.pop() if len(units) == 1 else ""
 
 
 def are_comparable(columns: Sequence[NDArray[np.float64]]) -> bool:
-    """Return whether curves can share a plot: few, and none that looks like zero beside another."""
+    """Return whether curves can share a plot: few curves, none of which looks like zero."""
     if len(columns) > _MOST_TOGETHER:
         return False
     known = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for values in columns]

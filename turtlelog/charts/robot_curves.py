@@ -1,4 +1,4 @@
-"""The curves of a robot in a bag: rates, paths, gaps, and steps of its commands."""
+"""Curves of a robot in a bag: rates, paths, gaps, and steps of its commands."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,9 +26,9 @@ class MeasuredRate:
     """A measured rate without its outliers, and the outliers.
 
     Attributes:
-        command: Command to which it is the response.
+        command: Command that the rate responds to.
         curve: All other values.
-        outliers: Values that would flatten every other curve; they stay in the data.
+        outliers: Values that would flatten every other curve. The data keep these values.
     """
 
     command: Command
@@ -36,7 +36,7 @@ class MeasuredRate:
     outliers: Curve
 
     def name_outliers(self) -> str:
-        """Return the outliers in words, of several the largest; empty if there are none."""
+        """Return text on the outliers, of several the largest; empty without outliers."""
         found = self.outliers
         if not len(found.values):
             return ""
@@ -47,7 +47,7 @@ class MeasuredRate:
 
 
 def read_measured(run: Run, command: Command) -> MeasuredRate | None:
-    """Return the `speed` or `turn_rate` that a robot reports; None if it reports none."""
+    """Return the `speed` or `turn_rate` that a robot reports; None without reports."""
     curve = read_curve(run, f"measured_{command}")
     if curve is None:
         return None
@@ -63,14 +63,14 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
 def part_path(run: Run) -> Values:
     """Return the positions of a run [m], shape (n, 2), with NaN before each break of its poses.
 
-    The robot did not drive between the poses before and after a reset or teleport. Its position is
-    unknown while it sent no poses.
+    The robot did not drive between the poses before and after a reset or teleport. The robot's
+    position is unknown while it sent no poses.
     """
     return np.insert(run.poses.xy_m, find_break_rows(run), np.nan, axis=0)
 
 
 def part_curve(run: Run, curve: Curve) -> Curve:
-    """Return a curve with NaN before each break of the poses in which it has no row itself."""
+    """Return a curve with NaN before each break of the poses in which the curve has no row."""
     rows = find_break_rows(run)
     if not len(rows):
         return curve
@@ -90,7 +90,7 @@ def find_break_rows(run: Run) -> NDArray[np.int64]:
 
 
 def find_jump_rows(run: Run) -> NDArray[np.int64]:
-    """Return the rows of the poses after jumps, of turtlesim's without samples."""
+    """Return the rows of poses after jumps, for turtlesim without samples."""
     none = np.zeros(0, dtype=np.int64)
     if len(run.samples) or not is_turtlesim(run):
         return none
@@ -102,9 +102,9 @@ def find_jump_rows(run: Run) -> NDArray[np.int64]:
 
 
 def is_turtlesim(run: Run) -> bool:
-    """Return whether the poses are turtlesim's, which alone publishes the applied velocities.
+    """Return whether poses are those of turtlesim, which alone publishes applied velocities.
 
-    A run with a controller's samples is taken to be of a turtle.
+    A run with a controller's samples counts as turtlesim's.
     """
     publishes = run.poses.speed_m_s is not None or len(run.samples) > 0
     return publishes and find_plant(run).name != LAGGED
@@ -113,7 +113,7 @@ def is_turtlesim(run: Run) -> bool:
 def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
     """Return the speed of a run between some of its poses [m/s], shape (n - 1,).
 
-    For runs without samples it is the reported speed, because the times of their poses jitter.
+    For runs without samples, the reported speed is used, because the times of their poses jitter.
     Outliers are clipped to the largest of the other values.
     """
     poses = run.poses
@@ -129,20 +129,20 @@ def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
 
 
 def lack_samples(runs: Sequence[Run]) -> bool:
-    """Return whether no run has samples of a controller: only poses, and commands at most."""
+    """Return whether no run has samples of a controller: only poses, and at most commands."""
     return not any(len(run.samples) for run in runs)
 
 
 _LEAST_SHARE: Final = 0.01
-"""Smallest visible gap as a share of a run's duration: in a column of 70 mm a shorter one is
+"""Smallest visible gap as a share of a run's duration. In a column of 70 mm, a shorter gap is
 narrower than a millimetre."""
 
 _LEAST_NS: Final = 1_000_000_000
 """Length from which a gap always interrupts curves [ns], because a view can be zoomed. Shorter gaps
-of a long run are single poses that a busy computer lost."""
+in a long run are single poses that a busy computer lost."""
 
 _MOST_NAMED: Final = 5
-"""Largest number of gaps with text, the longest ones: more text would cover the curves."""
+"""Largest number of gaps with text, the longest gaps; more text would cover the curves."""
 
 
 def _list_breaking_gaps(run: Run) -> list[PoseGap]:
@@ -177,7 +177,7 @@ def label_error(quantity: Quantity) -> str:
 
 
 def tell_gap(runs: Sequence[Run]) -> str:
-    """Return the longest gap in the poses of a single run in words; empty if there is none."""
+    """Return text on the longest gap in the poses of a single run; empty without a gap."""
     gaps = list_seen_gaps(runs[0]) if len(runs) == 1 else []
     return max(gaps, key=lambda gap: gap[1] - gap[0])[2] if gaps else ""
 
@@ -188,13 +188,14 @@ def _find_least_ns(run: Run) -> float:
 
 
 _LARGE: Final = 0.2
-"""Share of the largest change from which a change counts: noise and resolution are smaller."""
+"""Share of the largest change from which a change counts; noise and resolution are smaller."""
 
 _LEAST_HELD_S: Final = 0.15
-"""Time from which a held command is a level [s]: commands come at 10 Hz and more, with jitter."""
+"""Time from which a held command counts as a level [s]; commands come at 10 Hz and more, with
+jitter."""
 
 _MOST: Final = 60
-"""Largest number of changes that are drawn, the largest ones: more would be a grey block."""
+"""Largest number of changes that are drawn, the largest changes; more would be a grey block."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,7 +203,7 @@ class CommandChange:
     """A change of a command in one direction, at once or over several commands.
 
     Attributes:
-        begin_s: Time of its first command [s].
+        begin_s: Time of the change's first command [s].
         half_s: Time at which the command passes the middle between its levels [s].
         end_s: Start of the next change, or end of the commands [s].
         before: Level from which it changes.
@@ -216,15 +217,15 @@ class CommandChange:
     after: float
 
     def scale(self, values: Values) -> Values:
-        """Return values as the completed fraction of the change: 0 before it, 1 after it."""
+        """Return values as the completed fraction of the change: 0 before the change, 1 after."""
         return (values - self.before) / (self.after - self.before)
 
 
 def find_command_changes(command: Curve) -> list[CommandChange]:
     """Return the large changes of a command in order of time.
 
-    Successive commands in one direction are one change; a level that is held for longer than the
-    change up to there separates two.
+    Successive commands in one direction are one change. A level that is held for longer than the
+    change so far separates two changes.
     """
     values = np.concatenate([[0.0], command.values])
     rows = np.flatnonzero(np.diff(values) != 0.0)

@@ -1,4 +1,4 @@
-"""The axes of plots over time: their ranges, and the timelines of compared runs."""
+"""The axes of plots over time: ranges, and the timelines of compared runs."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -16,14 +16,14 @@ HEADROOM: Final = 1.25
 """End of a command's range, as a multiple of its most extreme value."""
 
 _ROOM: Final = 0.08
-"""Margin above and below measured values, as a share of their range, or of the value if all are
-equal."""
+"""Margin above and below measured values, as a share of their range, or of the value if all values
+are equal."""
 
 _LEAST_ROOM: Final = 1e-9
 """Smallest margin if all values are equal, in the plot's unit, because a range needs a height."""
 
 _ROOM_AROUND_0: Final = 0.1
-"""Margin if all values are 0, in the plot's unit: ticks of a smaller range are hard to read."""
+"""Margin if all values are 0, in the plot's unit; ticks of a smaller range are hard to read."""
 
 _AT_REST: Final = 0.01
 """Share of a plot's height within which a curve rests: less than a line's width in print at 40
@@ -35,14 +35,14 @@ times `HEADROOM`."""
 
 
 def label_time(runs: Sequence[Run]) -> str:
-    """Return the label of a time axis; time zero is the first sample, or what a bag has instead."""
+    """Return the label of a time axis. Time zero is the first sample, or the first row of a bag."""
     return f"time from the first {' or '.join(dict.fromkeys(run.first_row for run in runs))} [s]"
 
 
 def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float, float] | None:
     """Return the range of a plot that includes curves and level lines, with a margin.
 
-    For commands it ends slightly beyond their extremes, whether these are limits or not.
+    For commands, the range ends slightly beyond their extremes, whether these are limits or not.
 
     Returns:
         None if no value is known.
@@ -66,7 +66,7 @@ def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
     A robot may move in a gap, so the rest of a curve begins after its gaps.
 
     Args:
-        curves: Times [s] and values of each.
+        curves: Times [s] and values of each curve.
         height: Height of the plot, in the unit of the values.
     """
     ends_s = [0.0]
@@ -92,17 +92,17 @@ WALL_TIMELINE: Final = "wall_time"
 
 _PHASE_TIMELINE: Final = "{}_time"
 _MOST_PHASES: Final = 8
-"""Largest number of phase timelines of a run: each takes 8 bytes per row and entity in a view."""
+"""Largest number of phase timelines of a run; each takes 8 bytes per row and entity in a view."""
 
 
 def name_phase_timeline(phase: str) -> str:
-    """Return the unique name of the timeline whose zero is the start of a phase."""
+    """Return the unique name of the timeline that begins at the start of a phase."""
     name = _PHASE_TIMELINE.format(phase)
     return _PHASE_TIMELINE.format(f"phase.{phase}") if name in {TIMELINE, WALL_TIMELINE} else name
 
 
 def find_phase_zeros(run: Run) -> dict[str, int]:
-    """Return the timelines of the phases after the first declared one, with their zeros.
+    """Return the timelines of the phases after the first declared phase, with their zeros.
 
     Zeros are in the run's time [ns].
     """
@@ -117,7 +117,7 @@ def find_phase_zeros(run: Run) -> dict[str, int]:
 def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     """Return the poses of a run on a timeline: x and y [m], shape (n, 2), and heading [rad].
 
-    Poses are linearly interpolated; before the first and after the last the robot is at rest.
+    Poses are linearly interpolated. Before the first and after the last pose, the robot is at rest.
 
     Args:
         run: Run with at least one pose.

@@ -1,4 +1,4 @@
-"""Plots over time: the curves of each, its level lines, and its place. A curve is one entry.
+"""Plots over time: the curves of each plot, its level lines, and its place. A curve is one entry.
 
 Figures, Rerun, reports and movies draw these plots.
 """
@@ -47,7 +47,7 @@ def find_plot(name: str, runs: Sequence[Run]) -> TimePlot:
 
 
 def find_marked(signal: str) -> tuple[str, CurveEntry] | None:
-    """Return the plot and the curve on which a signal's characteristics are marked; or None."""
+    """Return the plot and curve on which a signal's characteristics are marked; None if missing."""
     for name, plot in TIME_PLOTS.items():
         for entry in plot.curves:
             if entry.signal == signal:
@@ -115,7 +115,7 @@ def _signal(signal: str, label: str) -> CurveEntry:
 
 
 def _around(signal: str) -> tuple[CurveEntry, ...]:
-    """Return the curves below a signal: its moving reference, and the ideal loop."""
+    """Return the curves behind a signal: the moving reference, and the ideal loop."""
     return (
         CurveEntry(kind="aim", name="reference", read=partial(list_aims, signal=signal)),
         _ideal(signal),

@@ -18,29 +18,29 @@ Values = NDArray[np.float64]
 Point = tuple[float, float]
 
 _POINTS_PER_TURN: Final = 1440
-"""Points of a drawn circle, which differs from it by 2.4e-6 of the radius, about the rounding of
-poses."""
+"""Points of a drawn circle. The drawn circle differs from the exact one by 2.4e-6 of the radius,
+about the rounding of poses."""
 
 ON_PATH_M: Final = 1e-3
-"""Largest deviation from a path that is not shown [m]: corners of a path are drawn sharp, and in
-print a millimetre of a path of metres is thinner than its line."""
+"""Largest deviation from a path that is not shown [m]. Corners of a path are drawn sharp, and in
+print a millimetre of a path of metres is thinner than the path's line."""
 
 _SHARE: Final = 0.1
 """Share of the largest deviation from which poses around it are in view: the whole excursion."""
 
 _ROOM: Final = 1.15
-"""Half-width of that view, as a multiple of half of the excursion's size."""
+"""Half-width of the view, as a multiple of half of the excursion's size."""
 
 _MOST_HALVES: Final = 10.0
-"""Largest half-width of that view, as a multiple of the largest deviation, which must stay visible
-beside a long segment."""
+"""Largest half-width of the view, as a multiple of the largest deviation, which must stay visible
+next to a long segment."""
 
 _LEAST_HALVES: Final = 1.5
-"""Smallest half-width likewise, so that both robot and path are in view."""
+"""Smallest half-width of the view, as such a multiple, so that both robot and path are in view."""
 
 
 def list_paths(runs: Sequence[Run]) -> tuple[Path, ...]:
-    """Return the paths that the laws of runs track without duplicates, whatever their speeds."""
+    """Return the paths that the laws of runs track, at any speed, without duplicates."""
     paths = [run.path for run in runs]
     return tuple(dict.fromkeys(replace(path, speed_m_s=None) for path in paths if path is not None))
 
@@ -56,14 +56,14 @@ def outline_path(path: Path) -> Values:
 
 
 def has_own_way(run: Run) -> bool:
-    """Return whether its reference moves on its own trajectory instead of the tracked path."""
+    """Return whether the run's reference moves on its own trajectory, not on the tracked path."""
     return run.path is None or any(loop.reference == "recorded" for loop in run.declaration.loops)
 
 
 def read_along_error(run: Run) -> Curve | None:
     """Return the robot's distance behind its moving reference along the track, at every pose [m].
 
-    None if no loop follows a reference along the track, or the path has no time law.
+    The result is None if no loop follows a reference along the track, or the path has no speed.
     """
     loops = [loop for loop in list_loops(run, "along_track") if loop.moves]
     along, reference = (
@@ -77,7 +77,7 @@ def read_along_error(run: Run) -> Curve | None:
 
 
 def read_way_to_reference(run: Run) -> Values | None:
-    """Return the vector from every pose to the reference held there [m], shape (n, 2)."""
+    """Return the vector from every pose to the reference held at that time [m], shape (n, 2)."""
     held_xy_m = hold_reference(run, run.samples.reference_xy_m)
     return None if held_xy_m is None else held_xy_m - run.poses.xy_m
 
@@ -88,11 +88,11 @@ class WorstPlace:
 
     Attributes:
         run: Number of the run with the largest deviation.
-        xy_m: Position of its pose there [m].
+        xy_m: Position of the robot's pose [m].
         path_xy_m: Nearest point of the path [m].
-        offset_m: Distance between the two [m].
+        offset_m: Distance between the pose and this point [m].
         center_xy_m: Centre of the region: the whole excursion, or its worst part [m].
-        half_m: Half of its width and height [m].
+        half_m: Half of the region's width and height [m].
     """
 
     run: int
@@ -104,9 +104,10 @@ class WorstPlace:
 
 
 def find_worst_place(runs: Sequence[Run]) -> WorstPlace | None:
-    """Return the position of the runs' largest deviation from the one path that they track.
+    """Return the position of the runs' largest deviation from their common path.
 
-    None if they track no path or several paths, or if no deviation exceeds `ON_PATH_M`.
+    The result is None if the runs track no path or several paths, or if no deviation exceeds
+    `ON_PATH_M`.
     """
     paths = list_paths(runs)
     if len(paths) != 1:
@@ -151,7 +152,7 @@ def _read_offsets(run: Run) -> Values:
 
 
 def _find_stretch(offsets_m: Values, row: int) -> slice:
-    """Return the rows around one in which the offset exceeds a fraction of its value there."""
+    """Return the rows around a row in which the offset exceeds a fraction of its value there."""
     near = np.flatnonzero(offsets_m <= _SHARE * offsets_m[row])
     place = int(np.searchsorted(near, row))
     first = int(near[place - 1]) + 1 if place else 0

@@ -1,4 +1,4 @@
-"""A signal that violated a check: its curve, its band, and the place and size of the violation."""
+"""A signal that violated a check: its curve, its band, and place and size of the violation."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ class ViolationMoment:
 
     Attributes:
         time_s: Time from the first sample [s].
-        value: Value of the signal then, in the unit of the check.
+        value: Value of the signal at this time, in the unit of the check.
     """
 
     time_s: float
@@ -24,25 +24,27 @@ class ViolationMoment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViolatedSignal:
-    """A signal and the band to which a check limits it, both in the unit of the check.
+    """A signal with the band to which a check limits it, in the unit of the check.
 
-    Angles are in degrees, as the check's message prints them.
+    Angles are in degrees, as in the check's message.
 
     Attributes:
         name: Name of the measured quantity in the check: `cross_track`, `speed - measured_speed`.
         unit: Unit of values and limits: `m`, `deg`, `m/s`, `rad/s`; empty if it is not simple.
         curve: The signal over the whole run, shape (n,).
-        low: Lower end of the band, shape (n,), NaN where it is not required; None for no lower end.
-        high: Upper end of the band, shape (n,), NaN where it is not required; None for no upper
-            end.
+        low: Lower end of the band, shape (n,); NaN where no lower end is required. None: the band
+            has no lower end.
+        high: Upper end of the band, shape (n,); NaN where no upper end is required. None: the band
+            has no upper end.
         reference: Values from which a tolerance counts, shape (n,); None for any other limit.
-        outside: Rows that violate the check, shape (n,): outside the band while it is required.
+        outside: Whether each row violates the check, shape (n,): outside the band while the band is
+            required.
         first: First violation of the check.
-        worst: The row furthest outside; if a required value was never reached, the nearest.
+        worst: Row furthest outside; for a required value that was never reached, the nearest row.
         worst_word: `worst` or `nearest`.
         check: Name of the check.
         expected: Requirement as written.
-        metric: Id of the limited metric, whose value the signal has only at the worst time; empty
+        metric: Id of the limited metric, whose value the signal has only at the worst time. Empty
             if the band is required over time.
     """
 
@@ -68,15 +70,15 @@ class ViolatedSignal:
 
     @property
     def title(self) -> str:
-        """The signal with its unit, for a plot."""
+        """Name of the signal with its unit, for a plot."""
         return self.name if self.unit in {"", "1"} else f"{self.name} [{self.unit}]"
 
     def describe_moment(self, moment: ViolationMoment, word: str) -> str:
-        """Return the time and value of a violation in words: `worst -0.083 m at 4.512 s`."""
+        """Return the time and value of a violation as text: `worst -0.083 m at 4.512 s`."""
         return f"{word} {format_number(moment.value, self.unit)} at {moment.time_s:.3f} s"
 
     def describe_outside(self, moment: ViolationMoment) -> str:
-        """Return the distance of the signal from the band then: `0.0577 m`; empty if inside."""
+        """Return the distance of the signal from the band as text: `0.0577 m`; empty if inside."""
         row = int(np.argmin(np.abs(self.curve.time_s - moment.time_s)))
         below = 0.0 if self.low is None else float(self.low[row]) - moment.value
         above = 0.0 if self.high is None else moment.value - float(self.high[row])
@@ -102,11 +104,11 @@ class ViolatedSignal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalSearch:
-    """The violated signal of a check, or the reason why there is none.
+    """The violated signal of a check, or the reason why no signal is found.
 
     Attributes:
         signal: Violated signal; None if the violation belongs to no signal, or has no time.
-        reason: Reason why there is no signal; empty if there is one.
+        reason: Reason why there is no signal; empty if there is a signal.
     """
 
     signal: ViolatedSignal | None = None

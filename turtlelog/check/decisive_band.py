@@ -42,12 +42,12 @@ class Leaf:
 
     Attributes:
         node: Node of the comparison.
-        is_denied: Whether the formula requires it to be false.
-        start_s: Earliest time at which it is required, from the beginning [s].
-        end_s: Latest time at which it is required [s].
-        body: Part below the innermost window; None if it is not below `always` alone.
+        is_denied: Whether the formula requires the comparison to be false.
+        start_s: Earliest time at which the comparison is required, from the beginning [s].
+        end_s: Latest time at which the comparison is required [s].
+        body: Part below the innermost window; None if the comparison is not below `always` alone.
         is_body_denied: Whether the formula requires the body to be false.
-        beside: Comparisons that are required together with it.
+        beside: Comparisons that are required together with this comparison.
     """
 
     node: Comparison
@@ -59,7 +59,7 @@ class Leaf:
     beside: tuple[Comparison, ...] = ()
 
     def list_links(self) -> list[str]:
-        """Return its two-sided comparisons as results name them."""
+        """Return the two-sided comparisons, as results name them."""
         return [format_expression(link) for link in _split(self.node)]
 
     def find_failing(
@@ -91,7 +91,7 @@ def list_leaves(formula: Expression) -> Iterator[Leaf]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Place:
-    """Operators above a part: as in `Leaf`; `is_plain` until a window is inside another."""
+    """Operators above a part, as in `Leaf`; `is_plain` is false if a window is inside another."""
 
     is_denied: bool = False
     start_s: float = 0.0
@@ -149,7 +149,7 @@ def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Band:
-    """A measured side as a curve, its limits, the rows beyond them, and by how much."""
+    """A measured side as a curve, its limits, the rows beyond the limits, and their excess."""
 
     name: str
     unit: str
@@ -162,14 +162,14 @@ class Band:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Ends:
-    """Ends of a band, None if there is no end, and whether one of them is excluded."""
+    """Ends of a band, None for no end, and whether an end is excluded."""
 
     low: Values | None = None
     high: Values | None = None
     is_strict: bool = False
 
     def narrow(self, other: "_Ends") -> "_Ends":
-        """Return the intersection of both."""
+        """Return the intersection of both bands."""
         lows = [end for end in (self.low, other.low) if end is not None]
         highs = [end for end in (self.high, other.high) if end is not None]
         return _Ends(
@@ -180,7 +180,7 @@ class _Ends:
 
 
 class BandReader:
-    """Reader of the measured value of a comparison, and its limits, at the rows of its signals."""
+    """Reader of a comparison's measured value and its limits, at the rows of the signals."""
 
     def __init__(
         self, run: Run, formula: Expression, leaf: Leaf, signals: Mapping[str, Any]
@@ -207,7 +207,7 @@ class BandReader:
         return values[np.searchsorted(time_ns, self._time_ns, side="right") - 1]
 
     def read(self, decided_by: str) -> Band | None:
-        """Return the band of the deciding comparison, with its other end if there is one."""
+        """Return the band of the deciding comparison, with its other end, if any."""
         links = [*_split(self._leaf.node)]
         decisive = next(link for link in links if format_expression(link) == decided_by)
         measured = self._choose_measured(decisive)
@@ -248,7 +248,7 @@ class BandReader:
     def _find_ends(
         self, links: Sequence[Comparison], measured: Node, *, is_magnitude: bool
     ) -> "_Ends | None":
-        """Return the ends that comparisons require; None if one requires something else."""
+        """Return the ends that comparisons require; None if a comparison requires anything else."""
         ends = _Ends()
         for link in links:
             if measured not in link.operands:
@@ -265,14 +265,14 @@ class BandReader:
         return ends
 
     def _reads_all(self, link: Comparison) -> bool:
-        """Return whether it uses the signals of the deciding comparison."""
+        """Return whether a comparison uses the signals of the deciding comparison."""
         names = [part.name for part in iterate_nodes(link) if isinstance(part, Name)]
         return all(
             name in self._signals or not isinstance(self._values[name], tuple) for name in names
         )
 
     def _choose_measured(self, link: Comparison) -> Node:
-        """Return the side that changes with time; the first one if both do."""
+        """Return the side that changes with time; the first side if both change."""
         left, right = link.operands
         return left if names_signals(left, self._signals) else right
 
@@ -306,7 +306,7 @@ class BandReader:
         return found.pop() if len(found) == 1 else ""
 
     def _holds(self, node: Node) -> bool:
-        """Return whether the curve is drawn in steps: a signal in it is held between rows."""
+        """Return whether the curve is drawn in steps, because one of its signals is held."""
         known = list_signals(self._run.declaration)
         names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
         return any(known[name].resampling == "hold" for name in names if name in known)

@@ -21,17 +21,18 @@ from turtlelog.scenario import Scenario, build_scenario
 from turtlelog.simulate import simulate_run
 
 LIMIT_S: Final = 10.0
-"""Longest time that a failed check waits for its reason [s]."""
+"""Longest time that a failed check waits for the reason of its failure [s]."""
 
 _LONGEST_S: Final = 600.0
-"""Longest run that is simulated again here [s]: longer simulations take more than a second each."""
+"""Longest run that is simulated again for this reason [s]; longer simulations take more than a
+second each."""
 
 _DEPTH: Final = Depth(most_exact=6, identifies=False, shows_effects=False, shows_starts=False)
 
 _PREFIX: Final = "metrics."
 
 _SAME: Final = (1e-9, 1e-6)
-"""Difference of a metric between two platforms, absolute and relative, which counts as none."""
+"""Difference of a metric between two platforms, absolute and relative, which counts as 0."""
 
 
 def explain_failures(
@@ -45,12 +46,12 @@ def explain_failures(
 ) -> list[CheckResult]:
     """Return results; one failed result gets the reason why the run differs from its reference.
 
-    This result is that of the most important metric, otherwise the first that names a metric.
+    This is the result of the most important metric, or else the first result that names a metric.
 
     Args:
         run: Run that was judged.
-        reference: Reference of the check, or a run known to be good; the scenario in a file of
-            metrics is simulated again.
+        reference: Reference of the check, or a run that is known to be good. The scenario in a file
+            of metrics is simulated again.
         results: Results of the run.
         place: Name of the reference in the command.
         trust_law: Whether to run the code of recorded laws that are not built in.
@@ -114,7 +115,7 @@ def _explain(
 def _explain_metrics(
     run: Run, reference: MetricsFile, metric: str, limit_s: float, more: str, *, trust_law: bool
 ) -> tuple[str, ...]:
-    """Return the reason why a run differs from that of a metrics file, if its scenario shows it."""
+    """Return why a run differs from the run of a metrics file, if the file's scenario shows it."""
     file = Path(reference.file).name
     if not reference.scenario:
         return (
@@ -145,8 +146,8 @@ def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
     """Return the run of the scenario in a file of metrics.
 
     Raises:
-        ScenarioError: If it is wrong, takes longer than the limit for simulations here, or names a
-            law whose code may not run.
+        ScenarioError: If the scenario is wrong, takes longer than the limit for simulations here,
+            or names a law whose code may not run.
         SimulationError: If the law fails.
     """
     scenario = _read_scenario(reference, trust_law=trust_law)
@@ -183,7 +184,7 @@ def _describe_apart(
     reference: MetricsFile,
     found: Metric,
 ) -> tuple[str, ...]:
-    """Return that the present software does not reproduce a file's values, and the differences."""
+    """Return that the present software does not reproduce a file's values, with the differences."""
     name, file, expected = found.id, Path(reference.file).name, reference.metrics[found.id]
     values = [one.status.value if one.value is None else one.value for one in (expected, found)]
     was, now = format_pair(values[0], values[1], expected.unit)

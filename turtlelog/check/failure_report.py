@@ -1,4 +1,4 @@
-"""Report of a failed check: its text, a Rerun view, a picture, and the segment of the recording."""
+"""Report of a failed check: text, Rerun view, picture, and the segment of the recording."""
 
 import math
 import re
@@ -32,11 +32,11 @@ _MOST = 3
 
 
 def describe_failure(run: Run, *results: CheckResult) -> list[str]:
-    """Return lines: value, limit, margin, first violation with the values around, gains, scenario.
+    """Return lines: value, limit, margin, first violation with values around it, gains, scenario.
 
     Args:
         run: Run that was checked.
-        results: Results of the run; of many, only the first violated ones are shown in full.
+        results: Results of the run. Of many violated results, only the first are shown in full.
     """
     lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
     return [escape_controls(line) for line in lines]
@@ -152,7 +152,7 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
 
 
 def _is_published(run: Run, name: str, time_ns: int) -> bool:
-    """Return whether a signal is one of commands, and a command was published exactly then."""
+    """Return whether a signal belongs to commands, and a command was published exactly then."""
     signal = find_signal(run, name)
     return signal is not None and signal.kind.source == "command" and time_ns in signal.time_ns
 
@@ -195,7 +195,7 @@ class Artifacts:
 
 
 class ArtifactWriter:
-    """Writer of files for the analysis of failures; one viewer takes all pictures.
+    """Writer of files for the analysis of failures; one viewer makes all pictures.
 
     The viewer is started for the first picture and ended by `close`, or at the end of a `with`.
 

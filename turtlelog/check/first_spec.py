@@ -39,24 +39,24 @@ _SHARE: Final = 0.1
 The margin is a first guess, marked as observed, until a user decides on the bound."""
 
 _MOST: Final = 0.2
-"""Largest margin: two digits are readable, but round up by as much as 21 %; then there are
-three."""
+"""Largest margin: two digits are readable, but round up by as much as 21 %; then three digits are
+used."""
 
 _GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6, "m/s": 1e-6, "rad/s": 1e-6}
-"""Smallest margin by unit, for values near zero: poses differ by up to 1e-6 m and rad between
-platforms, which is 1e-4 % of an angle of a radian. For times it is a tick."""
+"""Smallest margin by unit, for values near zero. Poses differ by up to 1e-6 m and rad between
+platforms, which is 1e-4 % of an angle of a radian. For times, the margin is a tick."""
 
 
 def format_first_spec(
     run: Run, *, reference: str, partial: str = "", read: ReadChoice | None = None
 ) -> str:
-    """Return a specification that a run passes; each reason says how far the bound is.
+    """Return a specification that a run passes; each reason gives the distance to the bound.
 
     Args:
         run: Good run.
         reference: File of the run, as the specification names it.
         partial: Lost data of the run, for a comment.
-        read: Settings with which it was read, so that others are read equally.
+        read: Settings with which the run was read, so that other recordings are read equally.
     """
     head = [*_list_head(run, reference, partial), *_list_read(read or ReadChoice())]
     return "\n".join([*head, *_list_checks(run)]) + "\n"
@@ -82,7 +82,7 @@ def _list_head(run: Run, reference: str, partial: str) -> Iterator[str]:
 
 
 def _list_read(read: ReadChoice) -> Iterator[str]:
-    """Yield the table `[read]` with non-default settings; nothing if there are none."""
+    """Yield the table `[read]` with the non-default settings; nothing if all are defaults."""
     lines = [
         f"{name} = {_quote(text)}"
         for name in READ_TEXTS
@@ -127,7 +127,7 @@ _COUNTS: Final = frozenset({"run.rest_share", "run.speed_steps", "run.turn_rate_
 
 
 def _list_of_motion(run: Run) -> Iterator[str]:
-    """Yield checks for a third-party bag: of metrics with a value, and of its commands."""
+    """Yield checks for a third-party bag, on the metrics that have a value and on its commands."""
     kinds = list_metrics(run.declaration)
     steps_s = np.diff(run.poses.time_ns) / 1e9
     tick_s = float(np.median(steps_s)) if len(steps_s) else 0.0
@@ -156,7 +156,7 @@ def _list_bound(name: str, largest: float, unit: str) -> Iterator[str]:
 
 
 def _choose_metrics(declaration: Declaration) -> list[str]:
-    """Return the ids of the metrics to check: of every declared loop, the end and the run."""
+    """Return the ids of the metrics to check: those of every declared loop, the end and the run."""
     of_loops = (
         f"{loop.name}.{name}"
         for loop in declaration.loops
@@ -167,7 +167,7 @@ def _choose_metrics(declaration: Declaration) -> list[str]:
 
 
 def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
-    """Return the ids for the end and the run; no errors if there is no goal or path."""
+    """Return the ids for the end and the run; without goal and path, no errors are included."""
     if declaration.uses_goal:
         return _OF_RUN
     follows = any(loop.reference == "path" for loop in declaration.loops)
@@ -176,7 +176,10 @@ def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
 
 
 def _is_name(text: str) -> bool:
-    """Return whether a formula can contain a name: a loop may be called `my-loop`."""
+    """Return whether a formula can contain a name.
+
+    A loop may be called `my-loop`, which it cannot.
+    """
     return all(part.isidentifier() for part in text.split("."))
 
 
@@ -227,7 +230,7 @@ def choose_bound(
 
 
 def _round(value: float, *, digits: int, up: bool) -> float:
-    """Return a value with the given number of digits, rounded away from the observed one."""
+    """Return a value with the given number of digits, rounded away from the observed value."""
     if value == 0.0:
         return 0.0
     step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)

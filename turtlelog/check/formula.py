@@ -1,4 +1,4 @@
-"""Check of a formula over signals: verdict, margin, and the time that decides."""
+"""Check of a formula over signals: verdict, margin, and the time that decides the verdict."""
 
 import math
 from collections import ChainMap
@@ -53,26 +53,26 @@ _BEYOND: Final = "its window begins after the end, where the last values hold"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FormulaResult:
-    """Verdict and margin of a formula at the beginning of a trace. Times count from there.
+    """Verdict and margin of a formula at the beginning of a trace. Times count from the beginning.
 
     Attributes:
         formula: Text of the formula.
-        holds: The verdict; None if it is unknown.
+        holds: Verdict; None if the verdict is unknown.
         margin: Robustness: the change of every number that the verdict withstands, in the unit of
             the deciding comparison; positive if the formula holds. inf or -inf if no comparison
-            with a distance decides; None if it is unknown.
-        margin_s: Time of the margin [s]; None if it is unknown.
+            with a distance decides; None if the margin is unknown.
+        margin_s: Time of the margin [s]; None if the margin is unknown.
         decided_by: The comparison that gives the margin at this time.
-        value: Left side of that comparison; None if it is not a number.
-        limit: Limit of the comparison; None if it is not a number.
-        unit: Unit of the three, from signals and metrics with these names; empty if it is not
-            simple.
-        first_violation_s: Time of the first violation [s]; None if there is none, or if it is after
-            the end of the trace.
-        values: Value of every name at the first violation, otherwise at `margin_s`, otherwise at
-            the beginning; None for no value.
-        is_covered: Whether the trace covers all windows of the formula; a run that was cut never
-            covers a window without an end.
+        value: Left side of the deciding comparison; None if it is not a number.
+        limit: Right side of the deciding comparison; None if it is not a number.
+        unit: Unit of margin, value and limit, from signals and metrics with these names; empty if
+            it is not simple.
+        first_violation_s: Time of the first violation [s]; None if there is no violation, or if it
+            is after the end of the trace.
+        values: Value of every name at the first violation, or else at `margin_s`, or else at the
+            beginning; None for no value.
+        is_covered: Whether the trace covers all windows of the formula. A run that was cut off
+            never covers a window without an end.
         reason: One clause if the verdict is unknown, or if no time of the trace violates it.
     """
 
@@ -93,7 +93,7 @@ class FormulaResult:
         """Whether the formula holds.
 
         Raises:
-            UndecidedError: If it is unknown.
+            UndecidedError: If the verdict is unknown.
         """
         if self.holds is None:
             raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
@@ -128,12 +128,12 @@ def check_formula(
     """Check a formula at the beginning of a trace; `check_run` does so for a run.
 
     Args:
-        signals: A run, or by name: (time_ns, values) of a signal, or a constant, None for no value.
-            Times do not decrease; of several values at one time the last is used.
+        signals: A run, or a mapping from names to signals (time_ns, values) or constants; None for
+            no value. Times do not decrease. Of several values at one time, the last is used.
         expression: A formula or its text, temporal or not.
-        window_ns: First and last time [ns] of the trace; default: from the first time at which
-            every used signal has a value to the last time of any.
-        ending: Knowledge of the time after the end; default: the last values are held.
+        window_ns: First and last time of the trace [ns]. Default: from the first time at which
+            every used signal has a value, to the last time of any signal.
+        ending: Knowledge of the time after the end. Default: the last values are held.
         declaration: Declaration of the law, for the units of its loops' metrics.
 
     Raises:
@@ -196,7 +196,7 @@ def check_run(
         expression: A formula, or its text, over the run's signals and states, its metrics and its
             parameters. If the run's law does not declare a loop, the metrics of this loop have no
             value.
-        window_ns: First and last time [ns]; default: from time zero to the run's end; for commands
+        window_ns: First and last time [ns]. Default: from time zero to the run's end; for commands
             without samples, from the first command. After an earlier end, such as that of a phase,
             the last values of the window are held.
 
@@ -228,10 +228,10 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 
 
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
-    """Return the verdict; only one walk over a long trace is in memory.
+    """Return the verdict, with only one walk over a long trace in memory.
 
-    If a part is unknown, the whole may still be decided: by the margins with the unknown part at
-    its worst and at its best.
+    If a part is unknown, the formula may still be decided by two margins: with the unknown part at
+    its worst, and at its best.
     """
     walk = FormulaWalk(expression, trace)
     margin = walk.margin
@@ -246,7 +246,7 @@ def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
 
 
 def _find_violation(expression: Expression, trace: FormulaTrace) -> int | None:
-    """Return the first violation with unknown parts at their best; None unless certain."""
+    """Return the first violation with unknown parts at their best; None if it is not certain."""
     return FormulaWalk(expression, trace, exact=True, unknown=math.inf).find_violation()
 
 
@@ -260,7 +260,7 @@ def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
 
 
 def _advise(expression: Expression, trace: FormulaTrace) -> str:
-    """Return the window to use for a cut trace instead of a window without an end."""
+    """Return the window to use for a truncated trace instead of a window without an end."""
     recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
     nodes = iterate_nodes(expression.root)
     is_open = any(isinstance(node, Temporal | Until) and math.isinf(node.end_s) for node in nodes)
@@ -278,7 +278,7 @@ def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
 def _measure_reach(node: Node, *, is_cut: bool) -> float:
     """Return how far ahead a formula looks [s].
 
-    A window without an end counts only to its start if the run was not cut.
+    If the run was not cut off, a window without an end counts only to its start.
     """
     children = node.list_children()
     below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
@@ -302,9 +302,9 @@ def read_sides(
     """Return the two sides of a comparison.
 
     Args:
-        expression: Formula that contains it.
-        node: Comparison; the sides of any other node are None.
-        values: Values of its names.
+        expression: Formula that contains the comparison.
+        node: Comparison. The sides of any other node are None.
+        values: Values of the names in the formula.
         declaration: Declaration of the law, for the units of its loops' metrics.
     """
     if not isinstance(node, Comparison):
@@ -327,7 +327,7 @@ def read_sides(
 def find_formula_unit(name: str, declaration: Declaration) -> str | None:
     """Return the unit of a signal or metric; None for any other name.
 
-    Empty for a metric of an undeclared loop, because its unit depends on the controlled signal.
+    The unit of an undeclared loop's metric is empty, because it depends on the controlled signal.
     """
     if name in list_signals(declaration):
         return list_signals(declaration)[name].unit
@@ -346,7 +346,7 @@ def _is_measured(node: Node, units: Mapping[str, str]) -> bool:
 
 
 def _find_unit(node: Node, units: Mapping[str, str]) -> str:
-    """Return the unit of the measured value; empty if it is not simple."""
+    """Return the unit of the measured value; empty if the unit is not simple."""
     if isinstance(node, Call) and node.function in {"abs", "min", "max"}:
         found = {_find_unit(argument, units) for argument in node.arguments}
         return found.pop() if len(found) == 1 else ""

@@ -20,16 +20,19 @@ from turtlelog.run.loops import PAUSE
 
 
 class RunEnding(enum.Enum):
-    """Knowledge of the time after the last row; the value is the reason why it is unknown."""
+    """Knowledge of the time after the last row.
+
+    The value is the reason why that time is unknown.
+    """
 
     SETTLED = ""
-    """The run ended by itself, or its phase did: the last values are held for ever."""
+    """The run or its phase ended by itself: the last values are held forever."""
     CUT = "the run had not ended"
     """The run reached `max_duration`, was interrupted, or has no stop reason."""
     LOST = "part of it is lost"
     """Rows may be missing, also at the end."""
     UNDECLARED = "it does not say whether the robot had stopped"
-    """A third-party bag: windows without an end stop at its last row."""
+    """A third-party bag, in which windows without an end stop at the last row."""
 
 
 def find_ending(run: Run) -> RunEnding:
@@ -45,7 +48,7 @@ def find_ending(run: Run) -> RunEnding:
 
 
 def find_loss(run: Run) -> str | None:
-    """Return the data that a recording has lost; None if it is whole."""
+    """Return the data that a recording has lost; None if the recording is complete."""
     for name in LOSS_NOTES:
         if name in run.notes:
             return f"the recording is not complete: {run.notes[name]}"
@@ -53,7 +56,7 @@ def find_loss(run: Run) -> str | None:
 
 
 def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
-    """Return the first segment of a phase with its pause [ns]; None if there is none."""
+    """Return the first segment of a phase with its pause [ns]; None if the phase never occurs."""
     if phase is None:
         return run.start_ns, run.end_ns
     spans = run.find_phase_spans()
@@ -70,8 +73,8 @@ def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
     """Return the time span in which a formula over these names is judged on a whole run [ns].
 
     The span starts at time zero. In a run without samples, commands have no value before the first
-    is published. Formulas with commands are judged from then on; formulas with commands alone are
-    judged on all commands.
+    publication. Formulas with commands are judged from the first command on; formulas with commands
+    alone are judged on all commands.
     """
     signals = [name for name in names if name in list_signals(run.declaration)]
     commanded = [name for name in signals if name in COMMANDED]
@@ -86,7 +89,7 @@ Column = tuple[NDArray[np.int64], NDArray[Any]]
 
 
 Signals = Mapping[str, Column | float | bool | str | None]
-"""Signals and constants by name: time [ns] and values of a signal, or a constant; None for no
+"""Signals and constants by name: times [ns] and values of a signal, or a constant; None for no
 value."""
 
 
@@ -122,7 +125,7 @@ class FormulaTrace:
         """Return the trace for the names of a formula.
 
         Raises:
-            ExpressionError: If a name is unknown, with the column and the nearest names.
+            ExpressionError: If a name is unknown; the message has the column and the nearest names.
             CheckError: If a signal is invalid, or has no value at the first time.
         """
         check_names(expression, signals)
@@ -165,7 +168,7 @@ def check_names(expression: Expression, known: Mapping[str, object]) -> None:
     """Raise an error for unknown names.
 
     Raises:
-        ExpressionError: If there is one, with the column and the nearest names.
+        ExpressionError: If a name is unknown; the message has the column and the nearest names.
     """
     for node in iterate_nodes(expression.root):
         if isinstance(node, Name) and node.name not in known:
@@ -176,8 +179,8 @@ def read_signals(run: Run, names: Sequence[str]) -> Signals:
     """Return the values of names in a run; unknown names are left out.
 
     Names are searched among the signals and states, the metrics and the parameters, in this order.
-    A signal begins at the run's time zero at the latest, and the phase is text. Signals that the
-    run lacks, and metrics without a value, are None.
+    A signal begins at the run's time zero at the latest. The phase is text. Missing signals, and
+    metrics without a value, are None.
     """
     columns = list_signals(run.declaration)
     ids = [name for name in names if name not in columns and find_kind(run, name) is not None]

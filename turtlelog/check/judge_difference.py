@@ -50,13 +50,13 @@ def match_run(
 
     Args:
         run: Run that is judged.
-        reference: A run, its file, or metrics; with metrics, a value that was missing there must be
-            missing again.
-        tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them select those
-            that are judged. If None, signals may differ by 1e-6, and metrics may be worse by a
-            millionth.
+        reference: A run, its file, or metrics. If the reference is metrics, a value that is missing
+            there must also be missing in the run.
+        tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them select the
+            signals and metrics to judge. None: signals may differ by 1e-6, and metrics may be worse
+            by a millionth.
         file: Name of the run in results; empty: the run's own name.
-        alignment: Alignment; see `compare_runs`.
+        alignment: Alignment, as in `compare_runs`.
 
     Raises:
         CheckError: If the reference cannot be read, or the tolerance does not fit it.
@@ -171,7 +171,7 @@ def _judge_run(
 def _judge_signal(
     found: SignalDifference, check: str, start_ns: int, describe: Callable[[Difference], str]
 ) -> CheckResult:
-    """Return the verdict on a signal; a value missing on one side has no distance."""
+    """Return the verdict on a signal. A value that is missing on one side has no distance."""
     first, furthest = found.first_difference, found.largest_difference
     margin = found.limit - found.largest
     has_distance = math.isfinite(margin) and (first is None or margin < 0)
@@ -198,9 +198,9 @@ def _judge_metric(
     file: str,
     is_strict: bool,
 ) -> CheckResult:
-    """Return the verdict on a metric: it fails in its bad direction, or by another status.
+    """Return the verdict on a metric, which fails in its bad direction or with another status.
 
-    A metric without a value passes if the reference has none either, unless `is_strict`.
+    If the reference has no value either, a metric without a value passes, unless `is_strict`.
     """
     metric, reference = pair.metric, pair.reference
     if metric.value is None or reference.value is None:
@@ -234,7 +234,7 @@ def _judge_metric(
 
 
 def _leave_open(metric: Metric, reason: str, declaration: Declaration, *, file: str) -> CheckResult:
-    """Return that a metric cannot be judged, which is not a pass."""
+    """Return that a metric cannot be judged, which does not count as a pass."""
     return CheckResult(
         file=file,
         check=f"metrics.{metric.id}",
@@ -284,7 +284,7 @@ def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
 
 
 def _judge_length(run: Run, reference: Run, window_s: float, file: str) -> CheckResult:
-    """Return whether both have the same length: signals are compared only on the overlap."""
+    """Return whether both runs have the same length; signals are compared on the overlap."""
     lengths_s = [(found.end_ns - found.start_ns) / 1e9 for found in (run, reference)]
     off_s, limit_s = abs(lengths_s[0] - lengths_s[1]), max(window_s, 1e-6)
     return CheckResult(

@@ -38,7 +38,8 @@ from turtlelog.measure import (
 from turtlelog.run import Run, slice_run
 
 Grown = dict[tuple[str, int], float | None]
-"""Cached value of a metric by its id and the number of the last pose, because checks repeat it."""
+"""Cache of a metric's values by its id and the number of the last pose, because checks repeat
+them."""
 
 
 def judge_check(
@@ -49,14 +50,16 @@ def judge_check(
     metrics: Mapping[str, Metric] | None = None,
     grown: Grown | None = None,
 ) -> CheckResult:
-    """Return the result of one check; a metric without a value fails it, whatever the formula.
+    """Return the result of one check.
+
+    A metric without a value fails the check, whatever the formula.
 
     Args:
         check: Check to evaluate.
         run: Run that is checked.
         file: Name of the run.
         metrics: Metrics that the check names, if already measured.
-        grown: Values of metrics at poses of this run, to which more are added.
+        grown: Values of metrics at poses of this run; further values are added.
 
     Raises:
         ExpressionError: If a name is unknown or operand types do not match.
@@ -75,10 +78,10 @@ def measure_named(
     """Return the metrics of a run that checks name.
 
     Args:
-        checks: Checks that name them.
+        checks: Checks with the names of the metrics.
         run: Run to measure.
-        trajectories: Object that measures errors relative to a reference; without it they have no
-            value.
+        trajectories: Object that measures errors relative to a reference; without it, these errors
+            have no value.
         file: Name of the run.
     """
     names = list_formula_names(checks)
@@ -187,7 +190,7 @@ class _Judge:
         )
 
     def _find_lacking(self, formula: Expression) -> str:
-        """Return the names without a value, with reasons; empty if all have one."""
+        """Return the names without a value, with reasons; empty if all names have a value."""
         lacking = []
         for name in formula.names:
             if name in list_signals(self._run.declaration):
@@ -210,7 +213,7 @@ class _Judge:
         }
 
     def _find_moment(self, limit: float | None) -> float | None:
-        """Return when a bound on one metric is first violated; None if there are several."""
+        """Return when a bound on one metric is first violated; None if the check names several."""
         formula = self._check.formula
         named = [name for name in formula.names if name in self._metrics]
         if len(named) != 1:
@@ -225,7 +228,7 @@ class _Judge:
 
 
 def _names_others(names: Sequence[str]) -> bool:
-    """Return whether some names are signals of something other than commands."""
+    """Return whether some names are signals other than those of commands."""
     return any(name in SIGNALS and name not in COMMANDED for name in names)
 
 
@@ -247,9 +250,9 @@ def find_metric_violation(
     """Return when a metric first violates a limit, from the first sample [s].
 
     A metric that only grows (an error integral, a maximum) violates an upper limit at the first
-    pose at which the run, cut there, would. A time that is waited for (a settling time) violates it
-    when the allowed time is over; a final value at the end. Otherwise it is the time of the metric;
-    None if the metric has no time.
+    pose at which the run so far violates it. An awaited time (a settling time) violates the limit
+    when the allowed time is over, a final value at the end of the run. For other metrics, the
+    result is the time of the metric, or None if the metric has no time.
     """
     part = metric.id.split(".", 1)[0]
     kind = list_metrics(run.declaration).get(metric.id)
@@ -296,7 +299,7 @@ def _find_start_s(run: Run, part: str) -> float:
 
 
 def measure_margin(value: float, operator: str, limit: float) -> float:
-    """Return the distance of the value from the opposite verdict, positive if it passes."""
+    """Return the distance of the value from the opposite verdict; positive for a pass."""
     if operator in {"==", "!="}:
         return abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
     return limit - value if operator in {"<", "<="} else value - limit

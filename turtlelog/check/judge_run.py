@@ -22,18 +22,18 @@ from turtlelog.run import Run
 
 _MOST_PART_ROWS: Final = 150_000_000
 """Largest product of formula parts and samples. A window takes about 10 ns for each of its four
-parts and each sample; all together take 2 s, on a busy machine 5 s."""
+parts and each sample. All four parts together take 2 s, on a busy machine 5 s."""
 _EXPECT: Final = 6
-"""Parts that a bound on a metric counts as, in addition to its own, because its violation is
-searched by bisection of the run."""
+"""Number of additional parts that a bound on a metric counts as, because its violation is searched
+by bisection of the run."""
 _ANY_PARTS: Final = 400
-"""Number of names, numbers and operators that is always allowed, however long the recording is."""
+"""Number of names, numbers and operators that are always allowed, however long the recording is."""
 
 
 def check_runs(
     spec: Spec, runs: Iterable[tuple[str, Run]], *, allow_partial: bool = False
 ) -> Iterator[CheckResult]:
-    """Yield the results of every check on every run, run by run; no run is kept.
+    """Yield the results of every check on every run, run by run, without keeping runs in memory.
 
     Args:
         spec: Specification to check.
@@ -62,12 +62,12 @@ def check_runs(
 
 
 def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | MetricsFile | None:
-    """Return the run or metrics to which tolerances refer; None if there are none.
+    """Return the run or metrics to which tolerances refer; None if no reference is needed.
 
     Args:
-        spec: Specification that names it.
-        topics: Topics as for the runs, in addition to those of the specification; a topic that the
-            reference lacks gets the default. The reference must be complete in any case.
+        spec: Specification that names the reference.
+        topics: Topics as for the runs, in addition to those of the specification. A topic that the
+            reference does not have gets the default. The reference must always be complete.
 
     Raises:
         CheckError: If tolerances have no reference, or signals have only metrics as reference.
@@ -99,10 +99,10 @@ def _require_metrics(spec: Spec, reference: MetricsFile) -> None:
 def read_reference_trajectory(
     spec: Spec, topics: ReadChoice | None = None, *, reads_files: bool = False
 ) -> TrajectoryJudge | None:
-    """Return the judge of errors relative to the reference trajectory; None if there is none.
+    """Return the judge of errors relative to the reference trajectory; None without a reference.
 
     Args:
-        spec: Specification that names it.
+        spec: Specification that names the reference trajectory.
         topics: Topics as for the runs, in addition to those of the specification.
         reads_files: Whether runs are named by their files, from which poses in space are read.
 
@@ -130,7 +130,7 @@ def read_reference_trajectory(
 
 
 def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
-    """Return the choice without topics that a file lacks."""
+    """Return the choice without the topics that a file does not have."""
     try:
         bag = open_bag(split_topic(path)[0])
     except LogError:
@@ -162,7 +162,7 @@ def judge_run(
     allow_partial: bool = False,
     trajectories: TrajectoryJudge | None = None,
 ) -> Iterator[CheckResult]:
-    """Yield the results of every check on one run; for an incomplete run, also that of its loss.
+    """Yield the results of every check on one run; for an incomplete run, also one for the loss.
 
     Args:
         spec: Specification to check.
@@ -213,7 +213,7 @@ def _names_parameters(check: Check) -> bool:
 
 
 def fail_recording(file: str, reason: str) -> CheckResult:
-    """Return the result of a recording on which no check could be judged."""
+    """Return the result for a recording on which no check could be judged."""
     return CheckResult(
         file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
     )

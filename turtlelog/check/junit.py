@@ -22,7 +22,7 @@ class CheckedFile:
         results: Results in the order of the specification.
         metrics: Metrics by id; empty if the recording could not be measured.
         details: Text for failures, by name of the check.
-        started: Start time of its checks; None: the report has no time of day.
+        started: Start time of the checks; None: the report has no time of day.
         took_s: Time for reading, measuring and checking [s].
         each_s: Time for each check [s], in the order of the results.
     """

@@ -58,7 +58,7 @@ def find_robot_unit(name: str) -> str:
 
 
 def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
-    """Return values of the robot in a run; a value that is not identified has the reason.
+    """Return values of the robot in a run, or the reason for each value that is not identified.
 
     Args:
         run: Run with commands and motion.
@@ -103,7 +103,7 @@ class TrajectoryJudge:
     """Measurement of the errors of recordings relative to one reference.
 
     Attributes:
-        reference: Trajectory that is taken as true.
+        reference: Trajectory that counts as true.
         settings: Settings of the comparison.
         choice: Settings for reading third-party files.
         reads_files: Whether recordings are named by their files, from which poses in space are
@@ -116,7 +116,7 @@ class TrajectoryJudge:
     reads_files: bool
 
     def measure(self, run: Run, names: Iterable[str], file: str) -> dict[str, Metric]:
-        """Return the values of a recording; a value that cannot be computed has the reason.
+        """Return the values of a recording, or the reason for each value that cannot be computed.
 
         Args:
             run: Run with poses in the plane.

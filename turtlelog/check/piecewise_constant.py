@@ -1,9 +1,9 @@
 """Piecewise constant functions of time, and the operators of temporal logic on them.
 
 A function holds each value from its step to the next (it is right-continuous) and the last one
-forever. The operations below are exact on such functions and return such functions: a sliding
-window meets a new value only when one of its ends meets a step. Unknown values are nan, and results
-that depend on them are unknown. Times are integers, so that no step is moved by rounding.
+forever. The operations below are exact on such functions and return such functions. The reason: a
+sliding window meets a new value only when one of its ends meets a step. Unknown values are NaN, and
+results that depend on them are unknown. Times are integers, so that rounding moves no step.
 
 Definitions of the window operators and of `until`: A. Donzé, T. Ferrère, O. Maler, "Efficient
 Robust Monitoring for STL", CAV 2013; all windows are closed.
@@ -37,7 +37,7 @@ class Steps:
         return max(0, int(np.searchsorted(self.time_ns, time_ns, side="right")) - 1)
 
     def cut(self, start_ns: int, end_ns: int) -> "Steps":
-        """Return the function from start to end [ns], its first step moved to the start."""
+        """Return the function from start to end [ns], with its first step moved to the start."""
         first, last = self.find_piece(start_ns), self.find_piece(end_ns)
         time_ns = np.maximum(self.time_ns[first : last + 1], start_ns)
         return Steps(time_ns=time_ns, values=self.values[first : last + 1])
@@ -133,11 +133,11 @@ def compute_until(
 ) -> Steps:
     """Return the maximum over t' in [t + first, t + last] of min(right(t'), left on [t, t']).
 
-    By the identity of Donzé et al.: right becomes true within the window, and at every time up to
-    its beginning left holds until right does.
+    By the identity of Donzé et al., two conditions must hold: right becomes true within the window;
+    at every time up to the window's beginning, left holds until right holds.
 
     Args:
-        left: Function that must hold meanwhile.
+        left: Function that must hold until then.
         right: Function that must become true.
         first_ns: Start of the window [ns], not negative.
         last_ns: End of the window [ns], at least first_ns; None: without end.
@@ -211,7 +211,7 @@ def _slide_window(function: Steps, first_ns: int, last_ns: int) -> Steps:
 def _find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
     """Return the maximum of values[first] to values[last] for each pair.
 
-    Ranges that reach the end use suffix maxima; the others use two overlapping maxima of 2^k
+    Ranges that reach the end use suffix maxima. Other ranges use two overlapping maxima of 2^k
     values. Firsts and lasts do not decrease.
     """
     inner = int(np.searchsorted(lasts, len(values) - 1))
@@ -246,8 +246,8 @@ def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
 def _scan_until(held: Values, coming: Values) -> Values:
     """Return u[i] = min(held[i], max(coming[i], u[i + 1])), from the last to the first.
 
-    Each step clamps the next value to [min(held, coming), held], and the composition of clamps is a
-    clamp: blocks of the columns are scanned in parallel, then joined.
+    Each step clamps the next value to [min(held, coming), held]. Because a composition of clamps is
+    a clamp, blocks of the columns are scanned in parallel, then joined.
     """
     count = len(held)
     size = max(1, int(np.sqrt(count)))

@@ -33,7 +33,7 @@ def watch_metric(
 ) -> Metric:
     """Return a metric of a recording that records the result of every comparison.
 
-    If it has no value, every comparison raises MissingValueError, whatever the operator.
+    If the metric has no value, every comparison raises MissingValueError, whatever the operator.
 
     Args:
         run: Run that is measured.
@@ -66,7 +66,7 @@ class RecordedMetric:
         file: Name of the run in messages.
         note: Function that is called with the result of every comparison.
         label: Text of the compared quantity: `abs(final.cross_track)`.
-        measured: Metric as it was measured.
+        measured: Metric as measured.
         settings: Settings of the metric.
         asked: Settings that differ from the defaults, by name.
         sign: -1 if the negative of the measured value is compared.
@@ -90,12 +90,12 @@ class RecordedMetric:
         return watch_metric(self.run, self.file, metric.id, self.note, {**self.asked, **settings})
 
     def negate(self, metric: Metric) -> "RecordedMetric":
-        """Return the watch of the metric's magnitude."""
+        """Return the watch for the absolute value of the metric."""
         sign = -1 if float(metric) < 0 else self.sign
         return replace(self, label=f"abs({self.label})", sign=sign)
 
     def compare(self, metric: Metric, operator: str, other: object) -> bool:
-        """Return the result of a comparison, and record it with its first violation."""
+        """Return the result of a comparison, and record the result with its first violation."""
         result = self.judge(metric, operator, other)
         if result.verdict is Verdict.FAIL and result.limit is not None:
             operator, limit = self._undo_sign(operator, result.limit)
@@ -107,16 +107,16 @@ class RecordedMetric:
         return result.verdict is Verdict.PASS
 
     def judge(self, metric: Metric, operator: str, other: object) -> CheckResult:
-        """Return the result of a comparison without searching its first violation.
+        """Return the result of a comparison without searching for its first violation.
 
         Args:
-            metric: Metric that is watched.
+            metric: Watched metric.
             operator: Comparison operator of Python.
             other: A number, a metric of the same unit, or `pytest.approx` of a number.
 
         Raises:
             CheckError: If the other operand cannot be compared.
-            MissingValueError: If either has no value.
+            MissingValueError: If either side has no value.
         """
         value = metric.value
         if value is None:

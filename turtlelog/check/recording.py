@@ -54,7 +54,10 @@ class Watch(Protocol):
 
 
 class UnknownMetricError(CheckError, AttributeError):
-    """A metric that a loop lacks; an AttributeError, because metrics are read as attributes."""
+    """A metric that a loop does not have.
+
+    The error is an AttributeError, because metrics are attributes.
+    """
 
 
 class Recording:
@@ -63,7 +66,7 @@ class Recording:
     Args:
         path: A recording, a bag or a log; FILE:TOPIC, as in `bag:/odom_kf`, selects a topic of
             poses.
-        name: Name in messages; None: the path.
+        name: Name in messages. Default: the path.
         trust_law: Whether `driven_by()` may run a recorded law that is not built in.
         watch: Object that is called with every check.
         options: Fields of a `ReadChoice`: topics of third-party files, the goal, and whether the
@@ -93,8 +96,8 @@ class Recording:
         """Run of the recording.
 
         Raises:
-            PartialLogError: If it is incomplete and that is not allowed.
-            LogError: If it cannot be read.
+            PartialLogError: If the recording is incomplete and this is not allowed.
+            LogError: If the recording cannot be read.
         """
         run = self._run
         if self._watch is not None:
@@ -114,10 +117,10 @@ class Recording:
     def metric(self, name: str, **settings: Any) -> Metric:
         """Return a metric by its id, measured with settings of `MeasureSettings`.
 
-        The metric of a loop that the run's law does not declare has a reason and no value.
+        The metric of an undeclared loop has a reason instead of a value.
 
         Raises:
-            CheckError: If there is no such metric; the message has the nearest ids.
+            CheckError: If there is no such metric. The message has the nearest ids.
         """
         if find_metric_kind(name) is None:
             known = dict.fromkeys([*list_metrics(self.run.declaration), *list_ids_like(name)])
@@ -128,7 +131,7 @@ class Recording:
         """Return the metrics of a loop of the run's law (`rotate`), of `final` or `run`.
 
         Raises:
-            CheckError: If its law declares no such loop; the message lists the declared ones.
+            CheckError: If the law declares no such loop. The message lists the declared loops.
         """
         ids = list_metrics(self.run.declaration)
         parts = tuple(dict.fromkeys(known.rpartition(".")[0] for known in ids))
@@ -137,7 +140,7 @@ class Recording:
         return PhaseMetrics(self, name)
 
     def robot(self) -> "RobotValues":
-        """Return the dynamics of its robot, as `turtlelog.identify_robot` does."""
+        """Return the dynamics of the recorded robot, as `turtlelog.identify_robot` does."""
         return RobotValues(identify_robot(self.run), self.file)
 
     def holds(self, formula: str, *, phase: str | None = None) -> CheckOutcome:
@@ -145,11 +148,11 @@ class Recording:
 
         Args:
             formula: Expression, such as `always(abs(cross_track) <= 0.05)`.
-            phase: Phase to which the check is limited; None: the whole run. Undecided if the run
-                has no such phase.
+            phase: Phase to which the check is limited. Default: the whole run. If the run has no
+                such phase, the check is undecided.
 
         Raises:
-            ExpressionError: If it does not parse or names something unknown.
+            ExpressionError: If the formula does not parse or contains an unknown name.
             CheckError: If the name of a phase is misspelled.
         """
         parsed = parse_expression(formula, source="holds")
@@ -169,8 +172,8 @@ class Recording:
             reference: A recording, a run, a path to one or to metrics as `turtlelog metrics --json`
                 prints them, or the fixture `reference`.
             tolerance: Tolerance of every signal or metric; `Tolerances` or a tolerance file select
-                those that are judged. If None, signals may differ by 1e-6, and metrics may be worse
-                by a millionth.
+                the signals and metrics to judge. None: signals may differ by 1e-6, and metrics may
+                be worse by a millionth.
 
         Raises:
             CheckError: If there is no reference, or the tolerance does not fit it.
@@ -188,11 +191,11 @@ class Recording:
         """Return the response of a law to the recorded poses.
 
         Args:
-            law: An instance, or a scenario with one. None: that of the recording, which runs if it
-                is built in or `trust_law` is set.
+            law: A law with its parameters, or a scenario with a law. Default: the recorded law,
+                which runs if it is built in or `trust_law` is set.
 
         Raises:
-            CheckError: If it is not a law with its parameters.
+            CheckError: If `law` is not a law with its parameters.
         """
         is_made = not isinstance(law, type | LawPart) and hasattr(law, "step")
         if not (law is None or isinstance(law, Scenario) or is_made):
@@ -204,7 +207,10 @@ class Recording:
         )
 
     def explain_failures(self, results: Sequence[CheckResult]) -> Sequence[CheckResult]:
-        """Return results; a failed one gets the reason why the run differs from its reference."""
+        """Return results.
+
+        One failed result gets the reason why the run differs from its reference.
+        """
         reference = next((one.reference for one in results if one.reference is not None), None)
         if reference is None:
             return results
@@ -227,7 +233,7 @@ class Recording:
 
 
 class PhaseMetrics:
-    """Metrics of one loop, of the end or the run as attributes: `rotate.overshoot`."""
+    """Metrics of one loop, the end or the run as attributes: `rotate.overshoot`."""
 
     def __init__(self, recording: Recording, name: str) -> None:
         self._recording, self._name = recording, name
@@ -303,11 +309,11 @@ class AxisValues:
 
 
 class SimulatedRuns:
-    """Simulations that are recorded in a folder.
+    """Simulations with recordings in a folder.
 
     Args:
         folder: Folder of the recordings.
-        watch: Object that is called with every check on them.
+        watch: Object that is called with every check on these recordings.
     """
 
     def __init__(self, folder: Path, watch: Watch | None = None) -> None:
@@ -327,15 +333,15 @@ class SimulatedRuns:
         Args:
             scenario: A preset, a file, or the scenario itself. Default: `paper`; with a law,
                 `textbook`.
-            law: Law to use: a class, a `LawPart` or text that names one, as `my_law.py:MyLaw`.
-            kp: Value of all gains that the law declares.
+            law: Law to use: a class, a `LawPart` or the name of a law, as in `my_law.py:MyLaw`.
+            kp: One value for each gain that the law declares.
             changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
-            step_budget_s: Time that the law may compute for one answer [s]; None: unlimited.
+            step_budget_s: Time for computing one answer of the law [s]; None: unlimited.
 
         Raises:
             CheckError: If the law cannot be found by a name in its module.
             ScenarioError: If there is no such scenario, or a change is wrong.
-            SimulationError: If the law fails or computes for longer.
+            SimulationError: If the law fails or exceeds its computing time.
         """
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(str(scenario or ("paper" if law is None else "textbook")))
@@ -354,7 +360,7 @@ class SimulatedRuns:
 
 
 def _name_law(law: object) -> str:
-    """Return the name under which a law can be loaded again, here and from a recording."""
+    """Return the name under which a law can be loaded again, now and from a recording."""
     module, name = getattr(law, "__module__", None), getattr(law, "__qualname__", None)
     if isinstance(law, LawPart):
         from turtlelog.laws import LAWS  # most checks need no law
@@ -381,7 +387,7 @@ class HasRun(Protocol):
 
 
 class DrivenRecording:
-    """Response of a law to the recorded poses; it is compared with `matches`."""
+    """Response of a law to the recorded poses; `matches` compares it with the recording."""
 
     def __init__(
         self,
@@ -404,16 +410,17 @@ class DrivenRecording:
     def matches(
         self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
     ) -> CheckOutcome:
-        """Return whether the law answers as recorded: commands, errors, phases and the end.
+        """Return whether the law answers as recorded: equal commands, errors, phases and end.
 
         Commands are compared both as computed and as published.
 
         Args:
             recording: The recording whose poses drive the law.
-            tolerance: Tolerance of which only `abs` is used, in each signal's unit; None: 0.
+            tolerance: Tolerance, of which only `abs` is used, in the unit of each signal. Default:
+                0.
 
         Raises:
-            CheckError: If it is another recording, or the tolerance is not of that kind.
+            CheckError: If the recording is another one, or the tolerance is not of this kind.
             ReplayError: If the recording has no samples.
             ScenarioError: If the law of the recording is neither built in nor trusted.
             SimulationError: If the law fails.

@@ -28,7 +28,7 @@ class MetricsFile:
     Attributes:
         file: Name of the file.
         metrics: Metrics by id.
-        scenario: The scenario of their run as TOML; empty if the file has none.
+        scenario: Scenario of the run as TOML; empty if the file has no scenario.
         simulated_by: Software versions, as in `Run`.
     """
 
@@ -45,7 +45,7 @@ class ReferenceFile:
     Attributes:
         path: A recording, or metrics (.json).
         claims: Folder in which all processes of a session note which file they write from which
-            recording; `matches` then writes the file anew. None: it compares.
+            recording; `matches` then writes the file anew. None: `matches` compares.
         is_written: Whether the file was written.
     """
 
@@ -69,7 +69,7 @@ class ReferenceFile:
         """Write the file from a run.
 
         Raises:
-            CheckError: If it is written from two recordings in one session.
+            CheckError: If the file is written from two recordings in one session.
             LogError: If the file cannot be written.
         """
         self._claim(source.resolve())
@@ -87,7 +87,7 @@ class ReferenceFile:
         self.is_written = True
 
     def _claim(self, source: Path) -> None:
-        """Note the source of the file; raise an error if another process noted a different one."""
+        """Note the source of the file; raise an error if another process noted another source."""
         if self.claims is None:
             return
         self.claims.mkdir(parents=True, exist_ok=True)
@@ -130,8 +130,8 @@ def read_metrics_file(path: Path) -> MetricsFile | None:
     """Return the metrics of a file (.json); None for a file of another kind, such as a log.
 
     Raises:
-        CheckError: If it has the metrics of several runs, or an entry that is not a metric.
-        LogError: If it cannot be read.
+        CheckError: If the file has the metrics of several runs, or an entry that is not a metric.
+        LogError: If the file cannot be read.
     """
     if path.suffix.lower() != ".json":
         return None
@@ -161,7 +161,7 @@ def read_metrics_file(path: Path) -> MetricsFile | None:
 
 
 def _parse_entry(found: Mapping[str, Any], name: str, kind: Any, path: Path) -> Any:
-    """Return an entry of a file; empty if it is missing."""
+    """Return an entry of a file; empty if the entry is missing."""
     try:
         return msgspec.convert(found.get(name, kind()), type=kind)
     except msgspec.ValidationError as err:

@@ -1,4 +1,4 @@
-"""Results of checks on a recording; they may be undecided."""
+"""Results of checks on a recording; a result may be undecided."""
 
 import enum
 from collections.abc import Container, Iterable
@@ -60,20 +60,19 @@ class CheckResult:
         check: Name of the check: its table in the specification, or the question of a test.
         verdict: PASS, FAIL or SKIPPED.
         expected: Checked formula or tolerance, as written.
-        value: Measured value, in `unit`; None if there is no single number.
+        value: Measured value, in `unit`; None if the check has no single number.
         limit: Limit of the value, in `unit`.
-        margin: Distance to the limit in `unit`, positive if it passes; None if there is none.
-        unit: Unit of the three; empty if they have none.
-        value_s: Time of the value [s]; None if it has no time.
+        margin: Distance to the limit in `unit`, positive for a pass; None without a distance.
+        unit: Unit of value, limit and margin; empty if they have no unit.
+        value_s: Time of the value [s]; None if the value has no time.
         decided_by: Comparison to which value, limit and margin belong, if the formula has several.
-        first_violation_s: Time of the first violation [s]; None if there is none, or it has no
-            time.
-        reason: Why it fails or is skipped, if the numbers do not show it.
+        first_violation_s: Time of the first violation [s]; None if there is no violation, or it has
+            no time.
+        reason: Why the check fails or is skipped, if the numbers do not show the reason.
         names: Signals to show around the violation.
         is_decided: Whether the verdict is known; otherwise the check fails, and `bool` raises an
             error.
-        why: Reason why the run differs from its reference, in lines; empty if it was not
-            determined.
+        why: Reason why the run differs from its reference, in lines; empty if not determined.
         reference: Reference run or file of metrics; None without a reference.
         judged: Signal, formula or metric that was judged; None if the check has another subject.
     """
@@ -119,7 +118,7 @@ class CheckResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckOutcome:
-    """True or False in an assert, with reasons; if it is undecided, `bool` raises.
+    """True or False in an assert, with reasons. For an undecided outcome, `bool` raises an error.
 
     Attributes:
         results: Results of all checks.
@@ -131,7 +130,7 @@ class CheckOutcome:
         """Whether all results pass.
 
         Raises:
-            UndecidedError: If some are undecided and no other one fails.
+            UndecidedError: If some results are undecided and no other result fails.
         """
         failures = self.failures
         if not failures or failures[0].is_decided:
@@ -152,7 +151,7 @@ class CheckOutcome:
 
     @property
     def margin(self) -> float | None:
-        """The smallest margin; None if none has one."""
+        """Smallest margin; None if no result has a margin."""
         margins = [result.margin for result in self.results if result.margin is not None]
         return min(margins, default=None)
 
@@ -172,12 +171,12 @@ class CheckOutcome:
 
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
-    """Return FAIL if any fails, PASS if any passes, SKIPPED if nothing was judged."""
+    """Return FAIL if any verdict is FAIL, PASS if any is PASS, SKIPPED if nothing was judged."""
     return decide_verdict({result.verdict for result in results})
 
 
 def decide_verdict(found: Container[Verdict]) -> Verdict:
-    """Return the joint verdict from the verdicts found, as `join_verdicts`."""
+    """Return the joint verdict of a set of verdicts, as in `join_verdicts`."""
     order = (Verdict.FAIL, Verdict.PASS)
     return next((verdict for verdict in order if verdict in found), Verdict.SKIPPED)
 

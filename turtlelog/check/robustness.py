@@ -1,9 +1,9 @@
-"""Robustness of a formula at every time: its distance from the opposite verdict.
+"""Robustness of a formula at every time: the distance from the opposite verdict.
 
 The margin of `a <= b` is b - a, that of `a == b` is -|a - b|. `and` takes the minimum, `or` the
 maximum, `not` the negative. Texts and truth values have a margin of inf or -inf. Signals keep each
-value until the next. After the end of a settled trace they keep the last value forever; after any
-other end they are unknown.
+value until the next value. After the end of a settled trace, signals keep the last value forever;
+after any other end, they are unknown.
 """
 
 import functools
@@ -57,14 +57,15 @@ def compute_robustness(
 ) -> Steps:
     """Return the margin of a formula at every time of a trace.
 
-    Positive if it holds, negative if it does not, nan if that is unknown.
+    The margin is positive if the formula holds, negative if it does not, and NaN if this is
+    unknown.
 
     Args:
         signals: Mapping from a name to (time_ns, values) of a signal, or to a constant; None for no
-            value. Times do not decrease; of several values at one time the last is used.
+            value. Times do not decrease. Of several values at one time, the last is used.
         expression: A formula, temporal or not.
-        window_ns: First and last time [ns] of the trace; default: from the first time at which
-            every used signal has a value to the last time of any.
+        window_ns: First and last time of the trace [ns]. Default: from the first time at which
+            every used signal has a value, to the last time of any signal.
 
     Raises:
         ExpressionError: If a name is unknown or operand types do not match.
@@ -80,7 +81,7 @@ class CriticalPart:
 
     Attributes:
         node: A comparison of two sides, or a truth value.
-        time_ns: Time at which its margin equals that of the whole [ns].
+        time_ns: Time at which the margin of the node equals that of the whole formula [ns].
     """
 
     node: Node
@@ -95,25 +96,25 @@ class Part(Protocol):
         """Margin at every time."""
 
     def find_critical(self, time_ns: int) -> CriticalPart:
-        """Return the origin of its margin at a time; the first of several."""
+        """Return the origin of the part's margin at a time; the first of several origins."""
 
     def find_violation(self) -> int | None:
-        """Return the first time at which it is violated [ns], if it is required at the beginning.
+        """Return the first time at which a part required at the beginning is violated [ns].
 
-        For `always` this is the first time in its window at which its body fails. For `eventually`
-        it is the end of its window; for `until`, that end or the first failure of its left side,
-        whichever is earlier. For `and` it is the first time of its parts, for `or` the last, and
-        for `implies` that of the right side. For anything else it is the beginning. `not always` is
-        an `eventually not`, and `not eventually` an `always not`. A window that reaches beyond the
-        trace's end is cut there; if it begins beyond the end, no time of the trace violates it:
-        None.
+        For `always`, the result is the first time in the window at which the body fails. For
+        `eventually`, it is the end of the window; for `until`, the end of the window or the first
+        failure of the left side, whichever is earlier. For `and`, it is the first time of the
+        parts, for `or` the last, and for `implies` that of the right side. For any other part, it
+        is the beginning. `not always` is an `eventually not`, and `not eventually` an `always not`.
+        A window is cut at the trace's end. If a window begins beyond the end, no time of the trace
+        violates it, and the result is None.
         """
 
 
 _MOST_VALUES: Final = 8_000_000
-"""Largest total number of values of a formula's parts: 130 MB with their times."""
+"""Largest total number of values of a formula's parts: 130 MB including their times."""
 _ANY_PARTS: Final = 20
-"""Number of comparisons and operators that is always allowed, however long the recording is."""
+"""Number of comparisons and operators that are always allowed, however long the recording is."""
 
 
 class FormulaWalk:
@@ -160,8 +161,8 @@ class PartReader:
         trace: Signals of the formula.
         exact: Whether to use 1 for true and -1 for false instead of margins: this decides margins
             of 0, for which `<` and `<=` differ.
-        unknown: Value of an unknown part: nan, which makes dependent parts unknown; -inf, the worst
-            for the whole formula; or inf, the best.
+        unknown: Value of an unknown part: NaN, which makes dependent parts unknown; -inf, the worst
+            value for the whole formula; or inf, the best value.
     """
 
     def __init__(
@@ -185,7 +186,7 @@ class PartReader:
             sign: -1 if the part is negated: below `not`, left of `implies`.
 
         Raises:
-            CheckError: If its parts have too many values together.
+            CheckError: If the parts of the formula have too many values together.
         """
         part = self._make(node, sign)
         self._left -= len(part.margins.values)
@@ -223,7 +224,7 @@ class PartReader:
         return found.end_with(sign * self._unknown, from_ns=trace.end_ns - first_ns + 1)
 
     def clip_window(self, node: Temporal | Until, time_ns: int) -> tuple[int, int]:
-        """Return the window of a node at a time [ns], cut at the trace's end."""
+        """Return the window of a node at a time [ns], limited to the trace's end."""
         first_ns, last_ns = _convert_window(node)
         end_ns = self.trace.end_ns
         last_ns = end_ns if last_ns is None else time_ns + last_ns
@@ -416,7 +417,7 @@ def _find_failure(part: Part, start_ns: int, end_ns: int) -> int | None:
 
 
 def _convert_window(node: Temporal | Until) -> tuple[int, int | None]:
-    """Return the ends of a node's window [ns]; None for no end."""
+    """Return the ends of a node's window [ns]; None if the window has no end."""
     last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
     return _convert(node.start_s), last_ns
 

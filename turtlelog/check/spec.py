@@ -36,12 +36,13 @@ class Check:
     """One requirement.
 
     Attributes:
-        name: Name of its table.
-        kind: `expect`: over metrics and parameters; `holds`: also over signals and time.
+        name: Name of the check's table.
+        kind: `expect`: a formula over metrics and parameters. `holds`: a formula also over signals
+            and time.
         formula: Formula to check.
-        phase: Segment for `holds`: `pause`, or a phase of the run's law with the pause after it;
+        phase: Segment for `holds`: `pause`, or a phase of the run's law with the following pause;
             None for the whole run.
-        when: Condition without which the check is skipped; None: it is never skipped.
+        when: Condition without which the check is skipped; None: the check is never skipped.
         reason: Reason for the limit.
         is_observed: Whether the bound comes from a good run and is not yet confirmed.
     """
@@ -65,10 +66,10 @@ class Tolerances:
 
     Attributes:
         signals: Tolerances by the name of the signal, or of a law's state.
-        metrics: Tolerances by the id of the metric; those of a loop apply to any law.
+        metrics: Tolerances by the id of the metric. Ids of loops apply to any law.
 
     Raises:
-        CompareError: If no law has such a signal or metric, or its tolerance does not fit it.
+        CompareError: If no law has such a signal or metric, or the tolerance does not fit it.
     """
 
     signals: Mapping[str, Tolerance] = field(default_factory=dict)
@@ -98,12 +99,12 @@ USUAL_TRAJECTORY: Final = TrajectorySettings(deltas=(Delta(value=1.0, unit="m"),
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spec:
-    """A specification that recordings are checked against.
+    """A specification for recordings.
 
     Attributes:
         checks: Checks in the order of the file.
         tolerances: Allowed differences of signals and metrics from the reference.
-        reference: The recording to which tolerances refer; None if there are none.
+        reference: Recording to which tolerances refer; None without tolerances.
         alignment: Alignment of runs and reference.
         trajectory: Settings for errors of trajectories relative to the reference.
         read: Topics, frames and goal to read from third-party files, also from the reference.
@@ -132,7 +133,7 @@ def is_known(kind: str, name: str) -> bool:
 
 
 def list_nearby(kind: str, name: str) -> list[str]:
-    """Return the names among which corrections of a misspelled one are searched."""
+    """Return the names among which corrections of a misspelled name are searched."""
     return list(SIGNALS) if kind == "signals" else [*METRICS, *list_ids_like(name)]
 
 
@@ -146,18 +147,18 @@ def _require_fitting(kind: str, name: str, tolerance: Tolerance, place: str) -> 
 
 
 def is_label_signal(name: str) -> bool:
-    """Return whether a signal is a label: equal or not."""
+    """Return whether a signal is a label, which is either equal or not."""
     return name in SIGNALS and SIGNALS[name].compared_as == "label"
 
 
 _TEXT = {"type": "string", "pattern": "\\S"}
 
 _LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
-"""Pattern of loop names; the run's law determines the loops and phases."""
+"""Pattern of loop names. The run's law determines the loops and phases."""
 
 
 def build_schema() -> dict[str, Any]:
-    """Return the schema, draft 2020-12; formulas are texts, which `turtlelog check` parses."""
+    """Return the schema, draft 2020-12. Formulas are texts that `turtlelog check` parses."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "turtlelog specification and tolerance file",
@@ -276,7 +277,7 @@ READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
         "wheel_joints": "Joints of the left and the right wheel, whose odometry poses are.",
     }
 )
-"""Keys of `[read]` that are texts, with their meanings."""
+"""Keys of `[read]` with text values, and their meanings."""
 
 
 def _build_check() -> dict[str, Any]:
@@ -316,7 +317,7 @@ def _build_signals() -> dict[str, Any]:
 
 
 def _build_metrics() -> dict[str, Any]:
-    """Return the schema of metrics by id; those of a loop are for any law."""
+    """Return the schema of metrics by id. Ids of loops are valid for any law."""
     described = {
         name: _describe("metric", found.unit, found.meaning) for name, found in METRICS.items()
     }

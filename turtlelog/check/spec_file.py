@@ -1,4 +1,4 @@
-"""Specification files, TOML in: `[checks.NAME]`, and tolerances in `[signals.*]`, `[metrics.*]`."""
+"""Specification files in TOML: `[checks.NAME]`, and tolerances in `[signals.*]`, `[metrics.*]`."""
 
 import difflib
 import re
@@ -40,17 +40,18 @@ _KEYS: Final = {
 }
 
 MOST_PARTS: Final = 20_000
-"""Largest number of names, numbers and operators of all formulas. `always(speed < 1)` has 4 and
-takes 1.2 ms if it fails: this number takes 6 s of processor time for a recording of 800 samples."""
+"""Largest number of names, numbers and operators in all formulas. `always(speed < 1)` has 4 and
+takes 1.2 ms if it fails; the largest number takes 6 s of processor time for a recording of 800
+samples."""
 
 _UNTIL: Final = 20
-"""Parts that each further `until` counts as."""
+"""Number of parts that each further `until` counts as."""
 
 _TRAJECTORY_KEYS: Final = (
     *("align", "associate", "max_difference_s", "time_offset_s", "rpe", "all_pairs"),
 )
 _LATEST_S: Final = 4e9
-"""Largest time since 1970 [s]; its nanoseconds fit 64 bits."""
+"""Largest time since 1970 [s]; in nanoseconds it fits into 64 bits."""
 
 _Known = TypeVar("_Known", bound=str)
 
@@ -58,14 +59,14 @@ CHECK_KEYS: Final = ("expect", "holds", "phase", "when", "reason", "observed")
 
 
 def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
-    """Return the specification in a TOML file; it may consist of tolerances alone.
+    """Return the specification in a TOML file, which may consist of tolerances alone.
 
     Args:
         path: The file. A relative `reference` is searched in the folder of the specification.
-        reference: Reference to use instead of the one that the file names.
+        reference: Reference to use instead of the file's own reference.
 
     Raises:
-        CheckError: If a key or value is wrong or nothing is to be checked.
+        CheckError: If a key or value is wrong, or the file has no check.
         CompareError: If the file cannot be read, or a tolerance is wrong.
         ExpressionError: If a formula does not parse, or names something unknown.
     """
@@ -83,7 +84,8 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
     """Return the specification in a TOML text or its tables, without loading its reference.
 
     Raises:
-        CheckError: If `load_spec` raises it; the same is true of its other errors.
+        CheckError: For the reasons given in `load_spec`, which also names the other possible
+            errors.
     """
     tables = text
     if isinstance(tables, str):
@@ -123,8 +125,8 @@ def load_tolerances(path: str | Path) -> Tolerances:
     """Return the tolerances in a specification file; its other tables are ignored.
 
     Raises:
-        CompareError: If the file cannot be read, is not TOML, a key or value is wrong, or nothing
-            is to be judged.
+        CompareError: If the file cannot be read, is not TOML, has a wrong key or value, or has no
+            tolerance.
     """
     tables = read_tables(path)
     own: dict[str, Any] = {key: tables[key] for key in _KINDS if key in tables}
@@ -135,7 +137,7 @@ def load_tolerances(path: str | Path) -> Tolerances:
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a specification file without its format, which is checked.
+    """Return the tables of a specification file without its format, which is checked here.
 
     Raises:
         CompareError: If the file cannot be read, is not TOML, has another format or contains an
@@ -158,8 +160,8 @@ def parse_tolerances(tables: Mapping[str, Any], *, source: str = "tolerances") -
     """Return the tolerances in the tables `signals` and `metrics`; either may be missing.
 
     Raises:
-        CompareError: If a key is wrong: `source: place: expected ..., found ...`, for the first
-            one.
+        CompareError: If a key is wrong. The message names the first wrong key: `source: place:
+            expected ..., found ...`.
     """
     own = {kind: _parse_kind(kind, tables.get(kind, {}), source) for kind in _KINDS}
     try:
@@ -184,7 +186,7 @@ def _parse_checks(entries: Mapping[str, Any], source: str) -> tuple[Check, ...]:
 
 
 def count_parts(check: Check) -> int:
-    """Return the number of names, numbers and operators in formulas; `until` counts for more."""
+    """Return the number of names, numbers and operators in formulas; `until` counts as several."""
     nodes = [
         node
         for formula in (check.formula, check.when)
@@ -293,7 +295,7 @@ def _parse_trajectory(table: Any, source: str) -> TrajectorySettings:
 def _choose(
     table: Mapping[str, Any], key: str, place: str, known: tuple[_Known, ...]
 ) -> _Known | None:
-    """Return the known value of a key; None if the key is missing."""
+    """Return the known value for a key; None if the key is missing."""
     value = table.get(key)
     found = next((one for one in known if one == value), None)
     if key in table and found is None:
@@ -414,7 +416,7 @@ def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance
 def _suggest(kind: str, name: str, entry: Any) -> str:
     """Return a suggestion for an unknown name.
 
-    TOML reads `[metrics.rotate.overshoot]` as a nested table: the quotes are missing.
+    The quotes may be missing: TOML reads `[metrics.rotate.overshoot]` as a nested table.
     """
     tables = entry.items() if isinstance(entry, Mapping) else ()
     inner = [f"{name}.{key}" for key, table in tables if isinstance(table, Mapping)]

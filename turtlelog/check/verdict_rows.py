@@ -29,7 +29,7 @@ _DECIDED: Final = Key("decided", "whole")
 """Column with 1 if the verdict is decided, otherwise 0."""
 
 _ROWS_AT_ONCE: Final = 4096
-"""Rows of a table that are Python values at once."""
+"""Number of rows of a table that are converted to Python values at once."""
 
 _RECORDING: Final = "recording"
 """Name of the check that fails if a recording cannot be read, or is incomplete."""
@@ -51,11 +51,11 @@ class _JudgeFile:
 def plan_verdict_table(
     spec: Spec, judge: Judge, choice: ReadChoice, *, is_partial: bool
 ) -> RecordingTable:
-    """Return the plan of `tabulate_recordings` for a table with a row for each file and check.
+    """Return the plan of `tabulate_recordings` for a table with one row per file and check.
 
     Args:
         spec: Specification to check.
-        judge: Function that returns the results of a file; it can be pickled.
+        judge: Function that returns the results of a file; it must be picklable.
         choice: Settings for reading third-party files.
         is_partial: Whether an incomplete recording may pass.
     """

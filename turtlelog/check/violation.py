@@ -23,16 +23,16 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 _SAME: Final = 1e-9
-"""Relative difference between a metric and a signal's value at its time, if they are equal."""
+"""Relative difference up to which a metric equals a signal's value at its time."""
 
 _NO_BAND: Final = "what is compared is no band around a signal"
 
 
 def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:
-    """Return the signal that violated a check, or the reason why there is none.
+    """Return the signal that violated a check, or the reason why no signal did.
 
-    For a formula with several comparisons, it is the signal of the deciding one. A metric belongs
-    to a signal if its value is that signal's at the time of the metric.
+    For a formula with several comparisons, this is the signal of the deciding comparison. A metric
+    belongs to a signal if the signal has the metric's value at the metric's time.
 
     Args:
         run: Run that was checked.
@@ -44,9 +44,10 @@ def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:
 
 
 def find_judged_signal(run: Run, result: CheckResult) -> SignalSearch:
-    """Return the signal that a check limits to a band, or the reason why there is none.
+    """Return the signal that a check limits to a band, or the reason why there is no such signal.
 
-    If the check passes, no row is outside, and the worst row is the nearest to the limit.
+    If the check passes, no row is outside the band, and the worst row is the one nearest to the
+    limit.
 
     Args:
         run: Run that was checked.
@@ -115,7 +116,7 @@ def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> Signal
 
 
 def _read_metric_bound(run: Run, check: Check, result: CheckResult) -> JudgedMetric | None:
-    """Return the one metric that a check bounds by a number; None for any other check."""
+    """Return the only metric that a check bounds by a number; None for any other check."""
     root = check.formula.root
     if not isinstance(root, Comparison) or len(root.operators) > 1 or result.limit is None:
         return None
@@ -172,7 +173,7 @@ def _find_of_metric(run: Run, result: CheckResult, judged: JudgedMetric) -> Sign
 def _find_carrier(
     run: Run, names: Sequence[str], value: float | None, at_s: float
 ) -> tuple[str, Curve, int] | None:
-    """Return the signal whose magnitude at a time is a value, and the row; headings in deg."""
+    """Return the signal whose magnitude at a time equals a value, with the row; headings in deg."""
     for name in names:
         signal = find_signal(run, name)
         if signal is None or signal.kind.compared_as == "label" or value is None:
@@ -245,7 +246,7 @@ class _Rows:
         return int(np.where(self.outside, self.excess, -np.inf).argmax())
 
     def find(self, time_s: float) -> int:
-        """Return the row that is valid at a time; the last one of rows with equal times."""
+        """Return the row that is valid at a time; of rows with equal times, the last."""
         time_ns = self.curve.start_ns + round(time_s * 1e9)
         return max(int(np.searchsorted(self.curve.time_ns, time_ns, side="right")) - 1, 0)
 

@@ -1,4 +1,4 @@
-"""The names that specifications and tests may use, and their meanings in a run."""
+"""Names that specifications and tests may use, and their meanings in a run."""
 
 import difflib
 import re
@@ -32,38 +32,37 @@ from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, flatten_scenario
 
 _OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
-"""Values besides the metrics of a single run."""
+"""Values in addition to the metrics of a single run."""
 
 
 @cache
 def _list_parameters() -> tuple[str, ...]:
-    """Return the dotted keys of scenarios; user laws have others."""
+    """Return the dotted keys of scenarios; user laws have other keys."""
     return (*flatten_scenario(Scenario()), "goal.heading_rad")
 
 
 def find_kind(run: Run, name: str) -> MetricKind | None:
-    """Return the kind of a run's metric; None if the name is not a metric.
+    """Return the kind of a run's metric; None if the name is not that of a metric.
 
-    The metric of a loop that its law does not declare has no value, unless the name is that of a
-    parameter.
+    The metric of an undeclared loop has no value, unless the name belongs to a parameter.
     """
     own = list_metrics(run.declaration).get(name)
     return own or (None if name in run.parameters else find_metric_kind(name))
 
 
 def require_known_names(formula: Expression, *, over_time: bool, run: Run | None = None) -> None:
-    """Raise an error for names that no run has, or not this run.
+    """Raise an error for names that no run has, or that this run does not have.
 
     Without a run, any loop may have the existing metrics, and the parameters and states of a law
     may have any name.
 
     Args:
         formula: Formula to check.
-        over_time: Whether signals and temporal operators are allowed in it.
+        over_time: Whether the formula may contain signals and temporal operators.
         run: Run with the parameters and states of its law.
 
     Raises:
-        ExpressionError: If there is such a name, with the column and the nearest names.
+        ExpressionError: If there is such a name; the message has the column and the nearest names.
     """
     for node in iterate_nodes(formula.root):
         if isinstance(node, Temporal | Until) and not over_time:
@@ -92,7 +91,7 @@ def names_metrics_alone(formula: Expression) -> bool:
 
 
 def is_in_tables(name: str) -> bool:
-    """Return whether a name is that of a signal, a metric or a key that every run may have."""
+    """Return whether a name is a signal, a metric or a key that every run may have."""
     return name in {*SIGNALS, *_OTHER_VALUES, *_list_parameters()} or (
         find_metric_kind(name) is not None
     )
@@ -107,7 +106,7 @@ def _is_known(name: str, *, over_time: bool, run: Run | None) -> bool:
 
 
 def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, object]:
-    """Return the names among which corrections of a misspelled one are searched."""
+    """Return the names among which corrections of a misspelled name are searched."""
     signals = SIGNALS if run is None else list_signals(run.declaration)
     ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
     own = () if run is None else run.parameters
@@ -116,10 +115,11 @@ def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, 
 
 
 def require_phase(phase: str, run: Run | None = None) -> None:
-    """Raise an error for an invalid phase; with a known run, also for a misspelled one.
+    """Raise an error for an invalid phase; for a known run, also for a misspelled phase.
 
     Raises:
-        CheckError: If it is invalid; with valid values, or the nearest phases of the run's law.
+        CheckError: If the phase is invalid. The message has valid values, or the nearest phases of
+            the run's law.
     """
     if phase == DONE or not re.fullmatch(NAME_PATTERN, phase):
         raise CheckError(f"phase: expected one of the run's law or pause, found {phase!r}")
@@ -129,7 +129,7 @@ def require_phase(phase: str, run: Run | None = None) -> None:
 
 
 def describe_missing_phase(run: Run, phase: str) -> str:
-    """Return why a run lacks a phase: it does not reach it, or its law has others."""
+    """Return why a phase is missing: the run does not reach it, or the law has other phases."""
     known = [name for name in run.phase_names if name != DONE]
     if phase in known:
         return f"no_phase (the run has no phase {phase})"

@@ -1,1 +1,1 @@
-"""The commands, one file each; only this package prints and sets exit codes."""
+"""The commands, one file each. Only this package prints and sets exit codes."""

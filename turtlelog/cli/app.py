@@ -47,7 +47,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
         "tune": (
             "[SCENARIO]",
-            "Search the best values of a scenario's keys, and show how far each can move.",
+            "Search the best values of a scenario's keys, and show how far each value can move.",
         ),
         "theory": (
             "",
@@ -95,7 +95,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Show": {
         "view": (
             "FILE...",
-            "Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.",
+            "Open recordings in the Rerun viewer; several recordings are overlaid for comparison.",
         ),
         "plot": (
             "[FILE...] -o OUT",
@@ -118,10 +118,10 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         ),
     },
 }
-"""Commands by help group, with their arguments and the first sentence of their docstring."""
+"""Commands by help group, with their arguments and the first sentence of each docstring."""
 
 _PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
-"""Modules and functions of commands that have other names than the command."""
+"""Modules and functions of commands whose names differ from the command."""
 
 
 _SUMMARIES: Final = {
@@ -206,8 +206,8 @@ def _help(command: str | None = None, /) -> None:
 _register()
 
 _MOST_NEW_OBJECTS: Final = 10_000
-"""Number of new objects after which Python searches for cycles, of which commands make few. With
-its default of 700, the search takes a quarter of the time for a file with 65,000 channels."""
+"""Number of new objects after which Python searches for cycles, which commands rarely create. With
+Python's default of 700, the search takes a quarter of the time for a file with 65,000 channels."""
 
 
 def main(tokens: Sequence[str] | None = None) -> None:

@@ -38,7 +38,7 @@ Words = Annotated[list[Place], Parameter(name="SPEC FILE")]
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirstSpecOptions:
-    """Other things to ask for.
+    """Alternatives to a specification file.
 
     Attributes:
         expect: Check this formula instead of a specification. Can be repeated.
@@ -129,7 +129,7 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
     """Refuse a reference that no formula needs.
 
     Raises:
-        UsageError: If there is one.
+        UsageError: If there is such a reference.
     """
     from turtlelog.check.judge_formula import list_formula_names
     from turtlelog.check.named_values import TRAJECTORY_VALUES
@@ -164,7 +164,7 @@ _FORMULA: Final = '"rotate.overshoot <= 2"'
 
 
 def _describe_no_spec(words: list[Path]) -> str:
-    """Return what to type if a recording is in the place of the specification."""
+    """Return what to type if a recording is given in place of the specification."""
     specs = [word for word in words if word.suffix.lower() == ".toml"]
     others = shlex.join(str(word) for word in words if word not in specs)
     if specs:
@@ -178,7 +178,7 @@ def _describe_no_spec(words: list[Path]) -> str:
 
 
 def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
-    """Refuse files beside the answer that could not be written."""
+    """Refuse files next to the answer that could not be written."""
     if output is not None and output.suffix.lower() != ".parquet":
         other = "--init, or a name that ends in .parquet"
         raise UsageError(f"--output {output}: needs {other}")

@@ -11,6 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.check_tables import (
     CountedResults,
     count_checks,
+    list_causes,
     list_verdict_reasons,
     tabulate_checks,
     tabulate_files,
@@ -130,7 +131,11 @@ def print_results(
         print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
     else:
         tables = [*tabulate_files(results), *tabulate_matrix(results)]
-        notes = (conclude(CountedResults(results), files), *list_verdict_reasons(spec, results))
+        notes = (
+            conclude(CountedResults(results), files),
+            *list_verdict_reasons(spec, results),
+            *list_causes(results),
+        )
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
 
@@ -173,8 +178,9 @@ def format_results(
     valued = shown if shows_all else [one for one in shown if one.value is not None]
     tables = [*tabulate_files(valued), *(tabulate_matrix(shown) if shows_all else ())]
     tables = [replace(table, title="") for table in tables] if files == 1 else tables
-    lines = [*list_verdict_reasons(spec, shown)]
-    return _join(counted, files, tables, lines, _list_next(counted, spec, shows_all=shows_all))
+    lines, causes = [*list_verdict_reasons(spec, shown)], [*list_causes(shown)]
+    head = _write_head(counted, files, spec, causes)
+    return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
 
 
 def _format_many(
@@ -185,25 +191,33 @@ def _format_many(
     if shows_all:
         tables.append(tabulate_checks(counted.failures, "Failures", names_file=True))
     lines = [*_list_failing(counted), *list_verdict_reasons(spec, counted.failures)]
+    lines += list_causes(counted.failures)
     more = counted.verdicts[tl.check.Verdict.FAIL] - len(counted.failures)
     if more:
         lines.append(f"{more} more failures are not shown: --csv and --json show them")
     tables = [table for table in tables if table.rows]
-    return _join(counted, files, tables, lines, _list_next(counted, spec, shows_all=shows_all))
+    head = _write_head(counted, files, spec)
+    return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
+
+
+def _write_head(
+    counted: "CountedResults", files: int, spec: "Spec | None", causes: Sequence[str] = ()
+) -> str:
+    """Return the verdict, facts that qualify it, and why a run differs from its reference."""
+    facts = [*_list_facts(counted, spec, files)]
+    blocks = [fill_lines(facts)] if facts else []
+    blocks += [fill_lines(causes, indent=2)] if causes else []
+    return "\n".join([conclude(counted, files), *blocks])
 
 
 def _join(
-    counted: "CountedResults",
-    files: int,
-    tables: "Sequence[Table]",
-    lines: Sequence[str],
-    rest: Iterable[str],
+    head: str, tables: "Sequence[Table]", lines: Sequence[str], following: Sequence[str]
 ) -> str:
-    """Return the verdict and its parts, separated by empty lines."""
+    """Return the parts of an answer, separated by empty lines."""
     blocks = [fit_table(table).strip("\n") for table in tables]
     ends = [fill_lines(lines, indent=2)] if lines else []
-    ends += ["\n".join(map(escape_controls, following))] if (following := [*rest]) else []
-    return "\n\n".join([conclude(counted, files), *blocks, *ends])
+    ends += ["\n".join(map(escape_controls, following))] if following else []
+    return "\n\n".join([head, *blocks, *ends])
 
 
 def conclude(counted: "CountedResults", files: int) -> str:
@@ -220,7 +234,7 @@ def conclude(counted: "CountedResults", files: int) -> str:
         verb = "fails" if failed == 1 else "fail"
         lacking = f", {counted.valueless} of them without a value" if counted.valueless else ""
         names = _name_failing(counted)
-        text = f"{failed} of {describe_count(total, 'check')} {verb} ({names}){lacking}{rest}"
+        text = f"{failed} of {describe_count(total, 'check')} {verb}{names}{lacking}{rest}"
     elif verdict == "SKIPPED":
         return f"{verdict}: no check was judged in {place}: {skipped} {_is_or_are(skipped)} skipped"
     elif skipped:
@@ -235,18 +249,57 @@ def conclude(counted: "CountedResults", files: int) -> str:
 
 
 def _name_failing(counted: "CountedResults") -> str:
-    """Return the first failed check, with its value or the number of others."""
-    names = [check for check, found in counted.of_checks.items() if found[tl.check.Verdict.FAIL]]
-    first = escape_controls(names[0])
+    """Return in brackets the only failed check with its value, or failed checks without limits."""
     if counted.verdicts[tl.check.Verdict.FAIL] == 1:
-        return f"{first}, {_tell_value(counted.failures[0])}"
-    return first if len(names) == 1 else f"{first} and {len(names) - 1} more"
+        one = counted.failures[0]
+        told = "it has no value" if one.value is None else _write_value(one, one.value)
+        return f" ({escape_controls(one.check)}, {told})"
+    if _find_worst(counted) is not None:
+        return ""
+    names = [check for check, found in counted.of_checks.items() if found[tl.check.Verdict.FAIL]]
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return f" ({escape_controls(names[0])}{more})"
+
+
+def _find_worst(counted: "CountedResults") -> "CheckResult | None":
+    """Return the failed check that is furthest beyond its limit, if several fail."""
+    worst = counted.find_smallest() if counted.verdicts[tl.check.Verdict.FAIL] > 1 else None
+    return worst if worst is not None and worst.verdict == "FAIL" else None
+
+
+def _list_facts(counted: "CountedResults", spec: "Spec | None", files: int) -> Iterator[str]:
+    """Yield which check is furthest beyond its limit, and whether limits are observed ones."""
+    worst = _find_worst(counted)
+    if worst is not None:
+        place = f" in {escape_controls(worst.file)}" if files > 1 else ""
+        check = escape_controls(worst.check)
+        yield f"Furthest beyond its limit: {check}{place}, {_tell_value(worst)}."
+    if observed := _count_observed(counted, spec):
+        were = "1 failed limit was" if observed == 1 else f"{observed} failed limits were"
+        source = "" if spec is None else spec.source
+        yield f"{were} read off a run, not required: observed = true in {source}"
+
+
+def _count_observed(counted: "CountedResults", spec: "Spec | None") -> int:
+    """Return the number of failed checks whose limits were read off a run."""
+    names = {check.name for check in spec.checks if check.is_observed} if spec else set()
+    return sum(
+        name in names and found[tl.check.Verdict.FAIL] > 0
+        for name, found in counted.of_checks.items()
+    )
 
 
 def _tell_value(result: "CheckResult") -> str:
     if result.value is None:
         return "it has no value"
-    return f"value {format_short(result.value, result.unit)}"
+    value = _write_value(result, result.value)
+    if result.limit is None:
+        return value
+    return f"{value}, limit {format_short(result.limit, result.unit)}"
+
+
+def _write_value(result: "CheckResult", value: float) -> str:
+    return f"value {format_short(value, result.unit)}"
 
 
 def _is_or_are(number: int) -> str:
@@ -269,7 +322,7 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
         margin = format_number(found.margin, found.unit)
         limit = format_number(found.limit, found.unit)
         yield f"Nearest to its limit: {found.check}, margin {margin}, limit {limit}"
-    if spec is not None and observed:
+    if spec is not None and observed and not _count_observed(counted, spec):
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"
         yield f"{were} read off a good run: look at observed = true in {spec.source}"
     if spec is None:

@@ -1,4 +1,4 @@
-"""Checking of files one by one, and the files written beside the answer."""
+"""Checking of files one by one, and the files written next to the answer."""
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from turtlelog.sweep import FoundRecording
 
 _FILE_S: Final = 5e-3
-"""Time to read a usual file and judge about ten checks, without the time for its bytes [s]."""
+"""Time to read a usual file and judge about ten checks, in addition to the time for its bytes
+[s]."""
 
 
 @Parameter(name="*")
@@ -71,7 +72,7 @@ def check_into_table(
     reports: ReportOptions,
     topics: ReadingOptions,
 ) -> "Iterator[CheckResult]":
-    """Return the results of files; those of unchanged files come from the table."""
+    """Return the results of files. The table provides the results of unchanged files."""
     from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
 
     for name in ("junit", "artifacts", "report"):
@@ -104,7 +105,7 @@ def _prepare_judge(
 def check_files(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
 ) -> "Iterator[CheckResult]":
-    """Yield the results of files, and write the requested files beside the answer."""
+    """Yield the results of files, and write the requested files next to the answer."""
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: leave out --scheduler")
     with reports.find_place(files, file_s=_FILE_S) as place:
@@ -157,7 +158,7 @@ def _check_files(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Judged:
-    """The results of one file, notes on its reading, and its run if it is kept."""
+    """The results of one file, notes on its reading, and its run if the run is kept."""
 
     checked: "CheckedFile"
     notes: "Mapping[str, str]"
@@ -240,7 +241,8 @@ class _Judge:
 
 
 _MOST_EXPLAINED: Final = 3
-"""Largest number of explained recordings per command: a series usually fails for one reason."""
+"""Largest number of explained recordings per command, because a series usually fails for one
+reason."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -307,7 +309,7 @@ def _join_command(spec: "Spec", words: Sequence[str]) -> str:
 
 
 class _Clock:
-    """A clock of the checks; the first lap includes the time to read."""
+    """A clock of the checks, whose first lap includes the time to read."""
 
     def __init__(self) -> None:
         self._began_s = self._last_s = perf_counter()

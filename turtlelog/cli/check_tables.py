@@ -24,15 +24,15 @@ _MOST_NAMES: Final = 8
 
 
 class CountedResults:
-    """Results counted one by one: memory does not grow with them.
+    """Results counted one by one, so that memory does not grow with them.
 
     Attributes:
         verdicts: Number of each verdict.
         of_checks: Number of each verdict, by check.
-        nearest: Result of each check that is nearest to its limit, or furthest beyond it.
+        nearest: For each check, the result nearest to its limit, or furthest beyond it.
         failures: First failed results.
         valueless: Number of checks that failed because a value is missing.
-        failing: Number of failed checks in each of the first files that fail.
+        failing: Number of failed checks in each of the first failing files.
         failing_files: Number of files with a failed check.
         file: First file.
     """
@@ -89,7 +89,7 @@ class CountedResults:
 
 
 def count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
-    """Return the number of passes of each check, and its result nearest to the limit or beyond it.
+    """Return the number of passes of each check, and its result nearest to the limit.
 
     Checks that never fail are included only with `shows_all`.
     """
@@ -129,7 +129,7 @@ def tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
 _HEADS: Final = ("verdict", "file", "check", "unit", "value", "limit", "margin")
 
 _VIOLATED: Final = "first violation"
-"""Column [s] after `_HEADS`; terminal tables have it if a check is violated."""
+"""Column [s] after `_HEADS`, which terminal tables have if a check is violated."""
 
 
 def tabulate_checks(
@@ -157,7 +157,7 @@ def tabulate_checks(
 
 
 def tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "Table":
-    """Return the rows of a CSV file, which always has the same columns."""
+    """Return the rows of a CSV file, whose columns are always the same."""
     meant = _read_reasons(spec)
     columns = [tl.compare.Column(title=head) for head in _HEADS]
     columns += [
@@ -213,6 +213,10 @@ def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") 
             found.setdefault(alike, []).append(result.check)
     for (verdict, file, reason), checks in found.items():
         yield f"{verdict} {file}: {', '.join(checks)}: {reason}"
+
+
+def list_causes(results: "Sequence[CheckResult]") -> Iterator[str]:
+    """Yield why runs differ from their reference, as far as it was determined."""
     for result in results:
         if result.why:
             yield f"WHY {result.file}: {result.why[0]}"
@@ -220,14 +224,14 @@ def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") 
 
 
 def _is_told_by_row(result: "CheckResult", meant: Mapping[str, str]) -> bool:
-    """Return whether name, value and limit explain a failure, which then has no other reason."""
+    """Return whether name, value and limit explain a failure, so that it has no other reason."""
     is_named = result.expected.startswith(result.check)
     is_plain = not (result.reason or result.decided_by or meant.get(result.check))
     return is_named and is_plain and result.value is not None and result.limit is not None
 
 
 def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
-    """Return the reason of a result; empty if it simply passes. `meant`: reasons of bounds."""
+    """Return the reason of a result; empty for a plain pass. `meant` contains reasons of bounds."""
     why = f" ({meant[result.check]})" if meant.get(result.check) else ""
     if result.reason:
         return result.reason + (why if result.verdict == "FAIL" and result.is_decided else "")

@@ -83,7 +83,7 @@ class ReferenceOptions(WhyOptions):
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChoiceOptions:
-    """Which rows and columns the table across runs has.
+    """Rows and columns of the table across runs.
 
     Attributes:
         metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
@@ -105,7 +105,7 @@ class ChoiceOptions:
     varied: Annotated[str | None, Parameter(metavar="KEYS")] = None
 
     def list_varied(self) -> list[str]:
-        """Return the keys and conditions that were varied on purpose besides gains."""
+        """Return the keys and conditions that were varied on purpose, in addition to gains."""
         return [] if self.varied is None else split_names(self.varied, "--varied")
 
     def list_columns(self) -> list[str]:
@@ -146,11 +146,11 @@ def compare(
     scenario is used. If no setting differs, the answer is the first sample at which the runs
     depart.
 
-    If one file is the scenario of a robot (its plant is lagged), each recorded robot is compared
-    with the simulated robot, which gets the recorded commands. The answer is the error of the
-    simulated pose 1 s and 5 s after both poses were equal. The noise of the robot is simulated with
-    39 seeds: the answer also counts how many errors lie within the central 95 % of the simulated
-    errors.
+    One file may be the scenario of a robot (its plant is lagged). Then each recorded robot is
+    compared with the simulated robot, which gets the recorded commands. The answer is the error of
+    the simulated pose 1 s and 5 s after both poses were equal. The noise of the robot is simulated
+    with 39 seeds: the answer also counts how many errors lie within the central 95 % of the
+    simulated errors.
 
     With --ate or --rpe, files are trajectories: in TUM, KITTI or EuRoC format, or any recording or
     bag (FILE:TOPIC for one topic of a bag). The answer is the absolute trajectory error of each
@@ -274,7 +274,7 @@ def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> No
 
 
 def _draw(paths: Sequence[Path], rrd: Path, topics: ReadingOptions | None) -> "list[Run]":
-    """Write a picture of all runs, which needs all of them at once; return the runs."""
+    """Write a picture of all runs, which needs all of them at once, and return the runs."""
     runs = read_runs(paths, topics)
     with show_progress("drawing"):
         tl.write_comparison_rrd(runs, rrd)
@@ -307,7 +307,7 @@ def _summarise(
 
 
 def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequence[str]] | None":
-    """Return a function that chooses the metrics to compute; None: all. Others are not kept."""
+    """Return a function that chooses the metrics to compute and keep; None: all."""
     columns = choice.list_columns()
     if not columns and kind == "json":
         return None
@@ -358,7 +358,7 @@ class _MarkedMetric(MetricBeside):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RunBeside:
-    """A run beside others, without a reference and therefore without signals."""
+    """A run next to other runs, without a reference and therefore without signals."""
 
     file: str
     name: str
@@ -383,7 +383,7 @@ class _Unknown:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RankingAnswer:
-    """Whether a run may be called the best, varied keys, and differing and unknown conditions."""
+    """Whether a run may be called the best, with varied keys, differing and unknown conditions."""
 
     is_fair: bool
     reason: str | None
@@ -394,7 +394,7 @@ class _RankingAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _AcrossAnswer:
-    """Runs beside each other, with marks on their metrics."""
+    """Runs next to each other, with marks on their metrics."""
 
     reference: None = None
     alignment: None = None

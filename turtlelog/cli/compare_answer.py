@@ -40,7 +40,7 @@ _LONGEST: Final = 24
 file."""
 
 _MOST_RUNS: Final = 1
-"""Largest number of runs whose signals are shown beside a reference by default."""
+"""Largest number of runs whose signals are shown with a reference by default."""
 
 
 def format_across(
@@ -81,11 +81,11 @@ def format_across(
         table, left_out = _narrow(table, summaries)
     table = replace(table, notes=(*_list_reasons(table, summaries), *changes, *told))
     above = [*notes, *conditions]
+    reached = tl.compare.describe_reached(summaries) if ranking.is_fair else ""
+    best = f"{_name_best(table)}{table.title}{_describe_alike(table, summaries, ranking)}."
     return "\n".join(
         [
-            fill_lines(
-                [f"{_name_best(table)}{table.title}{_describe_alike(table, summaries, ranking)}."]
-            ),
+            fill_lines([best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
             _format(cut_rows(table)),
@@ -101,7 +101,7 @@ def format_across(
 
 
 def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: "Ranking") -> str:
-    """Return the reason why no run is best although they may be ranked; empty if in the title."""
+    """Return why no run is best although runs may be ranked; empty if the title gives it."""
     if table.marks or not ranking.is_fair or len(table.rows) < 2:
         return ""
     ids = {name for one in summaries for name in one.metrics}
@@ -146,7 +146,7 @@ def _rank(name: str) -> int:
 
 
 def _name_best(table: "Table") -> str:
-    """Return the best run by the most important metric, with its value; empty if there is none."""
+    """Return the best run by the most important metric, with its value; empty without one."""
     rows = _rank_best(table)
     if not rows:
         return ""
@@ -277,7 +277,7 @@ def _show(value_m: float) -> str:
 
 
 def list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterator[str]:
-    """Yield the run furthest from the reference's path, then the distance of each."""
+    """Yield the run furthest from the reference's path, then the distance of each run."""
     name, worst = max(errors.items(), key=lambda one: one[1].largest_m)
     at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"
     is_on = round(worst.largest_m, 9) == 0.0

@@ -1,4 +1,4 @@
-"""`turtlelog compare`: distances of runs from a reference, and of robots from a simulated one."""
+"""`turtlelog compare`: distances of runs from a reference, and of robots from a simulated robot."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -101,11 +101,11 @@ class Manner(NamedTuple):
 def compare_with_reference(
     paths: Sequence[Path], held: "Sequence[Run] | None", kind: str, manner: Manner
 ) -> None:
-    """Print the distances of runs from the first one.
+    """Print the distances of runs from the first run.
 
     Args:
-        paths: Path of the reference, then those of the others.
-        held: Runs, if they are read already; they are then compared in this process.
+        paths: Path of the reference, then paths of the other runs.
+        held: Runs that are read already. These runs are compared in this process.
         kind: Format of the answer.
         manner: Settings of the comparison.
     """
@@ -175,8 +175,8 @@ class MetricBeside:
         id: Id of the metric.
         value: Value in `unit`; None if `status` is not `ok`.
         unit: Unit of both values.
-        status: Whether there is a value.
-        reference: Value of the reference; None if it has none.
+        status: Whether the metric has a value.
+        reference: Value of the reference; None if the reference has no value.
         better: `lower`, `higher`, or None if neither is better.
     """
 
@@ -261,7 +261,7 @@ def take_metric(metric: "Metric", reference: float | None = None) -> dict[str, A
 
 
 def list_scenario_files(files: Sequence[Path]) -> list[Path]:
-    """Return the files that are scenarios, judged by their suffix."""
+    """Return the files that are scenarios, judging by their suffix."""
     return [file for file in files if file.suffix.lower() == ".toml"]
 
 
@@ -365,7 +365,7 @@ class _RobotRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RobotAnswer:
-    """Recorded robots compared with that of a scenario, which is a file."""
+    """Recorded robots compared with the robot of a scenario file."""
 
     reference: str
     alignment: str = "anchored"

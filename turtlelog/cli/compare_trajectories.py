@@ -38,15 +38,16 @@ if TYPE_CHECKING:
 @Parameter(name="*", group=Group("Trajectories", sort_key=1))
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryOptions:
-    """Errors of trajectories, and which poses belong together.
+    """Errors of trajectories, and the pairing of poses.
 
     Attributes:
-        ate: Absolute trajectory error: positions and rotations after alignment to the reference.
+        ate: Absolute trajectory error of positions and rotations, after alignment to the reference.
         rpe: Relative pose error over this length of the reference. Examples: 1m, 30deg, 0.5s,
             10frames. Can be repeated.
-        all_pairs: Begin a relative motion at every pose. Default: at the end of the one before.
-        associate: How to pair poses: nearest in time, or linear, which interpolates the trajectory
-            that has more poses at the times of the other. Default: nearest.
+        all_pairs: Begin a relative motion at every pose. Default: at the end of the previous
+            motion.
+        associate: How to pair poses: nearest in time, or linear interpolation of the trajectory
+            with more poses at the times of the other. Default: nearest.
         max_difference: Largest difference in time between two paired poses. Default: 0.01. Unit: s.
         time_offset: Time to add to all files but the reference; start aligns the first poses.
             Default: 0. Unit: s.
@@ -138,7 +139,7 @@ class TrajectoryOptions:
 
 
 _LONGEST_S: Final = 4e9
-"""Largest time since 1970 [s]; its nanoseconds fit 64 bits."""
+"""Largest time since 1970 [s]; in nanoseconds it fits into 64 bits."""
 
 
 class TrajectoryPlace(NamedTuple):
@@ -220,7 +221,7 @@ def _print(
 
 
 def _shorten(table: "Table", width: int) -> "Table":
-    """Return a table that fits a line: without the only file and, if needed, the sum of squares."""
+    """Return a table that fits a line, without the only file and, if needed, the sum of squares."""
     first = 0 if len({row[0] for row in table.rows}) > 1 else 1
     rows = []
     for name, error, unit, *values in table.rows:
@@ -268,7 +269,7 @@ def _format(statistics: "ErrorStatistics | None", unit: str) -> str:
 
 
 _TINY: Final = 1e-9
-"""Errors below are rounding [m, rad]: text with nine decimals ends there."""
+"""Size below which errors are rounding [m, rad]: text with nine decimals ends there."""
 
 
 def _describe_alignment(one: "TrajectoryComparison") -> str:
@@ -283,7 +284,7 @@ def _describe_alignment(one: "TrajectoryComparison") -> str:
 
 
 def _find_turn(one: "TrajectoryComparison") -> float:
-    """Return the angle of the rotation of the alignment [rad]."""
+    """Return the angle of the alignment's rotation [rad]."""
     rotation = one.alignment.rotation
     skew = rotation - rotation.T
     sine = float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
@@ -312,7 +313,7 @@ class TrajectoryErrorAnswer:
     Attributes:
         error: ATE or RPE.
         quantity: Positions, or the angle of rotations (of headings in the plane).
-        unit: Unit of the statistics; that of `sse` is its square.
+        unit: Unit of the statistics; `sse` has the square of this unit.
         delta: Length of the relative motions; None for the ATE.
         delta_unit: `frames`, `m`, `deg` or `s`; None for the ATE.
         count: Number of poses or motions.
@@ -372,7 +373,7 @@ class TrajectoryAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoriesAnswer:
-    """Trajectories compared with a reference, which is a file."""
+    """Trajectories compared with a reference file."""
 
     reference: str
     runs: list[TrajectoryAnswer]

@@ -50,7 +50,7 @@ _MOST_SETTINGS: Final = 3
 
 
 _SUFFIXES: Final = (".mcap", ".json", ".csv", ".parquet", ".tum", ".db3", ".bag")
-"""Suffixes of recordings except folders: a word after --why with such a suffix is not a metric."""
+"""Suffixes of recordings except folders. A word after --why with such a suffix is not a metric."""
 
 
 @Parameter(name="*")
@@ -90,7 +90,7 @@ class WhyPlace:
 
     Attributes:
         plot: Figure to write.
-        jobs: Number of processes; None: the fastest number.
+        jobs: Number of processes. None: the fastest number.
     """
 
     plot: Path | None
@@ -104,7 +104,7 @@ class WhyAnswer:
     Attributes:
         first: File of the first run; None if there is nothing to compare.
         second: File of the second run.
-        condition: Condition that `second` is the first to meet, if one was given.
+        condition: Given condition, which `second` is the first to meet.
         explanation: Causes of the difference; None if there is nothing to compare.
     """
 
@@ -115,7 +115,7 @@ class WhyAnswer:
 
 
 def split_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
-    """Return the metric and the files: the word after --why may be the first file."""
+    """Return the metric and the files, because the word after --why may be the first file."""
     word = options.why
     if not isinstance(word, str):
         return None, [*files]
@@ -181,7 +181,7 @@ def _find_pair(
     topics: ReadingOptions,
     kind: str,
 ) -> tuple[tuple[tuple[Path, Path], list[str]] | None, int]:
-    """Return the first recording that meets a condition and the one before it, also in words."""
+    """Return the first recording that meets a condition and the one before it, described."""
     paths = sorted(list_files(files), key=lambda path: split_numbers(str(path)))
     errors: list[TurtlelogError] = []
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
@@ -212,7 +212,7 @@ def _tell_pair(
     paths: Sequence[Path],
     summaries: "Sequence[RunSummary]",
 ) -> list[str]:
-    """Return that the second recording is the first to meet a condition, as far as known."""
+    """Return a sentence that the second recording is the first to meet a condition, if known."""
     first, second = pair
     read = {one.file for one in summaries}
     unread = [path.name for path in paths if str(path) < str(second) and str(path) not in read]
@@ -253,7 +253,7 @@ def _print_nothing(
 def _tell_nothing(
     condition: str, summaries: "Sequence[RunSummary]", *, is_met: bool, has_unread: bool
 ) -> str:
-    """Return the reason why no two recordings are compared."""
+    """Return why no two recordings are compared."""
     name, readable = Path(summaries[0].file).name, " that can be read" if has_unread else ""
     if is_met:
         return f"{name} meets {condition}, and no recording{readable} comes before it."
@@ -300,7 +300,7 @@ def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
 
 
 def _list_settings(one: "Change") -> Iterator[str]:
-    """Yield the settings of a change; settings with equal pairs of values share an entry."""
+    """Yield the settings of a change. Settings with equal pairs of values share an entry."""
     pairs: dict[tuple[str, str], list[str]] = {}
     for key, before, after in zip(one.keys, one.first, one.second, strict=True):
         if before == after:  # the same seed in both runs

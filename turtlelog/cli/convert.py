@@ -38,7 +38,7 @@ _NO_FOLDERS: Final = (
     ),
     *(".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
 )
-"""Suffixes that no folder has: a user who types one means another file."""
+"""Suffixes that folders never have. A user who types such a suffix means another file."""
 
 _TableName = Literal["poses", "commands", "samples", "events"]
 
@@ -76,7 +76,7 @@ class ConvertAnswer:
         file: Name of the file as given.
         name: Name of the run.
         written: Written files.
-        absent: Columns that the source lacks.
+        absent: Columns that the source does not have.
         notes: Remarks.
     """
 
@@ -184,7 +184,7 @@ def convert(
 
 
 def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> str:
-    """Return the contents of an output: rows of each kind."""
+    """Return the contents of an output: the rows of each kind."""
     nouns = ("poses", "commands", "samples", "events")
     counts = {noun: len(getattr(run, noun)) for noun in nouns}
     one = "poses" if kind == "tum" or (_is_file(path, tables) and kind != "mcap") else None
@@ -205,7 +205,7 @@ def _is_file(path: Path, tables: TableOptions) -> bool:
 def _require_targets(
     outputs: list[Path], kinds: dict[Path, str], file: Path, tables: TableOptions
 ) -> None:
-    """Refuse invalid targets before the first is written."""
+    """Refuse invalid targets before the first output is written."""
     if tables.table is not None and not {"csv", "parquet"} & {*kinds.values()}:
         raise UsageError(
             f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or"

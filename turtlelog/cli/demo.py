@@ -66,7 +66,7 @@ def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
 
 
 def _record(name: str, folder: Path) -> "Run":
-    """Simulate, record, read back and show a preset; the file's contents are measured."""
+    """Simulate, record, read back and show a preset. Only the file's contents are measured."""
     stem = name.removeprefix("paper-")
     recording, rrd = folder / f"{stem}.mcap", folder / f"{stem}.rrd"
     tl.write_recording(tl.simulate_run(tl.load_scenario(name)), recording)

@@ -32,13 +32,14 @@ if TYPE_CHECKING:
     from turtlelog.explain import Attribution, Identification, Luck
 
 _NOTHING: Final = "no scenario fits this log"
+_GIVEN: Final = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
 _DETAILS: Final = "Every cause, setting and its evidence: --details"
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplainOptions:
-    """Files to write, which code may run, and in how many processes.
+    """Files to write, code that may run, and number of processes.
 
     Attributes:
         details: Also print every cause, and every setting with its evidence.
@@ -68,15 +69,16 @@ def explain(
 ) -> None:
     """Explain a metric of a run: which effect of the implementation contributes how much.
 
-    First it identifies gains, limits, tolerances, dead times, queues and the pause from the samples
-    of the controller: the poses that it read and the commands that it gave. It simulates the
-    identified scenario and compares the result with the log, sample by sample.
+    First the command identifies gains, limits, tolerances, dead times, queues and the pause from
+    the samples of the controller: the poses that it read and the commands that it gave. The
+    identified scenario is simulated and compared with the log, sample by sample.
 
-    Then it simulates that scenario without its effects, in every combination, and divides the
-    metric among them. Contributions are Shapley values: their sum is the metric with all effects
-    minus the metric without them. They are shown if the re-simulation agrees with the log. Effects
-    come from the implementation, such as queue, delay, jitter, loss, noise or pause. Design
-    parameters, such as saturation, sampling or tolerance, are removed one at a time.
+    Then the scenario is simulated without its effects, in every combination, and the metric is
+    divided among the effects. Contributions are Shapley values: their sum is the metric with all
+    effects minus the metric without effects. The contributions are shown if the re-simulation
+    agrees with the log. Effects come from the implementation, such as queue, delay, jitter, loss,
+    noise or pause. Design parameters, such as saturation, sampling or tolerance, are removed one at
+    a time.
 
     Parameters are identified only for the law sequential-p. For another law, the recorded scenario
     is used, if it reproduces every sample. If that law is not built in, this runs the code that the
@@ -140,6 +142,8 @@ def explain(
         print_text(format_motion(file, run, motion))
     else:
         print_text(format_answer(answer, found))
+        if attribution is not None and run.declaration.list_gains():
+            print_text(_GIVEN)
         print_text(f"\n{format_details(answer, found)}" if options.details else _DETAILS)
     if options.rrd is not None:
         _draw(run, found, attribution, options.rrd, require_jobs(options.jobs))
@@ -164,7 +168,7 @@ def _draw(
 def _measure_luck(
     run: "Run", found: "Identification", attribution: "Attribution", jobs: int | None
 ) -> "Luck | None":
-    """Return the values from other starts; None if there are none, as the text explains."""
+    """Return the values from other starts; None without such values, as the text explains."""
     with show_progress("simulated", 100.0, "%") as progress:
         work = tl.explain.Work(jobs=jobs, report=progress.count)
         try:

@@ -42,7 +42,7 @@ _ROWS: Final = (
     ("poses", "loop.pose_precision", ""),
     ("stop reason", "stop_reason", ""),
 )
-"""Rows of the table: name, key of the finding, unit."""
+"""Rows of the table: name, key of the finding, and unit."""
 
 _DEAD_TIME: Final = "dead_time."
 """Prefix of the key of a loop's dead time."""
@@ -54,7 +54,7 @@ _NOTED: Final = "the recorded scenario"
 
 _EVIDENCE_WIDTH: Final = 26
 _MEANING_WIDTH: Final = 30
-"""Width of the last columns of tables [characters]; the others need the rest of a line."""
+"""Width of the last columns of tables [characters]; other columns need the rest of a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,8 +68,8 @@ class FindingAnswer:
         evidence: Evidence of the value, or the reason why it is not identified.
         interval: Bounds of the value, if known.
         candidates: All values that fit, if several do.
-        assumed: Value that the re-simulation uses if it is not identified and has no visible
-            effect.
+        assumed: Value that the re-simulation uses if the setting is not identified and has no
+            visible effect.
     """
 
     key: str
@@ -92,7 +92,7 @@ class ExplainAnswer:
         identified: The settings of the run, each with its confidence and evidence.
         resimulation: Comparison of the re-simulated scenario with the log; None without one.
         tried: Values that were tried, by key of the loop's settings.
-        attribution: The value divided among its causes; None if no scenario fits the log.
+        attribution: The value divided among its causes; None if no scenario reproduces the log.
         in_words: Action of each contributing cause in this run, in words.
         notes: Further notes, in sentences.
         motion: Facts about poses and commands without samples; None with samples.
@@ -360,7 +360,7 @@ def _break_row(row: list[Any]) -> list[tuple[Any, ...]]:
 
 
 def _list_rows(found: "Identification") -> list[tuple[str, str, str]]:
-    """Return the rows, with one for each loop's dead time, and none for an unknown law."""
+    """Return the rows, with one row for each loop's dead time, and none for an unknown law."""
     from turtlelog.explain import describe_loop_name
 
     keys = [key for key in found.findings if key.startswith(_DEAD_TIME)]

@@ -20,7 +20,7 @@ _NEEDS: Final = (
 )
 
 _SILENCE: Final = 1.5
-"""Silence in usual periods from which it is shown; one period may vary by half."""
+"""Silence, in usual periods, from which a silence is shown; one period may vary by half."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +83,7 @@ class DelaysAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionAnswer:
-    """Facts about poses and commands without samples; times count as in a replay.
+    """Facts about poses and commands without samples. Times count as in a replay.
 
     Attributes:
         kind: Kind of the recorded robot.
@@ -95,8 +95,8 @@ class MotionAnswer:
         jumps: Jumps of the poses.
         gaps: Gaps in the poses.
         command_delays: Delays with which commands act; None if unknown.
-        replay: The commands driven through the plant; None if there is no model.
-        needs: Data that an explanation needs.
+        replay: The commands driven through the plant; None without a model.
+        needs: Data that an explanation would need.
     """
 
     kind: str

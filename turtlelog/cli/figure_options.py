@@ -1,4 +1,4 @@
-"""Options of `turtlelog plot`: page format, and content of figures with options of their own."""
+"""Options of `turtlelog plot`: page format, and content of figures with special options."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -37,10 +37,10 @@ class PageOptions:
     """Page format of figures, and the shown part of the runs.
 
     Attributes:
-        kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
-            lettering; figures with panels side by side always take the page. Default: column, and
+        kind: column is one of two columns of a paper, page the whole width, slide 16:9 with large
+            lettering. Figures with panels side by side always take the page. Default: column, and
             page for the table of a sweep.
-        text_width: Width of the paper's text [mm], 120 to 1000. Default: 181. Not for a slide.
+        text_width: Width of the paper's text [mm], 120 to 1000; slides ignore it. Default: 181.
         dpi: Resolution of PNGs [dots per inch], 50 to 600. Default: 300; for a slide 144, which is
             1920 by 1080 pixels.
         from_s: Begin time axes here, from the first sample [s].
@@ -67,7 +67,7 @@ class PageOptions:
 
         Args:
             formats: File formats of the figures.
-            names: Names of the figures; None for the usual ones.
+            names: Names of the figures. Default: the usual figures.
             usual: Default kind of page.
 
         Raises:
@@ -124,7 +124,7 @@ class AskedOptions:
         """Raise an error if an option belongs to a figure that is not drawn.
 
         Raises:
-            UsageError: If an option has no figure, or a figure lacks its option.
+            UsageError: If an option has no figure, or a figure does not have its option.
         """
         if self.metric is not None and not {*names} & {*_OF_METRICS}:
             expected = "--only attribution, gains, luck or strips"
@@ -147,7 +147,7 @@ class AskedOptions:
         return found
 
     def list_metrics(self) -> list[str] | None:
-        """Return the requested metrics; None if there are none."""
+        """Return the requested metrics; None without a request."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
 

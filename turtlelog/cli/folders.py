@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FolderOptions(WorkOptions):
-    """Many recordings at once.
+    """Options for many recordings.
 
     Attributes:
         output: Write a row for every file to this .parquet table, and print a summary alone. Files
@@ -46,14 +46,14 @@ def tabulate(
     work: WorkOptions,
     file_s: float = FILE_S,
 ) -> "TabulatedFiles":
-    """Write the table of recordings; an invalid path is an error before any is read.
+    """Write the table of recordings. Invalid paths are errors before any file is read.
 
     Args:
         found: Recordings of the table.
         output: Path of the table.
         table: Kind and columns of the table.
         work: Processes or cluster that read files.
-        file_s: See `tabulate_recordings`.
+        file_s: Time per file, as in `tabulate_recordings`.
     """
     from turtlelog.cli.targets import require_new_target
 

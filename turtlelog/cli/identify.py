@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenOptions:
-    """Files to write beside the answer.
+    """Files to write next to the answer.
 
     Attributes:
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
@@ -51,10 +51,10 @@ def identify(
     between two poses is compared with the model's response to the commands (zero-order hold): rate
     = gain exp(-dead_time s) / (lag s + 1). Intervals contain the true value for 95 of 100 robots.
     Further models have a second time constant, a limit of acceleration or speed, a deadband,
-    friction or a different gain backwards. They are accepted only if they change a rate by 2 % and
-    predict a held-back part of the log better. If no model explains the motion, intervals are wider
-    and the output contains a doubt. If a parameter cannot be identified, the output gives the
-    reason and suggests a test drive. Several files of one robot are fitted together, and
+    friction or a different gain backwards. A further model is accepted only if it changes a rate by
+    2 % and predicts a held-back part of the log better. If no model explains the motion, intervals
+    are wider and the output contains a doubt. If a parameter cannot be identified, the output gives
+    the reason and suggests a test drive. Several files of one robot are fitted together, and
     differences between them are listed.
 
     Turtlesim needs no fit: each pose shows which command was applied in its tick.
@@ -113,7 +113,7 @@ def _write_scenario(robot: "RobotScenario", path: Path) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """A value and its 95 % interval."""
+    """A value with its 95 % interval."""
 
     value: float
     low: float
@@ -122,7 +122,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisAnswer:
-    """One axis; fields as in `AxisModel`, None if nothing is known."""
+    """One axis. The fields are those of `AxisModel`, or None if nothing is known."""
 
     axis: str
     status: str
@@ -156,7 +156,7 @@ class AxisAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventAnswer:
-    """A place in the log that no command explains; fields as in `RobotEvent`."""
+    """A place in the log that no command explains. The fields are those of `RobotEvent`."""
 
     file: str
     axis: str
@@ -167,7 +167,7 @@ class EventAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioAnswer:
-    """The scenario that was written, and the sources of its numbers."""
+    """The written scenario, with the sources of its numbers."""
 
     file: str
     notes: tuple[str, ...]

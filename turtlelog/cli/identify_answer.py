@@ -21,13 +21,13 @@ _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
 
 _MOST_EVENTS: Final = 5
 _RARE: Final = 0.01
-"""Share of the steps above which outliers are not single faults, such as a jump."""
+"""Share of the steps above which outliers are not single faults, for example jumps."""
 
 _CURVE: Final = 0.5
-"""Whiteness below which the residual is a curve: neighbours share half of their error."""
+"""Whiteness below which the residual is a curve: neighbouring values share half of their error."""
 
 _LITTLE: Final = 0.5
-"""Explained share below which most changes of the motion are not caused by the commands."""
+"""Explained share below which commands do not cause most changes of the motion."""
 
 _AS_COMMANDED: Final = 1e-3
 """Largest deviation of a gain from 1 that is not mentioned [1]."""
@@ -60,7 +60,8 @@ def format_robot(
         brackets = model.brackets
         if any(axis.doubts for axis in known):
             brackets += ", wider where a doubt is named below"
-        parts += [f"{_format_values(known)}\nIn brackets: {brackets}.\n"]
+        told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
+        parts += [f"{_format_values(known)}\n{fill_lines([' '.join(told)])}\n"]
         parts += [fill_lines([_describe_motion(known)])]
     trust = [*_list_trust(model), *_list_unknown(model)]
     trust += _list_details(model) if shows_details else []
@@ -97,7 +98,14 @@ def _format_values(known: "Sequence[AxisModel]") -> str:
 
 def _describe_motion(known: "Sequence[AxisModel]") -> str:
     """Return a sentence on the robot's steady-state response to commands."""
-    return f"The robot {join_words([describe_gain(axis) for axis in known])}."
+    return (
+        f"The robot {join_words([f'{describe_gain(axis)}{_tell_bound(axis)}' for axis in known])}."
+    )
+
+
+def _tell_bound(axis: "AxisModel") -> str:
+    """Return the rate up to which an axis follows its commands, if it has a bound."""
+    return "" if axis.bound is None else f" up to {axis.bound.value:.3g} {axis.bound.unit}"
 
 
 def describe_gain(axis: "AxisModel") -> str:

@@ -35,22 +35,23 @@ if TYPE_CHECKING:
 
 
 _FILE_S: Final = 2e-3
-"""Time to open a file and describe its contents, without the time for its bytes [s]."""
+"""Time to open a file and describe its contents, in addition to the time for its bytes [s]."""
 
 
 _MOST_IN_FULL: Final = 4
-"""Files that are described one below the other: with some nine lines each they fill a screen."""
+"""Largest number of files that are described one below another; about nine lines each fill a
+screen."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InfoOptions:
-    """Further data to read and print.
+    """Additional data to read and print.
 
     Attributes:
         topics: List the topics.
         parameters: List the known values of the scenario, and the versions that simulated it.
-        clock: Read the poses of large bags, too.
+        clock: Read also the poses of large bags.
     """
 
     topics: bool = False
@@ -69,9 +70,10 @@ def info(
 ) -> int:
     """Describe files: a recording, a robot's bag or a table, its data, and what is missing.
 
-    The poses and commands of bags of up to 64 MiB are read: the answer shows the clock that times
-    them, jumps, gaps and unusual rates. It lists what a file lacks, and how to add it. Files that
-    cannot be read are reported on stderr. The others are described, and the exit code is 2.
+    The poses and commands of bags of up to 64 MiB are read: the answer shows the clock of their
+    times, jumps, gaps and unusual rates. The answer lists what a file lacks and how to add it.
+    Files that cannot be read are reported on stderr. The others are described, and the exit code is
+    2.
 
     Example: turtlelog info kp1.mcap
 
@@ -166,7 +168,7 @@ def _list_robots(recording: "RecordingInfo") -> tuple[RobotTopics, ...]:
 
 
 def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
-    """Return the absent fields; topics of commands are known only if the run was read."""
+    """Return the absent fields. Topics of commands are known only if the run was read."""
     run = summary.run
     more = [] if run is None or run.has_poses else ["poses"]
     more += [] if run is None or run.has_commands else ["commands"]
@@ -176,7 +178,7 @@ def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...
 
 
 def _list_missing_types(recording: "RecordingInfo") -> list[str]:
-    """Return whether no message has a type of poses, and whether none has a type of commands."""
+    """Return whether no message has a type of poses, and whether none has one of commands."""
     held = {topic.type for topic in recording.topics if topic.count}
     kinds = {"poses": tl.log.ros2.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
     return [name for name, types in kinds.items() if not held.intersection(types)]

@@ -1,4 +1,4 @@
-"""What `turtlelog info` prints of files: what each is, holds and lacks, and the next commands."""
+"""Text of `turtlelog info`: kind, contents and missing data of each file, and next commands."""
 
 import shlex
 from collections import Counter
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 
 
 _MOST_ENTRIES: Final = 8
-"""Largest number of printed entries of a list; JSON contains all. A sequence of commands has
-thousands."""
+"""Largest number of printed entries of a list, because a sequence of commands has thousands. JSON
+contains all entries."""
 
 _ROWS: Final = {
     "pose": "/turtle1/pose",
     "controller sample": "/turtle1/control",
     "command": "/turtle1/cmd_vel",
 }
-"""Topics of a turtlelog recording by their contents; others have the same types."""
+"""Topics of a turtlelog recording by contents. Other recordings have the same types."""
 
 _OF_COMMANDS: Final = ("metrics", "check", "plot", "replay")
 """Commands that need only the recorded commands."""
 
 _AXES: Final = (("law.kp_angular", "turning"), ("law.kp_linear", "driving"))
-"""Gains of the sequential laws, with the motion that they control."""
+"""Gains of the sequential laws, with the motions that they control."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotTopics:
-    """A robot among several of a bag: its name, and its topics of poses and commands."""
+    """One of several robots in a bag: its name, and its topics of poses and commands."""
 
     name: str
     poses: str | None
@@ -52,7 +52,7 @@ class InfoAnswer:
     Attributes:
         file: Name of the file as given.
         summary: Description of the file, in one sentence.
-        ending: End of its run at its goal, in words; None if unknown.
+        ending: How the run ended at its goal, as text; None if unknown.
         format_version: Format version of the recording; None if turtlelog did not write it.
         source: Origin of the data.
         name: Name of the run.
@@ -65,13 +65,14 @@ class InfoAnswer:
         topics: Topics with their types and numbers of messages.
         simulated_by: Versions, platform and digest of the law that simulated the run, by name;
             empty if unknown.
-        absent: Columns that the file lacks.
+        absent: Columns that the file does not have.
         missing: Missing data, each with its use.
-        clock: Clock that times its poses; None if there is one clock, or the poses were not read.
+        clock: Clock that times the poses; None if there is only one clock, or the poses were not
+            read.
         not_understood: Topics whose messages cannot become columns, each with the reason.
         notes: Remarks by name.
         run: Poses and commands of the file; None if they were not read.
-        robots: Robots of a bag with several; --robot NAME chooses one.
+        robots: Robots of a bag with several robots; --robot NAME chooses one.
     """
 
     file: str
@@ -104,10 +105,12 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
         answer: Answer to format.
         topics: Whether to list the topics.
         parameters: Whether to list the known values of the scenario.
-        is_alone: Whether to list next commands.
+        is_alone: Whether this is the only file, so that next commands are listed.
     """
     name = _name_file(answer)
-    rows = [*_list_rows(answer), *_list_lacks(answer, topics=topics)]
+    rows = [*_list_rows(answer), *_list_notes(answer, clocks=False)]
+    rows += [*_list_lacks(answer, topics=topics), *_list_notes(answer, clocks=True)]
+    rows += _describe_durations(answer)
     width = max((len(key) for key, _ in rows), default=0)
     lines = [_fill(f"{name}: ", _write_head(answer))]
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
@@ -129,7 +132,7 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
 
 
 def format_answers(answers: Sequence[InfoAnswer]) -> str:
-    """Return one line per file, below a line that counts the kinds of files."""
+    """Return one line per file, below a line that counts the files of each kind."""
     kinds = Counter(_name_kind(answer) for answer in answers)
     counts = [describe_count(count, kind) for kind, count in kinds.most_common()]
     broken = sum(not answer.complete for answer in answers)
@@ -155,7 +158,7 @@ def _name_file(answer: InfoAnswer) -> str:
 
 
 def _name_kind(answer: InfoAnswer) -> str:
-    """Return the kind of a file in words that can be counted."""
+    """Return the kind of a file as text that can be counted."""
     if answer.format_version is not None:
         return "recording"
     if answer.run is None or not answer.topics:
@@ -164,7 +167,7 @@ def _name_kind(answer: InfoAnswer) -> str:
 
 
 def _tell_state(answer: InfoAnswer) -> str:
-    """Return how the run of a file ended, or what is wrong with the file."""
+    """Return how the run of a file ended, or the fault of the file."""
     if not answer.complete:
         return (
             "truncated: nothing left" if answer.summary.endswith(NOTHING_LEFT) else "not complete"
@@ -203,16 +206,21 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
     yield from _describe_robots(answer)
-    yield from _describe_durations(answer)
     if not answer.summary.endswith(NOTHING_LEFT):
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
-    yield from ((key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items())
+
+
+def _list_notes(answer: InfoAnswer, *, clocks: bool) -> Iterator[tuple[str, str]]:
+    """Yield remarks: on the clocks, which come last, or on all else."""
+    for key, text in answer.notes.items():
+        if (key == "clock") is clocks:
+            yield key.replace("_", " "), _tell_note(text)
 
 
 def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield the robots of a bag with their topics; of many robots the first ones."""
+    """Yield the robots of a bag with their topics; of many robots, only the first ones."""
     counts = {topic.topic: topic.count for topic in answer.topics}
     for robot in answer.robots[:_MOST_ENTRIES]:
         held = {"poses": robot.poses, "commands": robot.commands}
@@ -225,13 +233,13 @@ def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
 
 
 def _tell_note(text: str) -> str:
-    """Return a note; for one with several lines, as a law's source, only their number."""
+    """Return a note; of one with several lines, such as a law's source, only their number."""
     lines = len(text.splitlines())
     return text if lines <= 1 else f"{lines} lines: --json has them"
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield the duration of a file and, if its poses were read, that of its run."""
+    """Yield the duration of a file and, if its poses were read, the duration of its run."""
     if answer.duration_s is None:
         return
     what = "message of any topic" if answer.topics else "row"
@@ -245,7 +253,7 @@ def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
 
 
 _WORDS: Final = MappingProxyType({"goal_xy_m": "goal", "goal_heading_rad": "heading at the goal"})
-"""What a reader calls absent fields; JSON has their names."""
+"""Words for absent fields; JSON contains the names of the fields."""
 
 
 def _list_lacks(answer: InfoAnswer, *, topics: bool) -> Iterator[tuple[str, str]]:
@@ -314,7 +322,7 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
 
 
 def _shorten(value: object) -> object:
-    """Return a value for display: of a long list its first entries and its length."""
+    """Return a value for display; of a long list, its first entries and its length."""
     if not isinstance(value, list | tuple) or len(value) <= _MOST_ENTRIES:
         return value
     first = ", ".join(map(str, value[:_MOST_ENTRIES]))

@@ -11,7 +11,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.files.urls import RemotePath
 from turtlelog.processes import count_bytes
-from turtlelog.run.ending import describe_goal_end, find_goal_error
+from turtlelog.run.ending import find_goal_end
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,23 +22,26 @@ if TYPE_CHECKING:
     from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
 
 LARGEST_BYTES: Final = 64 * 2**20
-"""Largest bag whose poses are read by default [bytes]: MCAP or SQLite takes less than a second."""
+"""Largest bag whose poses are read by default [bytes]; MCAP or SQLite of this size takes less than
+a second."""
 
 _MOST_TRANSFORMS: Final = 20_000
-"""Largest number of transforms read by default: each takes about 20 us, more than others."""
+"""Largest number of transforms read by default; each takes about 20 us, more than other
+messages."""
 
 _OWN: Final = b"turtlelog"
 _HEAD_BYTES: Final = 64
-"""Bytes at the start of a recording, whose first record names the library that wrote it."""
+"""Number of bytes at the start of a recording; the first record names the library that wrote it."""
 
 _FEWEST_RATED: Final = 20
-"""Smallest number of messages that have a rate."""
+"""Smallest number of messages for which a rate is given."""
 
 _SHORTEST_NS: Final = 1_000
-"""Shortest step between messages that counts [ns]; shorter ones are between poses of one time."""
+"""Shortest step between messages that counts [ns]; shorter steps are between poses of the same
+time."""
 
 _STEADY: Final = 3.0
-"""Ratio of slow to quick steps (10 % quantiles) above which messages have no rate."""
+"""Ratio of slow to quick steps (10 % quantiles) above which no rate is given."""
 
 _TOLD: Final = (
     *(
@@ -64,7 +67,7 @@ _TOLD: Final = (
         "other_command_topics",
     ),
 )
-"""Notes of a run on the bag that it was read from."""
+"""Notes of a run on the bag from which it was read."""
 
 NOTHING_LEFT: Final = "truncated: no message can be recovered"
 """Description of an incomplete file without messages."""
@@ -85,7 +88,7 @@ class ReadRun:
         kind: Kind of robot that the poses belong to.
         duration_s: The metric `run.duration` [s].
         poses: Topic, rate (if steady) and number of the poses; empty without poses.
-        commands: Topic of the commands; empty if there are none.
+        commands: Topic of the commands; empty without commands.
         samples: Number of samples of a controller.
     """
 
@@ -97,22 +100,22 @@ class ReadRun:
 
     @property
     def has_commands(self) -> bool:
-        """Whether there are commands."""
+        """Whether the run has commands."""
         return bool(self.commands)
 
     @property
     def has_poses(self) -> bool:
-        """Whether there are poses."""
+        """Whether the run has poses."""
         return bool(self.poses)
 
     @property
     def has_samples(self) -> bool:
-        """Whether there are samples of a controller."""
+        """Whether the run has samples of a controller."""
         return self.samples > 0
 
     @property
     def first_row(self) -> str:
-        """Row at time zero of its duration: the first `sample`, or else `pose`, or `command`."""
+        """Row at time zero of the duration: the first `sample`, or else `pose` or `command`."""
         return "sample" if self.samples else "pose" if self.poses else "command"
 
 
@@ -122,11 +125,12 @@ class Summary:
 
     Attributes:
         text: One sentence without a full stop.
-        ending: End of its run at its goal, in words; None if unknown.
-        run: Summary of the run in the file; None if it was not read.
+        ending: How the run ended at its goal, as text; None if unknown.
+        run: Summary of the run in the file; None if the run was not read.
         missing: Missing data, each with its use.
-        clock: Clock that times its poses, as in JSON; None if there is one, or poses were not read.
-        notes: Notes on its poses, by name.
+        clock: Clock that times the poses, as in JSON; None if there is only one clock, or poses
+            were not read.
+        notes: Notes on the poses, by name.
     """
 
     text: str
@@ -140,13 +144,13 @@ class Summary:
 def summarise(
     path: Path, info: "RecordingInfo", choice: "ReadChoice", *, is_asked: bool = False
 ) -> Summary:
-    """Return the description of a file; for a bag, from its poses and commands unless it is large.
+    """Return the description of a file; of a bag, from poses and commands unless it is large.
 
     Args:
         path: The file.
         info: Contents of the file.
-        choice: Settings for reading it.
-        is_asked: Whether to read a large file, too.
+        choice: Settings for reading the file.
+        is_asked: Whether to read also a large file.
     """
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
@@ -197,19 +201,23 @@ def _summarise_own(info: "RecordingInfo", lost: str) -> str:
 
 
 def _find_ending(path: Path, info: "RecordingInfo", *, is_asked: bool) -> str | None:
-    """Return the end of a turtlelog recording's run at its goal, unless the file is large."""
+    """Return how a turtlelog recording's run ended at its goal, unless the file is large."""
     if not info.complete or (not is_asked and _find_large(path, info)):
         return None
     try:
         run = tl.log.read_run(path)
     except TurtlelogError:
         return None  # the readable part is described, and `metrics` reports the rest
-    error_m = find_goal_error(run)
-    return None if error_m is None else describe_goal_end(run, error_m, run.duration_s)
+    return _describe_ending(run)
+
+
+def _describe_ending(run: "Run") -> str | None:
+    end = find_goal_end(run)
+    return None if end is None else end.describe()
 
 
 def _find_large(path: Path, info: "RecordingInfo") -> str:
-    """Return the reason why a file is too large to be read by default; empty if it is not."""
+    """Return why a file is too large to be read by default; empty if it is small enough."""
     if not info.topics:
         return ""  # tables and logs are always read completely
     path, _ = tl.log.split_topic(path)
@@ -231,7 +239,7 @@ def _is_poses(topic: "TopicInfo") -> bool:
 
 
 def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
-    """Return a description from the topics alone, and the reason why poses could not be read."""
+    """Return a description from the topics alone, and why poses could not be read."""
     try:
         tl.log.ros2.select_robot(info.topics, None)
     except LogError as err:
@@ -343,9 +351,7 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     clock = run.clock
     return Summary(
         text=_describe_run(run),
-        ending=None
-        if (error_m := find_goal_error(run)) is None
-        else describe_goal_end(run, error_m, run.duration_s),
+        ending=_describe_ending(run),
         run=ReadRun(
             kind=_describe_kind(run),
             duration_s=run.duration_s,
@@ -427,14 +433,14 @@ def _describe_commands(run: "Run") -> str:
 
 
 def _name_topic(run: "Run", note: str) -> str:
-    """Return a topic, for transforms with their frames; empty if there is none."""
+    """Return a topic, with the frames of transforms; empty if unknown."""
     name, _, rest = run.notes.get(note, "").partition(" (")
     frames = rest.partition("): ")[2]
     return f"{name} ({frames})" if frames else name
 
 
 def _describe_rate(time_ns: "NDArray[Any]") -> str:
-    """Return the rate of messages; empty if it is not steady."""
+    """Return the rate of messages; empty if the rate is not steady."""
     import numpy as np
 
     if len(time_ns) < _FEWEST_RATED:
@@ -454,7 +460,7 @@ def _format_hz(rate: float) -> str:
 
 
 def _list_missing(run: "Run", info: "RecordingInfo") -> "Iterator[str]":
-    """Yield the missing data of a bag; commands cannot be added to a table without them."""
+    """Yield the missing data of a bag. Commands cannot be added to a table without commands."""
     if len(run.samples):
         return
     lacks = tl.compare.list_lacks(run)

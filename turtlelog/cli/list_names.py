@@ -30,7 +30,7 @@ _PRESETS: Final = {
 _NOTES: Final[Mapping[str, str]] = {
     "metrics": "These metrics belong to the law sequential-p. Other laws have loops of other names:"
     " `turtlelog metrics FILE --all` shows the metrics of a recording.",
-    "signals": "And the states of laws of your own, by their names.",
+    "signals": "The states of your own laws are signals too, under their own names.",
     "causes": "effect: of the implementation; design: a design parameter.",
     "laws": "And laws of your own: FILE.py:NAME.",
 }
@@ -64,7 +64,7 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
 
 
 def _align(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Yield lines of cells; the last cell is wrapped in a terminal, but not in a pipe."""
+    """Yield lines of cells. The last cell is wrapped in a terminal, but not in a pipe."""
     *widths, last = (max(map(len, column)) for column in zip(*rows, strict=True))
     indent = sum(widths) + 2 * len(widths)
     width = find_width() if sys.stdout.isatty() else indent + last
@@ -83,11 +83,11 @@ def _align(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
 
 
 _IN_JSON: Final = frozenset({"scenario", "parameters"})
-"""Fields that a table has no room for."""
+"""Fields that have no room in a table."""
 
 
 def _list_rows(entry: Mapping[str, Any], titles: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield the row of an entry, and one for each further setting in its last column."""
+    """Yield the row of an entry, and one row for each further setting in its last column."""
     *first, last = (entry[title] for title in titles)
     if not isinstance(last, Mapping):
         yield (*map(_show, first), _show(last))
@@ -206,7 +206,7 @@ def complete_preset(context: "CompletionContext") -> dict[str, str]:
 
 
 def complete_law(context: "CompletionContext") -> dict[str, str]:
-    """Return built-in laws, and Python files that complete a word; no code is run."""
+    """Return built-in laws, and Python files that complete a word, without running code."""
     found = _find_files(context, {".py"})
     return {entry["name"]: entry["meaning"] for entry in _list_laws()} | found
 
@@ -240,7 +240,7 @@ def complete_keys(_: "CompletionContext") -> dict[str, str]:
 
 
 def _complete_list(context: "CompletionContext", kind: Kind) -> dict[str, str]:
-    """Return the words with one more name; the text before the last comma stays."""
+    """Return the words with one more name. The text before the last comma does not change."""
     before, comma, _ = context.incomplete.rpartition(",")
     return {
         f"{before}{comma}{entry['name']}": str(entry.get("meaning") or entry.get("kind"))

@@ -49,7 +49,7 @@ class ViewOptions:
         return self != ViewOptions()
 
     def list_words(self) -> list[str]:
-        """Return the options as they were given."""
+        """Return the options as given."""
         given = (("--x", self.x), ("--y", self.y))
         words = [word for name, text in given if text is not None for word in (name, text)]
         return words + [word for text in self.at or [] for word in ("--at", text)]
@@ -98,10 +98,10 @@ def draw_table(
 
     Args:
         table: Table written by `turtlelog sweep`.
-        output: Figure or report (.html) to write; None: nothing is drawn.
+        output: Figure or report (.html) to write. None: nothing is drawn.
         view: View options.
         where: Page options.
-        patterns: Metrics to draw; None: up to four.
+        patterns: Metrics to draw. Default: up to four.
         json: Print one JSON object instead of lines.
     """
     kind: Kind = view.kind or "map"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweptAxisAnswer:
-    """Keys that vary together, and their values."""
+    """Keys that vary together, with their values."""
 
     keys: list[str]
     unit: str | None
@@ -33,7 +33,7 @@ class SweptAxisAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BestRow:
-    """The best row of a metric: its number, value and keys; `as_good` counts its equals."""
+    """The best row of a metric: number, value and keys; `as_good` counts equally good rows."""
 
     row: int
     value: float
@@ -43,7 +43,7 @@ class BestRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BorderAnswer:
-    """Border of stability along a gain, with the limit of theory."""
+    """Border of stability along a gain, with theory's limit."""
 
     at: list[Any] | None
     last_stable: float | None
@@ -68,7 +68,7 @@ class KeySensitivity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensitivityAnswer:
-    """Ranges of a metric along each key, from its value in the middle."""
+    """Ranges of a metric along each key, and its value in the middle."""
 
     held: Mapping[str, Any] | str | None
     value: float | None
@@ -122,10 +122,10 @@ class MapAnswer:
         axes: Keys that vary in the shown rows.
         held: Values of the other keys.
         seeds: Number of seeds that values are averaged over.
-        metrics: Shown metrics.
+        metrics: Metrics that are shown.
         theory: Limits of the gains from theory.
         notes: Remarks.
-        output: Written file; None if nothing was drawn.
+        output: Written file; None if no file was written.
     """
 
     file: str
@@ -275,7 +275,7 @@ def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
 
 
 def _describe_best(view: "SweptView", metric: "SweptMetric") -> BestRow | None:
-    """Return the best shown row; of several equally good rows the first."""
+    """Return the best shown row; of several equally good rows, the first."""
     found = tl.sweep.find_best_rows(view, metric)
     if not found:
         return None

@@ -68,7 +68,7 @@ class MeasureOptions:
     dead_time: Whole | None = None
 
     def list_patterns(self) -> list[str] | None:
-        """Return the requested ids and patterns; None if there are none."""
+        """Return the requested ids and patterns; None without a request."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_settings(self) -> "MeasureSettings":
@@ -99,7 +99,7 @@ _OPTIONS: Final = MappingProxyType(
         "goal_tolerance_m": "--goal-tolerance",
     }
 )
-"""Settings by the option that was typed."""
+"""Settings by the typed option."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,18 +109,25 @@ class MeasuredFile:
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        metrics: Requested metrics, or all.
+        ending: End of the run at its goal, in words; None without a goal.
+        metrics: Requested metrics. Default: all metrics.
     """
 
     file: str
     name: str
+    ending: str | None
     metrics: list[dict[str, Any]]
 
 
 def _build_answer(summary: "RunSummary") -> MeasuredFile:
     """Return the JSON answer for one file."""
-    metrics = describe_metrics(summary.metrics)
-    return MeasuredFile(file=summary.file, name=summary.name, metrics=metrics)
+    end = summary.goal_end
+    return MeasuredFile(
+        file=summary.file,
+        name=summary.name,
+        ending=None if end is None else end.describe(),
+        metrics=describe_metrics(summary.metrics),
+    )
 
 
 def metrics(
@@ -198,7 +205,7 @@ def metrics(
 
 
 def _tell(done: "TabulatedFiles", kind: str) -> int:
-    """Print the result of a table, and the first of the unreadable files."""
+    """Print the result of a table, and the first unreadable files."""
     if kind == "json":
         print_json(build_table_answer(done))
     else:
@@ -214,7 +221,7 @@ def _tell(done: "TabulatedFiles", kind: str) -> int:
 def _refuse_patterns(
     patterns: Sequence[str] | None, declarations: "Collection[Declaration]"
 ) -> None:
-    """Refuse patterns that match no metric of any of the runs."""
+    """Refuse patterns that match no metric of any run."""
     if patterns is None or not declarations:
         return
     known = tl.measure.list_metrics(*declarations)
@@ -222,7 +229,7 @@ def _refuse_patterns(
 
 
 def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:
-    """Print CSV with a row for every run, in the given order; cells of missing loops are empty."""
+    """Print CSV with a row per run, in the given order. Cells of missing loops are empty."""
     rows = _CsvRows()
     for summary in summaries:
         rows.add(summary)
@@ -242,7 +249,7 @@ class _CsvRow(NamedTuple):
 
 
 class _CsvRows:
-    """The data of CSV rows, some kB per run; the columns are known only after the last run."""
+    """The data of CSV rows, some kB per run. The columns are known only after the last run."""
 
     def __init__(self) -> None:
         self.declarations: dict[Declaration, None] = {}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from turtlelog.compare import Cell, RunSummary, Table
 
 _MOST_COLUMNS: Final = 6
-"""Largest number of runs, or metrics, side by side; more runs are rows."""
+"""Largest number of runs, or metrics, side by side; more runs become rows."""
 
 _MOST_SAID: Final = 3
 """Largest number of metrics with values in the first line."""
@@ -62,11 +62,11 @@ def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
 
 
 def print_essential(summaries: "Sequence[RunSummary]", kind: str) -> None:
-    """Print the essential metrics: sentences for one run, a row each for several."""
+    """Print the essential metrics: sentences for one run, a row per run for several."""
     if kind != "txt":
         print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
     elif len(summaries) == 1:
-        print_text(_format_run(summaries[0]))
+        print_text(format_run(summaries[0], tl.compare.label_file(summaries[0].file)))
     elif summaries:
         print_text(_format_runs(summaries))
 
@@ -83,7 +83,7 @@ def _drop_words(summary: "RunSummary") -> "RunSummary":
 def print_chosen(
     summaries: "Sequence[RunSummary]", kind: str, *, is_essential: bool = False
 ) -> None:
-    """Print the metrics of runs as a table by id; text begins with the answer."""
+    """Print the metrics of runs as a table by id; as text, the answer comes first."""
     if not summaries:
         return
     declarations = [found.declaration for found in summaries]
@@ -122,7 +122,7 @@ def _format(table: "Table") -> str:
 
 
 def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> str:
-    """Return the values of a few metrics; for more, the end of the run or their number."""
+    """Return the values of a few metrics; for more metrics, the end of the run or their number."""
     who = (
         tl.compare.label_file(summaries[0].file)
         if len(summaries) == 1
@@ -142,11 +142,12 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
 
 
 _FIRST: Final = ("final.position_error", "run.duration")
-"""Metrics for the first line of many metrics of several runs: the first available one."""
+"""Metrics for the first line about many metrics of several runs; the first available metric is
+used."""
 
 
 def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
-    """Return the value of one run, or the least and the greatest of several with their names."""
+    """Return the value of one run; for several, the smallest and largest values with their runs."""
     found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
     if not values:
@@ -170,7 +171,7 @@ def _find_value(summary: "RunSummary", name: str) -> float | None:
 
 
 def _describe_end(summary: "RunSummary") -> str:
-    """Return place and time of a run's end; without a goal the length of its path."""
+    """Return place and time of a run's end; without a goal, the length of its path."""
 
     def show(name: str) -> str | None:
         metric = summary.metrics.get(name)
@@ -179,28 +180,31 @@ def _describe_end(summary: "RunSummary") -> str:
         return format_short(metric.value, metric.unit)
 
     length, off = show("run.path_length"), show("run.cross_track_max")
-    position, heading = show("final.position_error"), show("final.heading_error")
     duration = show("run.duration")
     if "poses" in summary.lacks:
         return f"commands for {duration}, no poses"
-    if position is not None and not _ignores_goal(summary):
-        turned = "" if heading is None else f", heading error {heading},"
-        return f"ends {position} from the goal{turned} after {duration}"
+    if summary.goal_end is not None:
+        return summary.goal_end.describe()
     if off is not None and not summary.is_lawless:
-        return f"largest cross-track error {off} on a path of {length}, in {duration}"
+        crossing = [one.name for one in summary.declaration.loops if one.signal == "cross_track"]
+        rms = show(f"{crossing[0]}.rms_error") if crossing else None
+        sizes = f"{off} at most" if rms is None else f"{rms} RMS, {off} at most"
+        return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
     return f"the path is {length} long and takes {duration}"
 
 
-def _ignores_goal(summary: "RunSummary") -> bool:
-    return not summary.is_lawless and not summary.declaration.uses_goal
+def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
+    """Return the end of a run, remarks, and its loops side by side.
 
-
-def _format_run(summary: "RunSummary") -> str:
-    """Return the end of a run, remarks, and its loops side by side."""
+    Args:
+        summary: The run, with the metrics of `list_needed`. Its file is empty if there is none.
+        who: Name of the run or of its file, for the first line.
+        facts: Sentences after the first line.
+    """
     essential = _drop_words(summary).metrics
-    head = [f"{tl.compare.label_file(summary.file)}: {_describe_end(summary)}."]
+    head = [f"{who}: {_describe_end(summary)}.", *facts]
     loops = [loop.name for loop in summary.declaration.loops]
     shown = [loop for loop in loops if _has_value(summary, loop)]
     remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
@@ -231,7 +235,12 @@ def _has_value(summary: "RunSummary", loop: str) -> bool:
 
 
 def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield remarks: clipping, oscillation, loops that do not settle."""
+    """Yield remarks: place of the end, clipping, oscillation, loops that do not settle."""
+    if summary.goal_end is not None and summary.goal_end.verdict == "missed":
+        yield summary.goal_end.describe_place()
+    heading = summary.metrics.get("final.heading_error")
+    if heading is not None and heading.value is not None and summary.goal_end is not None:
+        yield f"Final heading error: {_show(heading)}."
     clipped = {loop: _find_value(summary, f"{loop}.saturated_share") or 0.0 for loop in loops}
     said = [f"{loop} {100.0 * share:.0f} %" for loop, share in clipped.items() if share >= _SEEN]
     if said:
@@ -250,7 +259,7 @@ def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
 
 
 _SEEN: Final = 0.005
-"""Share of the samples that is printed as more than 0 % [1]."""
+"""Share of the samples from which more than 0 % is printed [1]."""
 
 
 def _list_missing(
@@ -324,7 +333,7 @@ def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "T
 
 
 def _name_row(summary: "RunSummary", name: str) -> str:
-    """Return a metric in words; without samples its times are those of commands."""
+    """Return a metric as text. Without samples, its times are those of commands."""
     words = _name_metric(name)
     return words.replace("sample", "command") if summary.is_lawless else words
 
@@ -335,18 +344,17 @@ def _is_of_run(name: str) -> bool:
 
 def _list_next(summary: "RunSummary", count: int) -> list[str]:
     """Return the next commands to type."""
+    if not summary.file:
+        return ["To explain, plot or compare this run, record it: -o FILE.mcap"]
     file = escape_controls(shlex.quote(summary.file))
-    more = f"All {count} metrics with their ids: --all"
+    more = f"All {count} metrics with their ids: turtlelog metrics {file} --all"
     if not summary.is_lawless:
-        first = f"Why? turtlelog explain {file}"
-    elif "poses" in summary.lacks:
-        first = f"Where they lead: turtlelog replay {file}"
-    elif "commands" not in summary.lacks:
-        first = f"Dead time and time constants: turtlelog identify {file}"
-    else:
-        return [more]
-    line = f"{first}      {more}"
-    return [line] if len(line) <= find_width() else [first, more]
+        return [f"Why? turtlelog explain {file}", more]
+    if "poses" in summary.lacks:
+        return [f"Where they lead: turtlelog replay {file}", more]
+    if "commands" not in summary.lacks:
+        return [f"Dead time and time constants: turtlelog identify {file}", more]
+    return [more]
 
 
 def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
@@ -384,7 +392,7 @@ _OF_ROW: Final = ("settling_time", "overshoot", "rms_error")
 
 
 def _tabulate_runs(summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]]":
-    """Return a row for each run, with the metrics that fit a line, and their ids."""
+    """Return a row for each run, with the metrics that fit a line, and the ids of these metrics."""
     chosen = _choose_columns(summaries)
     table = tl.tabulate_runs(summaries, only=chosen)
     table = replace(table, rows=tuple(tuple(map(_round, row)) for row in table.rows), marks={})
@@ -423,11 +431,12 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
 
 def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
     """Return the ranges of the runs' final distances from the goal and durations."""
-    aiming = [one for one in summaries if not _ignores_goal(one)]
+    ends = [one.goal_end for one in summaries if one.goal_end is not None]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"
-    if len(aiming) == len(summaries) and all(
+    if len(ends) == len(summaries) and all(
         _find_value(one, "final.position_error") is not None for one in summaries
     ):
         far = _describe_range(summaries, "final.position_error")
-        return f"they end {far} from the goal, {lasting}"
+        reached = tl.compare.describe_reached(summaries)
+        return f"{f'{reached}; ' if reached else ''}the ends are {far} from the goal, {lasting}"
     return f"they last {_describe_range(summaries, 'run.duration')}"

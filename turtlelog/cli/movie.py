@@ -25,7 +25,7 @@ class MovieOptions:
 
     Attributes:
         movie: Write a movie of the runs driving into this .mp4 (VP9) or .gif file.
-        length: Length of the movie [s], 1 to 600; without it real time, and at most 10 s.
+        length: Length of the movie [s], 1 to 600. Default: real time, at most 10 s.
     """
 
     movie: Place | None = None
@@ -33,7 +33,7 @@ class MovieOptions:
 
 
 def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
-    """Refuse a movie that cannot be written, before anything is read."""
+    """Refuse a movie that cannot be written, before any file is read."""
     if options.movie is None:
         if options.length is not None:
             raise UsageError("--length: needs --movie NAME.mp4")

@@ -44,7 +44,7 @@ def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
 
 
 Place = Annotated[Path, Parameter(converter=_read_place)]
-"""A file or a URL; a plain Path would change a URL."""
+"""A file or a URL, because a plain Path would change a URL."""
 
 File = Annotated[Place, Parameter(name="FILE")]
 Files = Annotated[list[Place], Parameter(name="FILE")]
@@ -53,7 +53,7 @@ Partial = Annotated[bool, Parameter(name="--partial")]
 Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
 Json = Annotated[bool, Parameter(name="--json")]
 Whole = Annotated[int, Parameter(converter=_read_whole)]
-"""A whole number; a plain int would truncate 1.5 to 1."""
+"""A whole number, because a plain int would truncate 1.5 to 1."""
 
 
 def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
@@ -81,7 +81,7 @@ Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
 
 
 def _read_size(_: Any, tokens: Sequence[Token]) -> int:
-    """Return a size, and use it for every URL of this command."""
+    """Return a size, and use this limit for every URL of the command."""
     most = parse_size(tokens[0].value)
     if most is None:
         place = f"{tokens[0].keyword} {tokens[0].value[:60]}"
@@ -93,7 +93,7 @@ def _read_size(_: Any, tokens: Sequence[Token]) -> int:
 MaxDownload = Annotated[
     int | None, Parameter(name="--max-download", metavar="SIZE", converter=_read_size)
 ]
-"""Option of every command that takes URLs; `limit_downloads` is active during the command."""
+"""Option of every command that takes URLs. `limit_downloads` is active during the command."""
 
 
 _READING: Final = Group("Third-party files", sort_key=2)
@@ -165,7 +165,7 @@ class TopicOptions:
 @Parameter(name="*", group=_READING)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions(TopicOptions):
-    """Options for reading, with the goal of a robot whose file has none.
+    """Options for reading, including the goal of a robot whose file has no goal.
 
     Attributes:
         goal: The robot's goal [m], and the heading there [deg]. Examples: 2,10 and 2,10,90. This
@@ -185,7 +185,7 @@ class ReadingOptions(TopicOptions):
 
 
 def list_reading_words(options: ReadingOptions) -> list[str]:
-    """Return the words of a command that repeat these options; defaults are omitted."""
+    """Return the words of a command that repeat these options, without defaults."""
     words: list[str] = []
     for one in fields(options):
         value, name = getattr(options, one.name), f"--{one.name.replace('_', '-')}"
@@ -231,7 +231,10 @@ def _parse_aim(text: str) -> tuple[float, ...]:
 
 
 def list_files(paths: Sequence[Path], *, without: Path | None = None) -> list[Path]:
-    """Return the given files; folders that are not bags are replaced by the recordings below."""
+    """Return the given files.
+
+    Folders that are not bags are replaced by the recordings below them.
+    """
     files: list[Path] = []
     for path in paths:
         # Files alone, the usual case, need no package that walks folders.
@@ -261,7 +264,7 @@ def read_runs(
 
     Args:
         paths: Paths of the files.
-        topics: Options for reading them.
+        topics: Options for reading the files.
         allow_no_poses: Whether bags with commands alone are accepted.
     """
     return list(iterate_runs(paths, topics, allow_no_poses=allow_no_poses))
@@ -309,7 +312,7 @@ class WorkOptions:
 
     Attributes:
         jobs: Number of processes. Default: one per core if that is faster.
-        scheduler: Use the Dask cluster of this scheduler. Its workers must find the files at the
+        scheduler: Use the Dask cluster of this scheduler. The workers must find the files at the
             same paths. Example: tcp://host:8786.
     """
 
@@ -338,7 +341,7 @@ class WorkOptions:
 
     @contextmanager
     def find_any_place(self) -> "Iterator[int | Executor | None]":
-        """Yield the same as `find_place`; None if the work itself chooses the fastest way."""
+        """Yield the same as `find_place`, or None if the work itself chooses the fastest way."""
         if self.scheduler is None and self.jobs is None:
             yield None
             return
@@ -369,13 +372,13 @@ def count_jobs(
     file_s: float = FILE_S,
     count_read: "Callable[[Path], int] | None" = None,
 ) -> int:
-    """Return the number of processes for files: as given, otherwise as `choose_jobs` says."""
+    """Return the number of processes for files: the given number, or else that of `choose_jobs`."""
     jobs = require_jobs(asked)
     return choose_jobs(files, file_s=file_s, count_read=count_read) if jobs is None else jobs
 
 
 def require_jobs(asked: int | None) -> int | None:
-    """Return the given number of processes; refuse a number below 1."""
+    """Return the given number of processes, or refuse a number below 1."""
     if asked is not None and asked < 1:
         raise UsageError(f"--jobs {asked}: must be at least 1")
     return asked

@@ -42,7 +42,7 @@ _SPOOLED: Final = 16 * 2**20
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FormatOptions:
-    """How to print; without any of them, tables for a terminal.
+    """Output formats. Default: tables for a terminal.
 
     Attributes:
         markdown: Print tables as Markdown.
@@ -76,12 +76,12 @@ class FormatOptions:
 
 
 def print_text(text: str, *, is_data: bool = False) -> None:
-    """Print a result; line breaks in third-party text have been escaped.
+    """Print a result. Line breaks in third-party text have been escaped.
 
     Args:
         text: Text of one or more lines.
-        is_data: Whether a program may read it, for which control characters are kept; for a
-            terminal they are escaped.
+        is_data: Whether a program may read the text. Control characters are kept for a program, and
+            escaped for a terminal.
     """
     if not is_data or sys.stdout.isatty():
         text = escape_controls(text, keep="\n")
@@ -94,7 +94,7 @@ _COLOURS: Final = {"PASS": "32", "FAIL": "31", "SKIPPED": "33"}
 
 
 def print_verdicts(text: str) -> None:
-    """Print a result with verdicts in lines and cells, in colour if colours are shown."""
+    """Print a result with verdicts in lines and cells, in colour if colours are on."""
     text = escape_controls(text, keep="\n").rstrip("\n")
     if shows_colour():
         # A verdict is at the start of a line, or of a cell, which follows two blanks.
@@ -111,7 +111,7 @@ def _paint(verdict: str) -> str:
 def shows_colour() -> bool:
     """Return whether stdout has colours: on a terminal, or by request of the environment.
 
-    NO_COLOR and FORCE_COLOR count if they are set and not empty; NO_COLOR has priority.
+    NO_COLOR and FORCE_COLOR take effect if they are set and not empty. NO_COLOR has priority.
     """
     if os.environ.get("NO_COLOR"):
         return False
@@ -121,7 +121,7 @@ def shows_colour() -> bool:
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print results, each in one line whatever it contains."""
+    """Print results, each in one line, whatever the result contains."""
     print_text("\n".join(map(escape_controls, lines)))
 
 
@@ -135,7 +135,7 @@ def print_tables(tables: "Sequence[Table]", kind: str) -> None:
 
 @contextmanager
 def outlive_reader() -> Iterator[None]:
-    """Continue if the reader of stdout has ended, as `head` does; the exit code stays valid."""
+    """Continue if the reader of stdout has ended, like `head`. The exit code stays valid."""
     try:
         yield
     except OSError as err:
@@ -151,7 +151,7 @@ def flush_stdout() -> None:
 
 
 def _is_device() -> bool:
-    """Return whether stdout is a terminal, or was: for a closed one `isatty` returns False."""
+    """Return whether stdout is or was a terminal; for a closed terminal, `isatty` returns False."""
     return stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)
 
 
@@ -170,12 +170,12 @@ _LINE: Final = 80
 
 
 def find_width() -> int:
-    """Return the characters in a line: those of the terminal, otherwise 80."""
+    """Return the number of characters in a line of the terminal; without a terminal 80."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else _LINE
 
 
 def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
-    """Return sentences as wrapped lines; words, commands and formulas stay whole."""
+    """Return sentences as wrapped lines. Words, commands and formulas stay whole."""
     return "\n".join(
         textwrap.fill(
             escape_controls(hide_secrets(line)),
@@ -189,7 +189,7 @@ def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
 
 
 def list_written(paths: Iterable[object]) -> list[str]:
-    """Return a line for every written file; paths stay whole, including blanks."""
+    """Return a line for every written file. Paths stay whole, including blanks."""
     return [escape_controls(hide_secrets(f"wrote {path}")) for path in paths]
 
 
@@ -211,11 +211,12 @@ def fit_table(table: "Table", *, indent: int = 0) -> str:
 
 
 _MOST_ROWS: Final = 20
-"""Largest number of runs in a table: the answer above names the best, and all fit a screen."""
+"""Largest number of runs in a table. So many runs fit a screen, and the answer above names the best
+run."""
 
 
 def cut_rows(table: "Table") -> "Table":
-    """Return the first rows of a table of runs, with the number of the others."""
+    """Return the first rows of a table of runs, with the number of the other rows."""
     more = len(table.rows) - _MOST_ROWS
     if more <= 0:
         return table
@@ -260,7 +261,7 @@ def print_error(text: str) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON value and nothing else; numbers that are not finite become null.
+    """Print one JSON value and nothing else. Numbers that are not finite become null.
 
     Args:
         value: Answer: a dataclass, or a JSON type. Numbers, booleans and arrays of numpy are
@@ -271,7 +272,7 @@ def print_json(value: Any) -> None:
 
 
 def print_json_list(values: Iterable[Any]) -> None:
-    """Print one JSON list as `print_json` does, item by item, with little memory.
+    """Print one JSON list like `print_json`, item by item, with little memory.
 
     Nothing is printed before the last item is ready.
     """
@@ -296,7 +297,7 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
 
 
 def _show_cell(cell: Any) -> Any:
-    """Return a cell as text that is not a formula: for a program unchanged, else escaped."""
+    """Return a cell as text that is not a formula: unchanged for a program, else escaped."""
     text = guard_cell(cell)
     return escape_controls(text) if isinstance(text, str) and sys.stdout.isatty() else text
 

@@ -161,7 +161,7 @@ def _require_no_figures(table: Path, given: Mapping[str, object]) -> None:
 
 @contextmanager
 def _collect_rarely() -> Iterator[None]:
-    """Search for cyclic garbage rarely: for figures this takes a sixth of the time otherwise.
+    """Search for cyclic garbage rarely, because for figures it would take a sixth of the time.
 
     Existing objects, which are mostly libraries, are never searched.
     """
@@ -181,7 +181,7 @@ def _build_page(where: PageOptions, kinds: list[str], names: list[str] | None) -
 
 
 def _tell_whole(names: Iterable[str], page: "Page") -> None:
-    """Print the figures that the page's time window does not cut."""
+    """Print the names of figures that the page's time window does not cut."""
     whole = [name for name in names if name in TIMELESS]
     if whole and (page.from_s is not None or page.to_s is not None):
         print_note(f"plot: not cut in time: {', '.join(dict.fromkeys(whole))}")
@@ -200,7 +200,7 @@ def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FigureAnswer:
-    """A figure: its file, its name, its content, and the corresponding figure of the paper."""
+    """A figure: file, name, content, and the corresponding figure of the paper."""
 
     file: str
     figure: str
@@ -218,7 +218,7 @@ class PlotAnswer:
         figures: The figures.
         tables: Files of tables.
         left_out: Figures that were not drawn, with reasons.
-        movie: The movie; None without one.
+        movie: The movie; None without a movie.
     """
 
     files: list[str]
@@ -305,7 +305,7 @@ def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list
 
 
 def _require_alike(runs: "list[Run]") -> "list[Run]":
-    """Refuse runs without poses beside runs with poses: they have no common axis."""
+    """Refuse runs without poses together with runs with poses, because they have no common axis."""
     bare = [run.name for run in runs if not len(run.poses)]
     if 0 < len(bare) < len(runs):
         raise UsageError(f"{bare[0]} has commands alone, and other files have poses: plot it alone")
@@ -315,7 +315,7 @@ def _require_alike(runs: "list[Run]") -> "list[Run]":
 _OTHER_PICTURES: Final = frozenset(
     {".bmp", ".eps", ".gif", ".jpeg", ".jpg", ".ps", ".tif", ".tiff", ".webp"}
 )
-"""Suffixes that no folder has: a user who types one means a picture."""
+"""Suffixes that folders never have. A user who types such a suffix means a picture."""
 _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 """Default content of a single file: the first figure that has data."""
 
@@ -361,10 +361,10 @@ class _Drawing:
 
     Attributes:
         runs: Runs to draw.
-        only: Requested figures; None: the usual ones.
+        only: Requested figures. None: the usual figures.
         formats: File formats of each figure.
         page: Page format.
-        jobs: Number of processes; None: the fastest number.
+        jobs: Number of processes. None: the fastest number.
     """
 
     runs: "Sequence[Run]"
@@ -374,7 +374,7 @@ class _Drawing:
     jobs: int | None
 
     def add_figures(self, write: Callable[[str, bytes], Path]) -> list[Path]:
-        """Draw the figures and write each in its formats."""
+        """Draw the figures, and write each figure in its formats."""
         from turtlelog.draw.figures.writing import add_figures
 
         return add_figures(

@@ -1,4 +1,4 @@
-"""Progress of a command: a bar on stderr, if that is a terminal, after a second."""
+"""Progress of a command: after a second, a bar on stderr, if stderr is a terminal."""
 
 import os
 import sys
@@ -17,7 +17,7 @@ _REFRESH_S: Final = 0.1
 
 
 class ProgressLine:
-    """A progress bar, drawn by its own thread, so that one long step is visible as well.
+    """A progress bar, drawn by a separate thread, so that one long step is visible as well.
 
     Attributes:
         done: Finished work in the unit of `total`, set by the working code.
@@ -26,12 +26,12 @@ class ProgressLine:
     def __init__(
         self, label: str, total: float | None, unit: str, *, has_rate: bool = False
     ) -> None:
-        """Start to wait until the bar appears.
+        """Start waiting for the time when the bar appears.
 
         Args:
             label: Name of the work.
             total: Total work; None if unknown.
-            unit: Unit of both.
+            unit: Unit of done and total work.
             has_rate: Whether to show the rate, and the remaining time at that rate.
         """
         self.done = 0.0
@@ -47,7 +47,7 @@ class ProgressLine:
         self.done = 100.0 * done / total
 
     def close(self) -> None:
-        """Restore the terminal; a second call does nothing."""
+        """Restore the terminal. A second call does nothing."""
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -91,7 +91,7 @@ class ProgressLine:
 
 
 class Rate:
-    """The rate of some work since the first call; earlier work does not count."""
+    """Rate of work since the first call; earlier work does not count."""
 
     def __init__(self) -> None:
         self._first: tuple[float, float] | None = None
@@ -116,7 +116,7 @@ _live: Final[list[ProgressLine]] = []
 def show_progress(
     label: str, total: float | None = None, unit: str = "", *, has_rate: bool = False
 ) -> Iterator[ProgressLine]:
-    """Show the progress of a block that takes more than a second."""
+    """Show the progress of a block that takes longer than a second."""
     progress = ProgressLine(label, total, unit, has_rate=has_rate)
     _live.append(progress)
     try:

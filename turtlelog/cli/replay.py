@@ -1,4 +1,4 @@
-"""`turtlelog replay`: a recording driven again."""
+"""`turtlelog replay`: replay of a recording."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 _Answer = tuple[ReplayAnswer, str, "LawReplay | LoopReplay | PlantReplay"]
-"""The answer as data, as text, and the replay itself."""
+"""The answer as data and as text, and the replay itself."""
 
 
 def replay(

@@ -9,8 +9,9 @@ import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.cli.replay_metrics import MetricChange, build_changes, format_changes
-from turtlelog.display import describe_count, format_pair, show_angle
+from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.escapes import escape_controls
+from turtlelog.run.ending import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -35,7 +36,7 @@ class DifferenceAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseErrorAnswer:
-    """The largest differences of a pose [m, rad]; null if poses were given, not computed."""
+    """Largest differences of a pose [m, rad]; null if poses were given instead of computed."""
 
     x: float | None = None
     y: float | None = None
@@ -57,7 +58,7 @@ class SignalAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CountAnswer:
-    """Numbers of rows, or stop reasons, of the recording and of the replay."""
+    """Numbers of rows, or stop reasons, in the recording and in the replay."""
 
     recorded: Any
     replayed: Any
@@ -72,13 +73,13 @@ class ReplayAnswer:
         name: Name of the run.
         mode: Kind of the replay: loop, law or plant.
         samples: Number of compared samples.
-        max_abs_error: The largest differences of the pose.
-        first_difference: First difference of the replay; None if there is none.
+        max_abs_error: Largest differences of the pose.
+        first_difference: First difference of the replay; None if nothing differs.
         stretches: Segments of a replay through the plant.
         jumps: Jumps of the robot to another place.
         gaps: Gaps in the poses.
-        verdict: Verdict of --expect-equal; None without it.
-        results: Results of --expect-equal; None without it.
+        verdict: Verdict of --expect-equal; None without this option.
+        results: Results of --expect-equal; None without this option.
     """
 
     file: str
@@ -159,7 +160,7 @@ class LawReplayAnswer(ReplayAnswer):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopReplayAnswer(ReplayAnswer):
-    """A scenario that was simulated again."""
+    """Replay of a scenario that was simulated again."""
 
     replay: str
     by: str
@@ -174,7 +175,7 @@ class LoopReplayAnswer(ReplayAnswer):
 
 
 def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
-    """Return a difference for an answer; time counts from the first sample."""
+    """Return a difference for an answer, with its time from the first sample."""
     if found is None:
         return None
     return DifferenceAnswer(
@@ -251,7 +252,7 @@ def _compare_software(run: "Run", found: "LawReplay | LoopReplay") -> "tuple[Sof
 
 
 def _describe_software(run: "Run", found: "LawReplay | LoopReplay") -> list[str]:
-    """Return whether a run and its replay come from the same software, if the file contains it."""
+    """Return whether a run and its replay come from the same software, if the file shows this."""
     changes = _compare_software(run, found)
     if not run.simulated_by:
         return []
@@ -292,7 +293,7 @@ def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> 
 
 
 def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
-    """Return the declaration of the replayed law if a different one was recorded."""
+    """Return the declaration of the replayed law if another declaration was recorded."""
     told = found.declaration
     if told is None:
         return []
@@ -316,20 +317,26 @@ def _describe_published(found: "LawReplay") -> str:
 def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -> str:
     """Return whether the replay equals the recording, and its first difference."""
     first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
+    name = escape_controls(file.name)
     if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
         columns = "every column that it holds" if found.absent else "every column"
-        slack = _describe_slack(found.signals)
-        head = f"the replay is the recording, in {columns}{end}{slack}"
+        lines = [
+            f"{name}: the replay is the recording, in {columns}{end}"
+            f"{_describe_slack(found.signals)}."
+        ]
     else:
-        # For a changed scenario, a difference is expected and not a failure.
-        given = "with" if found.run.name.startswith(run.name) else "called"
-        whose = f"{given} {changes}, the replay" if changes else "the replay"
-        head = (
-            f"{escape_controls(whose)} departs in {_format_difference(run, first, found.signals)}"
-        )
-    lines = [f"{escape_controls(file.name)}: {head}."]
+        departs = f"departs in {_format_difference(run, first, found.signals)}."
+        lines = [f"{name}: the replay {departs}"]
+        if changes:
+            # For a changed scenario, a difference is expected: its result is the answer.
+            given = "with" if found.run.name.startswith(run.name) else "called"
+            change = escape_controls(f"{given} {changes}")
+            result = _describe_result(run, found.run)
+            lines = [f"{name}: {change}, the replay {departs}"]
+            if result:
+                lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
     lines += [*_list_counts(run, found), *_format_declaration(found)]
     lines += [] if first is None or changes else _describe_software(run, found)
     rows = "tick by tick" if found.by_tick else "sample by sample"
@@ -339,10 +346,26 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
 
 
+def _describe_result(run: "Run", replayed: "Run") -> str:
+    """Return how a replay ended beside the recording, or its most important metric."""
+    ends = [find_goal_end(one) for one in (run, replayed)]
+    if ends[0] is not None and ends[1] is not None:
+        was = format_short(ends[0].error_m, "m")
+        after = f" after {ends[0].duration_s:.3g} s"
+        is_same = (ends[0].error_m, ends[0].duration_s) == (ends[1].error_m, ends[1].duration_s)
+        return f"it {ends[1].describe()}, {'as' if is_same else f'not {was}{after} as'} recorded."
+    both = [one for one in build_changes(run, replayed) if one.difference is not None]
+    if not both:
+        return ""
+    was, now = format_pair(both[0].recorded, both[0].replayed, both[0].unit)
+    beside = "as recorded" if both[0].difference == 0.0 else f"recorded {was}"
+    return f"{both[0].id} is {now}, {beside}."
+
+
 def _format_signals(
     run: "Run", found: "LawReplay | LoopReplay", title: str, *, details: bool
 ) -> str:
-    """Return the table of signals, or how many differ and how to show them."""
+    """Return the table of signals, or the number of differing signals and how to show them."""
     if details:
         rest = fill_lines(_describe_rest(found.signals, found.absent))
         return f"\n{fit_table(_tabulate(run, found.signals, title))}\n{rest}".rstrip()
@@ -391,7 +414,7 @@ def _tabulate(run: "Run", signals: "Sequence[SignalDifference]", title: str) -> 
 
 
 def _show(found: "SignalDifference") -> tuple[str, float]:
-    """Return unit and largest difference for display; a count has no unit."""
+    """Return unit and largest difference for display. A count has no unit."""
     largest, unit = show_angle(found.largest, found.unit)
     return "" if unit == "1" else unit, largest
 
@@ -412,7 +435,7 @@ def _is_printed(found: "SignalDifference") -> bool:
 
 
 def _list_counts(run: "Run", found: "LoopReplay") -> list[str]:
-    """Return the numbers of rows, and the stop reasons of both."""
+    """Return the numbers of rows, and the stop reasons, of recording and replay."""
     counts = [
         f"{count.recorded} {name}"
         if count.recorded == count.replayed

@@ -53,7 +53,7 @@ class ReplayOptions:
 def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | None]:
     """Return the recording, and the law that replaces the recorded one.
 
-    A word after --law is its KIND; the last word is FILE if there is no other.
+    A word after --law is its KIND. The last word is FILE if there is no other word.
     """
     words = list(options.law or ())
     if file is None and words:
@@ -92,7 +92,7 @@ def require_sound(
 def choose_replayed(
     run: "Run", options: ReplayOptions, changes: ScenarioOptions | None, kind: str | None
 ) -> "Scenario | None":
-    """Return the scenario to replay; None for the recording's own without changes."""
+    """Return the scenario to replay; None for the unchanged scenario of the recording."""
     if options.law is not None:
         _require_keys_of_law(changes)
     if changes is None and kind is None and options.scenario is None:
@@ -124,7 +124,7 @@ def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
 
 
 def _find_named_law(changes: ScenarioOptions | None) -> str | None:
-    """Return the law in --set, so that the recorded law is not checked before it is replaced."""
+    """Return the law in --set, so that the recorded law is not checked if --set replaces it."""
     if changes is None:
         return None
     kind = tl.scenario.parse_assignments(changes.assignments or (), source="--set").get("law.kind")
@@ -132,7 +132,7 @@ def _find_named_law(changes: ScenarioOptions | None) -> str | None:
 
 
 def _replace_law(run: "Run", kind: str) -> "Run":
-    """Return a run without the data of its law of another kind, which need not be loadable."""
+    """Return a run without data of its law of another kind, which may be impossible to load."""
     if run.parameters.get("law.kind") in (None, kind):
         return run
     kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}

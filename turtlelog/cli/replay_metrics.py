@@ -36,7 +36,7 @@ _OF_RUN: Final = frozenset(
 
 
 def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured]":
-    """Return the essential metrics of both runs in one order; missing ones have a status."""
+    """Return the essential metrics of both runs in one order. Missing metrics have a status."""
     essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
     parts = ((name, name.rpartition(".")[2]) for name in essential)
     of_loops = [name for name, plain in parts if plain in _OF_LOOP]
@@ -45,7 +45,7 @@ def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured
 
 
 def build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
-    """Return the metrics of both."""
+    """Return the metrics of both runs."""
     was, now = _measure_both(recorded, replayed)
     return [
         MetricChange(
@@ -62,7 +62,7 @@ def build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
 
 
 def format_changes(recorded: "Run", replayed: "Run") -> str:
-    """Return the essential metrics of both, and the difference."""
+    """Return the essential metrics of both runs, with their differences."""
     was, now = _measure_both(recorded, replayed)
     return fit_table(
         tl.compare.Table(
@@ -95,7 +95,7 @@ def _subtract(was: "Measured", now: "Measured", name: str) -> float | None:
 
 
 def _list_ids(was: "Measured", now: "Measured") -> list[str]:
-    """Return the ids of both: the end, then each loop, then the whole run."""
+    """Return the ids of both runs: the end, then each loop, then the whole run."""
     names = dict.fromkeys([*was, *now])
     ranks = {"final": 0, "run": 2}
     return sorted(names, key=lambda name: ranks.get(name.partition(".")[0], 1))

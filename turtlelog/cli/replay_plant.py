@@ -89,7 +89,7 @@ def _build_pose(pose: "Sequence[float]") -> PoseAnswer:
 
 
 def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
-    """Return whether the plant reproduces the poses, its segments, and the breaks between them."""
+    """Return whether the plant reproduces the poses, with its segments and their breaks."""
     use = found.commands
     and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
     stops = f"; the plant stopped by itself {use.stops} times" if use.stops else ""
@@ -148,7 +148,7 @@ def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
 
 
 def judge_rounding(found: "PlantReplay") -> list[str]:
-    """Return whether rounding explains the differences, and whose arithmetic it is."""
+    """Return whether rounding explains the differences, and whose arithmetic was used."""
     beyond = sum(not stretch.within_rounding for stretch in found.stretches)
     if found.of_rounding == 0.0:
         sentences = ["The plant reproduces every pose."]
@@ -194,11 +194,12 @@ class CommandReplayAnswer:
         plant: Plant that was driven: turtlesim, or lagged, a robot model.
         commands: Number of recorded commands.
         taken: Number of commands that the plant took.
-        duration_s: Time for which the plant was driven [s].
-        path_length_m: Length of its path [m].
+        duration_s: Time for which the plant was simulated [s].
+        path_length_m: Length of the plant's path [m].
         end: Last pose of the plant [m, rad].
-        wall_s: Time at which it met a wall of its world, from the first command [s]; None: never.
-        output: Written recording; None without one.
+        wall_s: Time at which the plant met a wall of its world, from the first command [s]; None:
+            never.
+        output: Written recording; None without a recording.
     """
 
     file: str
@@ -221,7 +222,7 @@ def replay_commands_alone(
     changes: ScenarioOptions | None,
     output: Path | None,
 ) -> tuple[CommandReplayAnswer, str]:
-    """Drive a plant with the commands of a run without poses, and write its path."""
+    """Drive a plant with the commands of a run without poses, and write the plant's path."""
     _require_of_commands(file, mode)
     scenario = tl.Scenario() if mode.scenario is None else tl.load_scenario(mode.scenario)
     found = tl.replay.drive_commands(run, change_scenario(scenario, changes))

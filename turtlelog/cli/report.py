@@ -54,9 +54,9 @@ def report(
 ) -> int:
     """Write a report on runs as one file of HTML, which opens without a network.
 
-    It begins with the result in a sentence: which run ends nearest to its goal, which check fails,
-    what caused the worst. Then follow the plane with a slider over time, plots to zoom, tables,
-    checks, and the files with their sha256.
+    The report begins with the result in a sentence: which run ends nearest to its goal, which check
+    fails, what caused the worst run. Then follow the plane with a slider over time, plots to zoom,
+    tables, checks, and the files with their sha256.
 
     The exit code is 1 if a check of --spec fails.
 
@@ -146,7 +146,7 @@ class ReportAnswer:
 def build_check_lines(
     results: "Sequence[CheckResult]", names: "Mapping[str, str]", runs: "Mapping[str, Run]"
 ) -> "list[CheckLine]":
-    """Return results as a report shows them.
+    """Return results in the form for a report.
 
     Args:
         results: Results of checks.

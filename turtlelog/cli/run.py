@@ -10,13 +10,13 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
+from turtlelog.cli.metrics_answer import format_run, list_needed
 from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
     describe_metrics,
     fill_lines,
-    fit_table,
     flush_stdout,
     print_json,
     print_note,
@@ -35,6 +35,7 @@ from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, UsageError
 from turtlelog.files.urls import make_path
+from turtlelog.run.ending import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
@@ -54,7 +55,7 @@ _ADVICE: Final = (
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions:
-    """Options for actions while the loop runs, and after it.
+    """Options while the loop runs and after it.
 
     Attributes:
         watch: Run again when the file of the law or the scenario file is saved, and show what
@@ -83,7 +84,7 @@ class RecordOptions:
         output: Write the recording to this .mcap file.
         rrd: Write a Rerun recording to this .rrd file.
         strip_scenario: Leave the scenario out of the recording, and name the run after its file.
-            Use it to try `turtlelog explain` on a run with unknown settings.
+            Then `turtlelog explain` can be tried on a run with unknown settings.
         trust_law: Run the code of the law that a recording or table names, if the law is not built
             in.
     """
@@ -111,15 +112,15 @@ def run(
     With --realtime, the recording is written to a new file while the loop runs. That file is
     readable up to the last second, however the run ends. Ctrl-C or a terminal that closes ends the
     run and completes the file (exit code 130). With --live a viewer shows the run; closing the
-    viewer does not end it. If a law fails, the samples before the failure are written (exit code
-    2).
+    viewer does not end the run. If a law fails, the samples before the failure are written (exit
+    code 2).
 
     Notes on stderr report a gain above the stability limit, which theory gives for the dead time of
-    these settings. They also report a goal, goal heading or path that the law ignores.
+    these settings. Further notes report a goal, goal heading or path that the law ignores.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
-            scenario is simulated again. Default: paper, or textbook with --law.
+            scenario is simulated again. Default: paper; with --law: textbook.
         json: Print one JSON object instead of tables.
     """
     record, live, source = record or RecordOptions(), live or LiveOptions(), source or RowOptions()
@@ -153,7 +154,7 @@ def scenario(
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
-            Default: paper, or textbook with --law.
+            Default: paper; with --law: textbook.
     """
     chosen = load_changed_scenario(scenario, options)
     print_text(tl.format_scenario(chosen))
@@ -227,8 +228,7 @@ def _answer(
     if json:
         print_json(build_answer(result, output=record.output, rrd=record.rrd))
     else:
-        table = _format_run(result) if before is None else describe_change(result, before)
-        print_text(f"{_write_end(result)}\n\n{table}")
+        print_text(_describe_ending(result, file=record.output, before=before))
     return code
 
 
@@ -247,7 +247,7 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
 
 
 def _strip(run: "Run", path: Path) -> "Run":
-    """Return a run with only its observable data: rows, goal, end, and loops."""
+    """Return a run with only observable data: rows, goal, end, and loops."""
     known = tl.run.paths.PATH_KEYS  # a path is observable like the goal: errors refer to it
     return replace(
         run,
@@ -268,7 +268,7 @@ def _simulate(scenario: "Scenario", step_budget_s: float) -> "Run":
 
 @contextmanager
 def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str | None]]":
-    """Yield the window if one is requested, and the address at which the viewer receives data."""
+    """Yield the requested window, if any, and the address at which the viewer receives data."""
     if live.connect is not None or not live.live:
         yield None, live.connect
         return
@@ -277,7 +277,7 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
 
 
 def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: str | None) -> "Run":
-    """Return the run; if a law fails, write the part before."""
+    """Return the run. If a law fails, write the part before the failure."""
     try:
         return _drive(scenario, record.output, live, url)
     except SimulationError as err:
@@ -330,7 +330,7 @@ class _Watcher:
 
 
 _LONGEST: Final = 24
-"""Longest name in a table [characters]; the changes in a longer one have a line of their own."""
+"""Longest name in a table [characters]. The changes in a longer name have a separate line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -339,10 +339,11 @@ class RunAnswer:
 
     Attributes:
         name: Name of the run.
-        file: Written recording; None without one.
-        rrd: Written Rerun recording; None without one.
+        file: Written recording; None without a recording.
+        rrd: Written Rerun recording; None without a Rerun recording.
         samples: Number of samples.
         stop_reason: Reason why the run ended.
+        ending: End of the run at its goal, in words; None without a goal.
         metrics: All metrics of the run.
     """
 
@@ -351,38 +352,40 @@ class RunAnswer:
     rrd: str | None
     samples: int
     stop_reason: str | None
+    ending: str | None
     metrics: list[dict[str, Any]]
 
 
 def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
     """Return the answer."""
+    end = find_goal_end(run)
     return RunAnswer(
         name=run.name,
         file=None if output is None else str(output),
         rrd=None if rrd is None else str(rrd),
         samples=len(run.samples),
         stop_reason=run.stop_reason,
+        ending=None if end is None else end.describe(),
         metrics=describe_metrics(tl.measure_run(run)),
     )
 
 
-def _write_end(run: "Run") -> str:
-    """Return a run's final distance from the goal, its time, and its stop reason."""
+def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> str:
+    """Return how a run ended, and its essential metrics; after a change, those that changed."""
     name, changes = _split_name(run)
-    lines = [f"{name}: {tl.charts.describe_end(run)}."]
-    lines += [f"Changed: {changes}"] if changes else []
-    lines += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
-    return fill_lines(lines)
+    facts = [f"Changed: {changes}"] if changes else []
+    facts += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
+    if before is not None:
+        head = fill_lines([f"{name}: {tl.charts.describe_end(run)}.", *facts])
+        return f"{head}\n\n{describe_change(run, before)}"
+    needed = list_needed(run, has_path=False)
+    summary = tl.compare.summarise_run(
+        run, file="" if file is None else str(file), metrics=tl.measure_run(run, only=needed)
+    )
+    return format_run(summary, name, facts=facts)
 
 
 def _split_name(run: "Run") -> tuple[str, str]:
     """Return a name that fits a table, and the changes that a longer name contains."""
     base, _, changes = run.name.partition(" ")
     return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
-
-
-def _format_run(run: "Run") -> str:
-    """Return the essential metrics as a table."""
-    only = tl.measure.list_essential_metrics(run.declaration)
-    named = replace(run, name=_split_name(run)[0])
-    return fit_table(tl.compare.tabulate_metrics([named], only=only))

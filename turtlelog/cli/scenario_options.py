@@ -61,7 +61,8 @@ class LawOptions(ScenarioOptions):
         """Return the kind of law in --law or --set.
 
         Raises:
-            UsageError: If they name two laws, or one beside --commands, which replaces the law.
+            UsageError: If the options name two laws, or a law together with --commands, which
+                replaces the law.
         """
         changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
         kind = changes.get("law.kind")
@@ -76,11 +77,11 @@ class LawOptions(ScenarioOptions):
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowOptions:
-    """A row of a table instead of SCENARIO.
+    """A row of a table in place of SCENARIO.
 
     Attributes:
         table: Run the scenario of a row of this table, which `turtlelog sweep` wrote.
-        row: Number of that row, as in the column `row`.
+        row: Number of the row to run, as in the column `row`.
     """
 
     table: Annotated[Place | None, Parameter(name="--from", metavar="FILE")] = None
@@ -100,11 +101,11 @@ class RowOptions:
 
 
 _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
-"""Suffixes of files, besides scenario files, that may contain a scenario."""
+"""Suffixes of files, in addition to scenario files, that may contain a scenario."""
 
 
 def find_scenario_file(name: str | None) -> Path | None:
-    """Return the scenario file named by a word; None if it names something else."""
+    """Return the scenario file named by a word; None if the word names anything else."""
     if name is None or name in tl.PRESETS or is_recording(make_path(name)):
         return None
     path = make_path(name)
@@ -112,7 +113,7 @@ def find_scenario_file(name: str | None) -> Path | None:
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a word names a recording, judged by its suffix, or a bag's folder."""
+    """Return whether a word names a recording, judging by its suffix, or a bag's folder."""
     path, topic = tl.log.split_topic(path)
     return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
 
@@ -120,11 +121,11 @@ def is_recording(path: Path) -> bool:
 def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
     """Return a preset, or the scenario of a file or recording, with the options applied.
 
-    Its name contains the changes. The code of a law is loaded only to set its gains; that of a
-    recording is never loaded, because the recording contains its gains.
+    The name of the scenario contains the changes. The code of a law is loaded only to set its
+    gains. The law of a recording is never loaded, because the recording contains its gains.
 
     Args:
-        name_or_path: Preset, file or recording. None: `paper`; with --law `textbook`, whose loop
+        name_or_path: Preset, file or recording. Default: `paper`; with --law `textbook`, whose loop
             has no effects.
         options: Changes to apply.
     """
@@ -163,7 +164,7 @@ def apply_options(
     Args:
         base: Scenario to change.
         options: Changes to apply.
-        declared: Declaration of its law from a recording; None: from the law.
+        declared: Declaration of the law from a recording. Default: from the law.
     """
     options, scenario, said = options or LawOptions(), base, []
     if options.law is not None:
@@ -183,7 +184,7 @@ def list_given_keys(options: ScenarioOptions | None) -> list[str]:
 def name_by_changes(
     scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
 ) -> "Scenario":
-    """Return a scenario named after its base and the changes.
+    """Return a scenario that is named after its base and the changes.
 
     A name from --set is kept.
 
@@ -208,7 +209,7 @@ def _list_changes(options: ScenarioOptions | None) -> list[str]:
 
 
 def _tell(text: str) -> str:
-    """Return a change for a name in one line, whatever its value."""
+    """Return a change as text for a name, in one line, whatever its value."""
     return text if text.isprintable() else repr(text)[1:-1]
 
 
@@ -222,7 +223,7 @@ def change_scenario(
     Args:
         scenario: Scenario to change.
         options: Changes to apply.
-        declaration: Declaration of its law from a recording; None: from the law.
+        declaration: Declaration of the law from a recording. Default: from the law.
     """
     options = options or ScenarioOptions()
     if options.commands is not None:

@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
 
 _MANY_ROWS: Final = 1_000_000
-"""Number of rows from which consent is requested: uncompiled, they take hours."""
+"""Number of rows from which consent is requested; without compilation, these rows take hours."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanOptions:
-    """Which rows there are.
+    """Rows of the sweep.
 
     Attributes:
         grid: Vary a key over a range with both ends, or over a list. Examples:
@@ -49,7 +49,7 @@ class PlanOptions:
             (all gains together). Can be repeated: every combination is a row, the last key varies
             fastest.
         zip_: Vary two or more keys together: their first values, their second values, and so on.
-            Give it once for each key.
+            Give this option once for each key.
         sample: Number of rows to choose at random instead: any number between A and B for A:B, one
             value for A:B:STEP or a list.
         seed: Seed of the random choice. Default: 0.
@@ -73,7 +73,7 @@ class PlanOptions:
 
         Raises:
             UsageError: If options cannot be combined.
-            SweepError: If there is nothing to vary, or a value cannot be read.
+            SweepError: If nothing varies, or a value cannot be read.
         """
         return tl.sweep.build_plan(self.grid or (), self.zip_ or (), self._choose_sampling())
 
@@ -109,11 +109,11 @@ class SweepTableOptions:
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_patterns(self) -> list[str] | None:
-        """Return the requested metrics; None if there are none."""
+        """Return the requested metrics; None without a request."""
         return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_records(self, work: WorkOptions) -> "RowRecords | None":
-        """Return the settings for recording runs, with paths valid for workers."""
+        """Return the settings for recording runs, with paths that are valid for workers."""
         if self.record is None:
             if self.record_where is not None:
                 raise UsageError("--record-where: needs --record DIR")
@@ -125,7 +125,7 @@ class SweepTableOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepOptions(WorkOptions):
-    """How it is done.
+    """Options for the work.
 
     Attributes:
         yes: Sweep over more than a million rows without asking.
@@ -160,12 +160,13 @@ def sweep(
 
     Example: turtlelog sweep mine.toml --grid seed=0:31 --record runs -o s.parquet
 
-    Random effects use the scenario's seed. It is the same in every row unless it is varied: --grid
-    seed=0:31. `turtlelog run --from results.parquet --row 123` simulates a row again.
+    Random effects use the scenario's seed. The seed is the same in every row unless the seed is
+    varied: --grid seed=0:31. `turtlelog run --from results.parquet --row 123` simulates a row
+    again.
 
     Args:
-        base: A preset (turtlelog list presets), a scenario file (.toml), as `identify` writes one,
-            or a recording. Default: paper, or textbook with --law.
+        base: A preset (turtlelog list presets), a scenario file (.toml), also one written by
+            `identify`, or a recording. Default: paper; with --law: textbook.
         json: Print one JSON object instead of a line.
     """
     begun, work = time.monotonic(), work or SweepOptions()
@@ -226,7 +227,7 @@ def _prepare(
 
 
 def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
-    """Print the cost of a large sweep; continue if the user at the terminal agrees."""
+    """Print the cost of a large sweep, and continue if the user at the terminal agrees."""
     rows = prepared.plan.row_count
     found = tl.sweep.estimate_sweep(prepared, jobs=jobs)
     took = timedelta(seconds=max(1, round(found.seconds)))
@@ -296,11 +297,11 @@ def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json:
 
 
 _TOLD: Final = ("final.position_error", "run.duration")
-"""Metrics whose range is printed: the first with values, otherwise any other metric."""
+"""Metrics whose range is printed: the first metric with values, or else any other metric."""
 
 
 def _describe_best(output: Path) -> str:
-    """Return the range of a metric over all rows, and its best row."""
+    """Return the range of a metric over all rows, with its best row."""
     import numpy as np
 
     for patterns in (*([name] for name in _TOLD), None):

@@ -1,4 +1,4 @@
-"""Checks of outputs before any work, so that none fails at its end."""
+"""Checks of outputs before any work, so that no output fails at the end."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,7 @@ from turtlelog.files.urls import RemotePath
 from turtlelog.libraries import load_library
 
 _LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
-"""Libraries that write files of a suffix, which a slim installation lacks."""
+"""Libraries that write files of a suffix, and that a slim installation does not have."""
 
 PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
 """Suffixes of figures."""
@@ -22,7 +22,7 @@ PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
 def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
     """Refuse a file that could not be written, is an input, or has another suffix.
 
-    An existing file is accepted: it is replaced when the new one is complete.
+    An existing file is accepted, and is replaced when the new file is complete.
 
     Raises:
         UsageError: If the file is refused.
@@ -57,7 +57,7 @@ def require_pictures(
 
 
 def require_new_folder(target: Path) -> None:
-    """Refuse a folder that could not be created, or contains files."""
+    """Refuse a folder that could not be created, or that contains files."""
     with _name_target(target):
         if isinstance(target, RemotePath):
             raise UsageError("a URL names a file here, not a folder")
@@ -70,7 +70,7 @@ def require_new_folder(target: Path) -> None:
 
 
 def require_apart(targets: Sequence[Path]) -> None:
-    """Refuse outputs that are equal, or of which one would be inside another."""
+    """Refuse outputs that are equal, or that would be inside each other."""
     places = [_resolve(target) for target in targets]
     for number, place in enumerate(places):
         for other in places[:number]:
@@ -81,7 +81,7 @@ def require_apart(targets: Sequence[Path]) -> None:
 
 
 def _resolve(target: Path) -> Path:
-    """Return the target of a path; links that form a circle stay unchanged."""
+    """Return the target of a path. Links that form a circle stay unchanged."""
     return target if isinstance(target, RemotePath) else Path(os.path.realpath(target))
 
 

@@ -43,7 +43,7 @@ _GAINS: Final = "1,2,4,10"
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TermOptions:
-    """Further terms of the controller besides P, and the process of its command.
+    """Further terms of the controller besides P, and the process that it controls.
 
     Attributes:
         ki: Integral gain [1/s^2].
@@ -51,7 +51,7 @@ class TermOptions:
         filter: Time constant of the derivative's first-order filter [s].
         gain: Gain K of the plant K exp(-theta s) / ((tau s + 1) s) [1]. Default: 1.
         lag: Time constant tau of the plant [s].
-        dead_time_s: Dead time theta [s], any fraction of a period. It adds to --dead-time.
+        dead_time_s: Dead time theta [s], any fraction of a period, in addition to --dead-time.
         low_pass: Time constant of a first-order low-pass of the commands [s], as low_pass_s of
             [shaping].
     """
@@ -130,10 +130,10 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
             gain to set.
         terms: Other terms and the plant.
         period: Sampling period [s]. Default: 0.016, turtlesim's tick.
-        dead_time: Dead time [ticks], 0 to 1000. Default: 0, the least possible.
+        dead_time: Dead time [ticks], 0 to 1000. Default: 0, the smallest possible.
         assignments: Set one key of the scenario. Can be repeated.
-        topics: How a recording is read.
-        wishes: What recommended gains shall give.
+        topics: Options for reading a recording.
+        wishes: Requirements for recommended gains.
         details: Also print the tables and sources that few people need.
         json: Print one JSON object instead of text.
     """
@@ -151,7 +151,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
 
 
 def _name_option(text: str) -> str:
-    """Return an error about a quantity of the theory with the option that sets it."""
+    """Return an error about a quantity of the theory, with the option that sets it."""
     name, colon, problem = text.partition(": ")
     if not colon or name not in _OPTIONS:
         return text
@@ -188,7 +188,7 @@ _Timing = tuple[float | None, int | None]
 
 
 def _require_alone(terms: TermOptions, timing: _Timing) -> None:
-    """Refuse options of a plant together with a scenario, which has its own."""
+    """Refuse options of a plant together with a scenario, which has its own plant."""
     given = terms.list_given()
     given += [
         name for name, value in zip(("--period", "--dead-time"), timing, strict=True) if value
@@ -200,7 +200,7 @@ def _require_alone(terms: TermOptions, timing: _Timing) -> None:
 def _answer_loop(
     changes: "_Changes", terms: TermOptions, timing: _Timing, wanted: Wishes, form: "_Form"
 ) -> None:
-    """Answer for P, PI, PD or PID control of an integrator, at each Kp."""
+    """Print the answer for P, PI, PD or PID control of an integrator, at each Kp."""
     (kp, assignments), (period, dead_time) = changes, timing
     if assignments:
         raise UsageError("--set changes a scenario: turtlelog theory SCENARIO --set KEY=VALUE")
@@ -237,7 +237,7 @@ def _answer_terms(
     wanted: Wishes,
     form: _Form,
 ) -> None:
-    """Answer for a loop with more than P on 1/s, at each Kp."""
+    """Print the answer for a loop with more than P on 1/s, at each Kp."""
     process = terms.build_process()
     period_s, dead_time = timing
     late = replace(process, dead_time_s=process.dead_time_s + dead_time * period_s)
@@ -302,7 +302,7 @@ class _Changes(NamedTuple):
 def _answer_file(
     word: str, changes: _Changes, topics: ReadingOptions | None, wanted: Wishes, form: _Form
 ) -> None:
-    """Answer for each loop of a scenario or a recording."""
+    """Print the answer for each loop of a scenario or a recording."""
     name, source, models = _read_models(word, changes, topics)
     answers = answer_models(models)
     groups = wanted.recommend_for(models)
@@ -326,7 +326,7 @@ def _answer_file(
 def _read_models(
     word: str, changes: _Changes, topics: ReadingOptions | None
 ) -> "tuple[str, str, Sequence[LoopModel]]":
-    """Return the name of a scenario or a recording, its kind, and its loops."""
+    """Return the name of a scenario or recording, its kind, and its loops."""
     path = make_path(word)
     if is_recording(path):
         if changes.kp is not None or changes.assignments:

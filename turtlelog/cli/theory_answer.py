@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from turtlelog.theory import Recommendation, SampledLoop
 
 _MOST_COLUMNS: Final = 3
-"""Loops side by side in a table: a line has no space for more."""
+"""Largest number of loops side by side in a table; more loops do not fit a line."""
 
 _IDEAL: Final = "without command limits"
 """Condition of recommended gains."""
@@ -45,7 +45,7 @@ def format_integrator(
 
     Args:
         loops: Loops at each gain.
-        recommended: Gains for that plant and dead time.
+        recommended: Gains for this plant and dead time.
         wishes: Requirements for the gains.
         shows_all: Whether to show the plant, the ideal loop, limits at other dead times and
             published rules.
@@ -77,9 +77,9 @@ def format_terms(
 
     Args:
         answers: Answers at each Kp.
-        recommended: Gains for that plant and dead time.
+        recommended: Gains for this plant and dead time.
         wishes: Requirements for the gains.
-        shows_all: Whether to show published rules, and the reasons of rules without gains.
+        shows_all: Whether to show published rules, and why rules give no gains.
     """
     head = [
         *_list_recommended(recommended, wishes),
@@ -112,8 +112,8 @@ def format_file(
     Args:
         name: Name of the scenario or the run.
         word: Scenario or recording as typed.
-        answers: Answers of each loop.
-        groups: Recommended gains; equal loops share them.
+        answers: Answer for each loop.
+        groups: Recommended gains. Equal loops share them.
         wishes: Requirements for the gains.
         shows_all: Whether to show published rules, and the sources of values.
     """
@@ -140,12 +140,15 @@ def format_file(
     ]
     tables = [tabulate_recommended(one, wishes, shows_all=shows_all) for one in groups]
     tables += [tabulate_answers(f"The loops of {name}", answers)] if shows_all else []
-    head = [_conclude(name, advice, wishes), *(_describe_loop(one, advice) for one in known)]
-    return _join(head, tables, rest)
+    said: dict[str, list[str]] = {}
+    for one in known:  # loops that are alike share a sentence
+        said.setdefault(_describe_loop(one, advice), []).append(one.title)
+    head = [f"{join_words(names)}: {text}" for text, names in said.items()]
+    return _join([_conclude(name, advice, wishes), *head], tables, rest)
 
 
 class _Advice(NamedTuple):
-    """Recommended gains of a loop with its own gains, and whether its own need no change."""
+    """Recommended gains of a loop, its own gains, and whether its own gains need no change."""
 
     loop: str
     best: "Recommendation | None"
@@ -185,9 +188,7 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
     motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
-    grows = answer.model is not None and answer.model.most_dead_time_s is not None
-    place = " at the least dead time" if grows else ""
-    return f"{answer.title}: {said}; stable for Kp {_show_range(answer)}{place}."
+    return f"{said}; stable for Kp {_show_late_range(answer)}."
 
 
 def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:
@@ -205,7 +206,7 @@ def _narrow(table: "Table") -> "Table":
 def _list_recommended(
     recommended: Recommended, wishes: Wishes, *, ideal: str = _IDEAL
 ) -> Iterator[str]:
-    """Yield whether given gains need a change, and recommended gains; or a reason why not.
+    """Yield whether given gains need a change, and recommended gains, or why there are none.
 
     Args:
         recommended: Gains for a plant.
@@ -235,7 +236,7 @@ def _list_stable(answers: Sequence[LoopAnswer]) -> Iterator[str]:
 
 
 def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
-    """Yield the response of the loop at each Kp; gains with similar responses share a sentence."""
+    """Yield the response of the loop at each Kp. Gains with similar responses share a sentence."""
     known = [(one.title.removeprefix("Kp = "), one.found) for one in answers if one.found]
     groups: dict[str, list[str]] = {}
     for kp, found in known:
@@ -251,17 +252,28 @@ def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
 
 
 _MOST_SAID: Final = 4
-"""Largest number of gains with a sentence each."""
+"""Largest number of gains with separate sentences."""
 
 
 def _show_range(answer: LoopAnswer) -> str:
-    found = answer.found
-    if found is None or not found.stable_gains:
-        return "of no value"
-    return " and ".join(
+    return _write_ranges(() if answer.found is None else answer.found.stable_gains)
+
+
+def _show_late_range(answer: LoopAnswer) -> str:
+    """Return the stable range of Kp at the most dead time, for which gains are recommended."""
+    model = answer.model
+    if model is None or model.most_dead_time_s is None:
+        return _show_range(answer)
+    stable = tl.theory.find_stable_gains(model.require()[0], **model.require_latest())
+    return f"{_write_ranges(stable)} at the most dead time, {1e3 * model.most_dead_time_s:.6g} ms"
+
+
+def _write_ranges(ranges: "Sequence[tuple[float, float]]") -> str:
+    written = [
         f"below {high:.4g} 1/s" if low == 0.0 else f"from {low:.4g} to {high:.4g} 1/s"
-        for low, high in found.stable_gains
-    )
+        for low, high in ranges
+    ]
+    return " and ".join(written) or "of no value"
 
 
 def _list_run(word: str, answers: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> Iterator[str]:

@@ -84,7 +84,7 @@ class Wishes:
         return Recommended(found, tuple(measured))
 
     def recommend_for(self, models: "Sequence[LoopModel]") -> "list[Recommended]":
-        """Return gains for the declared loops that theory knows; equal loops share them.
+        """Return gains for the declared loops that theory knows. Equal loops share gains.
 
         The gains are for the largest dead time of a loop, and for its largest steps.
         """
@@ -107,7 +107,7 @@ class Wishes:
         return found
 
     def tell(self, one: "Recommendation") -> str:
-        """Return controller and rule in words, for a table."""
+        """Return controller and rule as text, for a table."""
         if one.rule == "given":
             return f"{one.controller} as given"
         if one.rule in _RULES:
@@ -124,13 +124,13 @@ class Wishes:
 
 
 class Recommended(NamedTuple):
-    """Recommended gains, with given ones.
+    """Recommended gains, together with given gains.
 
     Attributes:
         found: Recommended gains.
-        given: Results of the given gains, by loops in order.
-        loops: Names of the loops of the gains.
-        most_dead_time_s: Largest dead time, if it may grow [s].
+        given: Results of the given gains, in the order of the loops.
+        loops: Names of the loops with these gains.
+        most_dead_time_s: Largest dead time, if the dead time may grow [s].
         ramp_s: Increase of the time constant due to acceleration limits [s].
     """
 
@@ -141,7 +141,7 @@ class Recommended(NamedTuple):
     ramp_s: float = 0.0
 
     def find_best(self, controller: str) -> "Recommendation | None":
-        """Return a controller's first gains for the requirements, or those of P; None if none."""
+        """Return a controller's first gains for the requirements, or those of P; None if absent."""
         known = {one.controller: one for one in reversed(self.found) if one.gains}
         return known.get(controller) or known.get("P")
 
@@ -151,11 +151,11 @@ class Recommended(NamedTuple):
         return best is not None and tl.theory.is_no_worse(given, best)
 
     def choose_given(self) -> "Recommended":
-        """Keep, of several given gains, those with which the recommended ones are compared."""
+        """Keep, of several given gains, those that are compared with the recommended gains."""
         return self._replace(given=tuple(sorted(self.given, key=self._rank)[:1]))
 
     def _rank(self, given: "Recommendation") -> tuple[bool, float, float]:
-        """Return a sort key: gains without change first, then those with the least overshoot."""
+        """Return a sort key: gains without change first, then gains with the least overshoot."""
         if given.motion is None:
             return True, math.inf, math.inf
         best = self.find_best(given.controller)
@@ -185,7 +185,7 @@ def tell_step(overshoot_percent: float | None, settling_time_s: float | None) ->
 
 
 NO_OVERSHOOT: Final = 0.005
-"""Overshoot below which a loop has none in the digits that are shown [%]."""
+"""Overshoot below which the shown digits are 0 [%]."""
 
 
 def tell_gains(one: "Recommendation") -> str:
@@ -195,7 +195,7 @@ def tell_gains(one: "Recommendation") -> str:
 
 
 def compare_gains(best: "Recommendation", given: "Recommendation") -> str:
-    """Return the figures in which recommended gains are better than given ones, and worse."""
+    """Return the figures in which recommended gains are better, and worse, than given gains."""
     name = show_gains(given.gains) if given.gains else ""
     if given.margins is None:
         return f"{name} is unstable."
@@ -217,7 +217,7 @@ def compare_gains(best: "Recommendation", given: "Recommendation") -> str:
 class _Figure(NamedTuple):
     """A figure of gains: name, value (None if unknown), and whether more is better.
 
-    A margin has no unit, so its value is only in the table.
+    The value of a margin has no unit, and is only in the table.
     """
 
     noun: str
@@ -254,7 +254,7 @@ _RULE_NAMES: Final = {"simc": "SIMC", "ziegler-nichols": "Ziegler-Nichols"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecommendedGains:
-    """JSON entry of a rule's gains; None if the reason explains why there are none."""
+    """JSON entry of a rule's gains; None if the reason explains why the rule gives none."""
 
     rule: str
     controller: str
@@ -271,7 +271,7 @@ class RecommendedGains:
 
 
 def find_kept(recommended: Recommended, loop: str = "") -> float | None:
-    """Return the given Kp [1/s] that needs no change, of a loop if there are several; else None."""
+    """Return the given Kp that needs no change [1/s], of several loops any; else None."""
     given = recommended.given[recommended.loops.index(loop) if loop else 0]
     return given.gains.kp if given.gains and recommended.keeps(given) else None
 
@@ -303,9 +303,9 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all:
     """Return a table of recommended gains.
 
     Args:
-        recommended: The gains.
+        recommended: Recommended gains.
         wishes: Requirements for the gains.
-        shows_all: Whether to include published rules, and reasons of rules without gains.
+        shows_all: Whether to include published rules, and why rules give no gains.
     """
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
     found = [*dict.fromkeys(recommended.given)]

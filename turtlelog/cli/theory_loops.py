@@ -21,8 +21,8 @@ class LoopAnswer:
     """Theory's answer for one loop.
 
     Attributes:
-        title: Title above its column.
-        found: Values of the loop; None if unknown.
+        title: Title above the loop's column.
+        found: Values of the loop; None if the values are unknown.
         model: Model of a declared loop, with the sources of its values.
     """
 
@@ -43,7 +43,7 @@ def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PidAnswer:
-    """JSON entry of a sampled loop; None if there is no such number."""
+    """JSON entry of a sampled loop; None for a number that does not exist."""
 
     kp: float
     ki: float
@@ -106,13 +106,13 @@ class DeclaredLoopAnswer:
         signal: Controlled signal.
         command: Command by which the loop acts.
         status: `ok`, or `unknown` if its gains or its plant are unknown.
-        reason: Reason why it is unknown.
+        reason: Reason why gains or plant are unknown.
         sources: Sources of the values.
         left_out: Settings that theory's linear loop leaves out.
         most_dead_time_s: Largest dead time that queues may cause [s].
-        sampled: The sampled loop; None if it is unknown.
+        sampled: The sampled loop; None if the loop is unknown.
         recommended: Recommended gains.
-        kept_kp: Present Kp if it needs no change [1/s].
+        kept_kp: Present Kp, if it needs no change [1/s].
     """
 
     loop: str
@@ -151,7 +151,7 @@ def build_declared_loop(
 
 
 def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
-    """Return a table with a column for each loop; rows that are zero in all loops are left out."""
+    """Return a table with a column for each loop, without rows that are zero in all loops."""
     known = [answer.found for answer in answers if answer.found]
     rows = []
     for name, is_optional, write in _ROWS:
@@ -169,7 +169,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
 
 
 def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
-    """Return a table with a row for each Kp, without what is the same at all of them."""
+    """Return a table with a row for each Kp, without values that are equal at all of them."""
     loops = [answer.found for answer in answers if answer.found]
     columns, cells = [], []
     for name, is_optional, write in _ROWS:
@@ -188,7 +188,7 @@ def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
 
 
 def describe_plant(loop: "PidLoop") -> str:
-    """Return what is the same at every Kp: the other gains, plant and timing."""
+    """Return the values that are equal at every Kp: other gains, plant and timing."""
     said = []
     for name, is_optional, write in _ROWS:
         text = write(loop)
@@ -207,7 +207,7 @@ def _find_overshoot(loop: "PidLoop") -> str | float | None:
 
 
 def _read_cell(text: str) -> str | float:
-    """Return a number as one, so that its column is aligned as numbers are."""
+    """Return a number from text, so that its column is aligned like numbers."""
     try:
         return float(text)
     except ValueError:
@@ -251,7 +251,7 @@ def tell_motion(loop: "PidLoop") -> str:
 
 
 def _tell_sources(model: "LoopModel") -> str:
-    """Return the sources of values; values of one source share an entry."""
+    """Return the sources of values as text. Values from one source share an entry."""
     found: dict[str, list[str]] = {}
     for key, words in model.sources.items():
         found.setdefault(words, []).append(_NAMES[key])
@@ -311,10 +311,10 @@ _OF_PLANT: Final = (
     *("Ki [1/s^2]", "Kd", "filter of D [ms]", "gain of the plant", "time constant [ms]"),
     *("low-pass [ms]", "period [ms]", "dead time [ms]"),
 )
-"""Rows that are the same at every Kp."""
+"""Rows that are equal at every Kp."""
 
 _NOT_BESIDE: Final = (*_OF_PLANT, "stable", "stable for Kp [1/s]", "slowest pole")
-"""Rows that a table of gains lacks: the sentences above contain them; poles are details."""
+"""Rows that a table of gains does not have. The sentences above contain them; poles are details."""
 
 _ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
     ("Kp [1/s]", False, lambda loop: _tell_number(loop.gains.kp)),
@@ -340,4 +340,4 @@ _ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
     ),
     ("delay margin [ticks]", False, _tell_margin(lambda found: found.delay_margin_ticks, ".1f")),
 )
-"""Rows of the table: name, whether it is left out if all loops have 0, and its format."""
+"""Rows of the table: name, whether the row is left out if all loops have 0, and format."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanePole:
-    """A pole in the plane of z."""
+    """A pole in the z plane."""
 
     re: float
     im: float
@@ -31,7 +31,7 @@ def build_poles(poles: "NDArray[np.complex128]") -> list[PlanePole]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainAnswer:
-    """The ideal and the sampled loop at one gain; None if there is no such number."""
+    """The ideal and the sampled loop at one gain; None for a number that does not exist."""
 
     kp: float
     tau_s: float
@@ -74,7 +74,7 @@ class _End:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantAnswer:
-    """The plant 1/s: whether it is stable, and the final values of its responses."""
+    """The plant 1/s: its stability, and the final values of its responses."""
 
     transfer_function: _Transfer
     bibo_stable: bool
@@ -175,7 +175,7 @@ def _compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
 
 
 def _list_dead_times(loop: "SampledLoop") -> list[int]:
-    """Return the dead times [ticks] in a table of limits, including that of the loop."""
+    """Return the dead times [ticks] in a table of limits, including the dead time of the loop."""
     return sorted({*range(_LIMITS_UP_TO + 1), loop.dead_time_ticks})
 
 
@@ -287,7 +287,7 @@ def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
 
 
 def summarise_gains(loops: "list[SampledLoop]") -> list[str]:
-    """Return the gains at which overshoot and instability begin, and the given gains' side."""
+    """Return the gains at which overshoot and instability begin, and where the given gains lie."""
     overshoot, stability = _compute_limits(loops[0].period_s, loops[0].dead_time_ticks)
     groups = {
         "no overshoot": [loop for loop in loops if loop.stable and not loop.overshoots],
@@ -318,7 +318,7 @@ def _tell_dead_time(loop: "SampledLoop") -> str:
 
 
 def tell_pole(poles: "NDArray[np.complex128]") -> str:
-    """Return the first pole, the slowest, with its conjugate."""
+    """Return the first pole, which is the slowest, with its conjugate."""
     pole = complex(poles[0])
     if pole.imag == 0.0:
         return f"{pole.real:.4f}"

@@ -1,4 +1,4 @@
-"""`turtlelog tune`: the best values of keys, their neighbourhood, and how robust they are."""
+"""`turtlelog tune`: the best values of keys, their neighbourhood, and their robustness."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -103,7 +103,7 @@ class RobustnessOptions:
     robot: Annotated[Place | None, Parameter(metavar="FILE")] = None
 
     def count_runs(self) -> int:
-        """Return the requested number of variants; 0 if there are none."""
+        """Return the requested number of variants; 0 without a request."""
         if self.monte_carlo is None:
             for name, is_given in (("--spread", self.spread), ("--robot", self.robot)):
                 if is_given:
@@ -115,7 +115,7 @@ class RobustnessOptions:
         return self.monte_carlo
 
     def list_variations(self, scenario: "Scenario", varied: list[str]) -> "list[Variation]":
-        """Return the quantities chosen at random for each variant, besides seeds and delays."""
+        """Return the keys chosen at random for each variant, in addition to seeds and delays."""
         found: list[Variation] = []
         if self.robot is not None:
             found += tl.sweep.tune.read_intervals(self.robot, scenario)
@@ -139,7 +139,7 @@ class RobustnessOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TuneOptions(WorkOptions):
-    """How it is done, and what is written.
+    """Options for the work, and files to write.
 
     Attributes:
         output: Write the scenario with the best values to this .toml file.
@@ -164,7 +164,7 @@ def tune(
     work: TuneOptions | None = None,
     json: Json = False,
 ) -> int:
-    """Search the best values of a scenario's keys, and show how far each can move.
+    """Search the best values of a scenario's keys, and show how far each value can move.
 
     Candidates are simulated, many at a time. The better of two candidates fulfils the constraints;
     if both do, the objective decides. A candidate for which a metric has no value is rejected, for
@@ -181,8 +181,8 @@ def tune(
     --subject-to adds a constraint, for example "rotate.overshoot <= 2".
 
     Args:
-        base: A preset (turtlelog list presets), a scenario file (.toml), as `identify` writes one,
-            or a recording. Default: paper, or textbook with --law.
+        base: A preset (turtlelog list presets), a scenario file (.toml), also one written by
+            `identify`, or a recording. Default: paper; with --law: textbook.
         json: Print one JSON object instead of tables.
     """
     goal, robustness = goal or GoalOptions(), robustness or RobustnessOptions()
@@ -211,7 +211,7 @@ def tune(
 def _parse_keys(
     scenario: "Scenario", vary: list[str], options: LawOptions | None, *, trust_law: bool
 ) -> "tuple[Scenario, tuple[SearchedKey, ...]]":
-    """Return the keys, and the scenario with a value for each, as laws may lack defaults."""
+    """Return the keys, and the scenario with a value for each, because laws may lack defaults."""
     given = list_given_keys(options)
     for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
         if key.key == "kp" and options is not None and options.kp is not None:

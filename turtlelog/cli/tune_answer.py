@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, fit_table
-from turtlelog.display import describe_count, format_number
+from turtlelog.display import describe_count, format_number, format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
@@ -25,7 +25,7 @@ class Answer:
         goal: Goal of tuning.
         tuned: Result of the search.
         around: Range of each key with good values; None if no candidate fulfils the constraints.
-        spread: Results of the variants; None if none were simulated.
+        spread: Results of the variants; None if no variants were simulated.
     """
 
     scenario: "Scenario"
@@ -37,14 +37,14 @@ class Answer:
 
     @property
     def unit(self) -> str:
-        """Unit of the objective if it is a metric; otherwise empty."""
+        """Unit of the objective if it is a metric; else empty."""
         if self.goal.metric is None:
             return ""
         known = tl.measure.list_metrics(tl.simulate.declare_scenario(self.scenario))
         return known[self.goal.metric].unit
 
     def tell_name(self) -> str:
-        """Return a name that contains the best values, as that of `--set` does."""
+        """Return a name that contains the best values, like the name after `--set`."""
         told = [
             f"{key.key}={value:.6g}"
             for key, value in zip(self.keys, self.tuned.best.point, strict=True)
@@ -94,8 +94,8 @@ class TuneAnswer:
     Attributes:
         best: Values by key.
         objective: Value of the objective; None if no run has a value.
-        minimise: Objective to minimise; None if one is maximised.
-        maximise: Objective to maximise; None if one is minimised.
+        minimise: Objective to minimise; None if the objective is maximised.
+        maximise: Objective to maximise; None if the objective is minimised.
         unit: Unit of the objective.
         is_feasible: Whether all constraints hold.
         constraints: Constraints at the best values.
@@ -104,10 +104,10 @@ class TuneAnswer:
         failure: Reason of the first failure.
         feasible: Number of candidates that fulfil the constraints.
         at_bounds: Keys whose best value is at a bound.
-        is_flat: Whether all candidates have one value.
+        is_flat: Whether all candidates have the same value.
         neighbourhood: Range of each key with good values.
-        slack: Allowed worsening of the objective in this range.
-        spread: Spread of variants; None if none were simulated.
+        slack: Accepted loss of the objective in this range.
+        spread: Spread of variants; None if no variants were simulated.
     """
 
     best: Mapping[str, float]
@@ -182,18 +182,18 @@ def _build_spread(spread: "Spread") -> SpreadAnswer:
 
 
 def format_answer(answer: Answer) -> str:
-    """Return the answer as text; the first line has the best values and their result."""
+    """Return the answer as text. The first line has the best values and their result."""
     tables = [_tabulate_best(answer)]
     if answer.tuned.best.constraints:
         tables.append(_tabulate_constraints(answer))
     texts = [fit_table(table) for table in tables]
     if answer.spread is not None:
         texts.append(fit_table(_tabulate_spread(answer, answer.spread)))
-    return "\n".join([fill_lines([_conclude(answer)]), "", *texts])
+    return "\n".join([fill_lines([_conclude(answer), *_describe_room(answer)]), "", *texts])
 
 
 def _conclude(answer: Answer) -> str:
-    """Return the best values and their result, or that no values satisfy the constraints."""
+    """Return the best values and their result, or that no values fulfil the constraints."""
     tuned, best = answer.tuned, answer.tuned.best
     values = ", ".join(
         f"{key.key} = {format_number(value)}"
@@ -212,6 +212,20 @@ def _conclude(answer: Answer) -> str:
     elif answer.goal.constraints:
         count += ", which all fulfil the constraints"
     return f"{values}: {name} is {value}, the {word} of {count}."
+
+
+def _describe_room(answer: Answer) -> list[str]:
+    """Return how far the keys can go without a much worse objective."""
+    around = answer.around
+    if around is None or not around.ranges or answer.tuned.is_flat:
+        return []
+    slack = format_short(around.slack, answer.unit)
+    ways = [
+        f"{one.key} = {format_number(one.low)} to {format_number(one.high)}"
+        for one in around.ranges
+    ]
+    alone = "is" if len(ways) == 1 else "(each changed alone) are"
+    return [f"As far as tried, {join_words(ways)} {alone} worse by {slack} at most."]
 
 
 def _tabulate_best(answer: Answer) -> "Table":
@@ -260,7 +274,7 @@ def _list_notes(answer: Answer) -> list[str]:
 
 
 def _tell_sign(goal: "TuningGoal", objective: float | None) -> list[str]:
-    """Return a note on the minimum of a signed metric without a better direction."""
+    """Return a note on the minimum of a signed metric for which neither direction is better."""
     kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)
     if kind is None or kind.better is not None or goal.is_maximised or (objective or 0.0) >= 0.0:
         return []

@@ -34,12 +34,12 @@ _WIDEST: Final = 100
 class HelpFormatter:
     """Cyclopts' panels for texts with the line breaks of source code.
 
-    Commands that are not loaded are described by summaries. The code that draws panels is loaded
-    only for help.
+    Summaries describe commands that are not loaded. The code that draws panels is loaded only for
+    help.
     """
 
     shows_all: bool = False
-    """Whether to show every option and paragraph, as for --help-all, or the usual ones."""
+    """Whether to show every option and paragraph, as for --help-all, or only the usual ones."""
 
     def __init__(self, summaries: Mapping[str, str], usual: Mapping[str, Collection[str]]) -> None:
         """Store the summaries of commands, one sentence each, and their usual options."""
@@ -57,7 +57,7 @@ class HelpFormatter:
             DefaultFormatter()(console, options, described)
 
     def _is_shown(self, entry: "HelpEntry") -> bool:
-        """Return whether help shows an option: a usual one, or any with --help-all."""
+        """Return whether help shows an option: a usual option, or any option with --help-all."""
         usual = self._usual.get(self._command)
         if self.shows_all or usual is None or entry.positional_label or entry.required:
             return True
@@ -108,7 +108,7 @@ class HelpFormatter:
 
 
 def show_default(value: object) -> str | None:
-    """Return the text of a default in help; None for options that are off by default."""
+    """Return the text of a default in help; None for an option that is off by default."""
     return None if value is False or value is None else str(value)
 
 
@@ -158,7 +158,7 @@ def describe_usage_error(err: CycloptsError) -> str:
 
 
 def find_split_pair(tokens: Sequence[str]) -> str | None:
-    """Return the error of a goal in two words, as in `--goal 8 3`; None if there is none."""
+    """Return the error for a goal in two words, as in `--goal 8 3`; None without such a goal."""
     found = re.search(r"(?:^|\n)--goal\n([-+.\de]+)\n([-+.\de]+)(?:\n|$)", "\n".join(tokens))
     if found is None:
         return None
@@ -197,11 +197,11 @@ def _describe_unknown_option(err: Any) -> str:
 
 
 _UNITS: Final = re.compile(r"^max_|(_m|_rad|_s|_s2|_ticks)+$")
-"""What a key of a scenario has beside its plain name: `--duration` means max_duration_s."""
+"""Suffixes of scenario keys that users may omit: `--duration` means max_duration_s."""
 
 
 def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> list[str]:
-    """Return how to set a scenario key that was typed as an option, as `--kp-linear 2`."""
+    """Return how to set a scenario key that was typed as an option, as in `--kp-linear 2`."""
     if "--set" not in options:
         return []
     from turtlelog.scenario import Scenario, flatten_scenario  # needed only for mistakes

@@ -36,26 +36,27 @@ if TYPE_CHECKING:
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
 _ROUNDING_S = 1e-3
-"""The end is printed in milliseconds [s]."""
+"""Rounding of the end, which is printed in milliseconds [s]."""
 
 _USUAL_SIZE = "1600x900"
 _LEAST_SIZE = 480, 320
-"""Smallest width and height of a picture [pixels]: titles and axes take 40 of every row of plots,
-which leaves a height of 45."""
+"""Smallest width and height of a picture [pixels]. Titles and axes take 40 pixels of every row of
+plots, so that 45 remain."""
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureOptions:
-    """A picture in place of a window.
+    """A picture instead of a window.
 
     Attributes:
-        snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
+        snapshot: Write a picture of the view to this .png file and open no window; needs no
+            display.
         at: Time of the picture, from the first sample [s]. Default: the end of the longest run.
-        timeline: The timeline of --at and of a movie: sim_time, or for several runs also
-            PHASE_time, which begins at a later phase of each, as translate_time.
-        size: Width and height of the picture [pixels], at least 480x320; below 1000x700 legends,
-            phases and tables give way to curves.
+        timeline: Timeline of --at and of a movie: sim_time, or for several runs also PHASE_time, as
+            in translate_time. PHASE_time begins at the start of a later phase of each run.
+        size: Width and height of the picture [pixels], at least 480x320. Below 1000x700, legends,
+            phases and tables are left out, so that curves have room.
         no_scans: Leave out the laser scans and the map of a bag.
     """
 
@@ -69,12 +70,13 @@ class PictureOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindowOptions:
-    """Where to look in place of a window of its own.
+    """Places to look, instead of a separate window.
 
     Attributes:
         web: Serve the view to browsers on this machine until Ctrl-C; needs no display.
-        follow: Show one recording while it is being written, and what comes until its end.
-        connect: With --follow: a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
+        follow: Show one recording while it is being written, until it ends.
+        connect: With --follow: show the recording in a viewer that is already open. Example:
+            rerun+http://127.0.0.1:9876/proxy.
     """
 
     web: bool = False
@@ -92,15 +94,16 @@ def view(
     movie: MovieOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> None:
-    """Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.
+    """Open recordings in the Rerun viewer; several recordings are overlaid for comparison.
 
     Example: turtlelog view kp1.mcap kp10.mcap
 
     Example: turtlelog view kp1.mcap kp10.mcap --movie race.mp4
 
     Args:
-        files: Recordings (.mcap), bags, the paper's logs (.json, .csv), or .rrd files as they are.
-        save: Write this .rrd file and open nothing.
+        files: Recordings (.mcap), bags, the paper's logs (.json, .csv), or .rrd files, which are
+            shown unchanged.
+        save: Write this .rrd file and open no window.
     """
     picture, window = picture or PictureOptions(), window or WindowOptions()
     movie = movie or MovieOptions()
@@ -144,7 +147,7 @@ def view(
 
 
 def _require_view(save: Path | None) -> None:
-    """Refuse a picture or a movie in place of a view's file, and name the right option."""
+    """Refuse a picture or movie as the file of a view, and name the right option."""
     if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
         other = "--snapshot" if save.suffix == ".png" else "--movie"
         raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
@@ -272,7 +275,7 @@ def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
 
 
 def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) -> float | None:
-    """Return the time of the picture; a view is slightly longer than its runs."""
+    """Return the time of the picture. A view is slightly longer than its runs."""
     if picture.timeline != "sim_time" or span_s is None:
         return picture.at
     start_s, end_s = span_s

@@ -1,4 +1,4 @@
-"""`turtlelog run --watch`: a new run on every save, with the changes."""
+"""`turtlelog run --watch`: a new run after every save, with the changes."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -29,10 +29,10 @@ _Texts = Mapping[Path, tuple[int, bytes] | None]
 
 
 def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
-    """Return the files that determine a run: that of the scenario, and that of the law.
+    """Return the files that determine a run: the file of the scenario, and the file of the law.
 
     Raises:
-        UsageError: If no such file is named, or one is missing.
+        UsageError: If no such file is named, or a file is missing.
     """
     place = (kind or "").rpartition(":")[0]
     law_file = Path(place) if place.endswith(".py") else None
@@ -64,8 +64,8 @@ def watch_runs(
         files: Files to watch until a scenario is loaded.
         load: Function that returns the present scenario, and the files to watch.
         simulate: Function that runs the scenario.
-        answer: Function that prints a run beside the previous one and returns an exit code; any
-            except 0 ends the watch.
+        answer: Function that prints a run next to the previous run and returns an exit code; any
+            code except 0 ends the watch.
         is_over: Function that returns whether to stop, called between checks.
     """
     before: Run | None = None
@@ -98,7 +98,7 @@ def watch_runs(
 
 
 def describe_change(run: "Run", before: "Run") -> str:
-    """Return the metrics of a run as a table, with the former value of each that changed."""
+    """Return the metrics of a run as a table, with the former value of each changed metric."""
     names = [tl.measure.list_essential_metrics(one.declaration) for one in (run, before)]
     only = [*dict.fromkeys([*names[0], *names[1]])]
     measured = [tl.measure_run(one) for one in (run, before)]
@@ -128,7 +128,7 @@ def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bo
 
 
 def _read_texts(files: Sequence[Path]) -> _Texts:
-    """Return time and content of each file; None if it cannot be read.
+    """Return time and content of each file; None for a file that cannot be read.
 
     The time shows a save without changes; the content shows a second save within one tick of the
     file system's clock, which may be two seconds long.

@@ -1,4 +1,4 @@
-"""Runs -> differences on a common clock, and tables across runs.
+"""Comparison of runs: differences on a common clock, and tables across runs.
 
 The public names are in `__init__.pyi` and load on first use.
 """

@@ -47,6 +47,7 @@ from .run_names import (
 from .run_summary import (
     RunSummary as RunSummary,
     choose_columns as choose_columns,
+    describe_reached as describe_reached,
     list_lacks as list_lacks,
     list_needed_metrics as list_needed_metrics,
     list_usual_of_run as list_usual_of_run,

@@ -16,7 +16,7 @@ from turtlelog.run.loops import NAME_PATTERN
 Times = NDArray[np.int64]
 
 ALIGNMENTS: Final = ("first_sample", "phase:NAME", "recorded", "sample")
-"""How runs can be brought together; NAME stands for a phase of their law."""
+"""Ways to align runs; NAME stands for a phase of their law."""
 
 
 class CommonClock(Protocol):
@@ -24,31 +24,31 @@ class CommonClock(Protocol):
 
     @property
     def tells_time(self) -> bool:
-        """Whether its units are nanoseconds, so that tolerances in time apply."""
+        """Whether the units of the clock are nanoseconds, so that tolerances in time apply."""
 
     @property
     def span(self) -> tuple[int, int]:
-        """First and last compared time, in the clock's units, both included."""
+        """First and last compared time in the units of the clock, both included."""
 
     def place_signal(self, signal: Signal, run: Run) -> Signal:
-        """Return the signal of one of the two runs with its rows on this clock."""
+        """Return the signal of one of the two runs, with its rows on this clock."""
 
     def read_ns(self, unit: int) -> int:
         """Return the time of a unit of this clock [ns]."""
 
 
 def could_be_alignment(text: str) -> bool:
-    """Return whether a text is an alignment, with a phase of any law."""
+    """Return whether a text is an alignment, possibly with a phase of any law."""
     phase = text.removeprefix("phase:")
     return text in ALIGNMENTS or (phase != text and re.fullmatch(NAME_PATTERN, phase) is not None)
 
 
 def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
-    """Return the clock of one of `ALIGNMENTS` for two runs; a phase is one of their laws.
+    """Return the clock of one of `ALIGNMENTS` for two runs; a phase belongs to one of their laws.
 
     Raises:
-        CompareError: If there is no such alignment, a run lacks what it needs, or the runs do not
-            overlap.
+        CompareError: If there is no such alignment, the alignment needs data that a run lacks, or
+            the runs do not overlap.
     """
     for one in (reference, run):
         if not len(one.poses):
@@ -70,7 +70,7 @@ def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TimeClock:
-    """Nanoseconds from each run's own zero."""
+    """Nanoseconds from time zero of each run."""
 
     runs: tuple[Run, Run]
     zeros_ns: tuple[int, int]
@@ -87,7 +87,10 @@ class _TimeClock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _SampleClock:
-    """Numbers of samples; poses are those that they read. Times are those of the reference."""
+    """Numbers of samples.
+
+    Poses are those that the samples read; times are those of the reference.
+    """
 
     time_ns: Times
     tells_time: bool = False
@@ -146,7 +149,7 @@ def _align_by_number(reference: Run, run: Run) -> CommonClock:
 
 
 def find_zero_ns(run: Run, alignment: str) -> int:
-    """Return time zero of an alignment in a run [ns]; by sample number, it is the first sample."""
+    """Return time zero of an alignment in a run [ns]; by sample number, the first sample."""
     if alignment == "recorded":
         return 0
     return run.start_ns if alignment == "sample" else _find_phase_ns(run, alignment)

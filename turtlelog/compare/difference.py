@@ -23,14 +23,14 @@ from turtlelog.run import Run, require_run
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricDifference:
-    """A metric of a run and that of the reference."""
+    """A metric of a run, and the same metric of the reference."""
 
     metric: Metric
     reference: Metric
 
     @property
     def differs_in_unit(self) -> bool:
-        """Whether loops of one name control signals with different units."""
+        """Whether loops of the same name control signals with different units."""
         has_values = self.metric.value is not None and self.reference.value is not None
         return has_values and self.metric.unit != self.reference.unit
 
@@ -41,11 +41,11 @@ class RunComparison:
 
     Attributes:
         name: Name of the run.
-        alignment: Alignment of the two, one of `ALIGNMENTS`.
+        alignment: Alignment of the two runs, one of `ALIGNMENTS`.
         overlap_from_s: Start of the compared segment on the common clock [s].
         overlap_s: Duration of that segment [s].
         signals: Differences of every signal that both runs contain.
-        metrics: Differences of every metric of either law, except if their units differ.
+        metrics: Differences of all metrics of either law, except those with different units.
         notes: Notes on the alignment for the reader.
     """
 
@@ -79,9 +79,9 @@ def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -
     Args:
         reference: Run from which differences are taken.
         run: Other run.
-        alignment: `first_sample`: time zero is each run's first sample; `phase:NAME`: the start of
-            a phase, and earlier rows are not compared; `recorded`: times as recorded; `sample`:
-            samples are compared by number, each with the pose that it read.
+        alignment: `first_sample`: time zero is each run's first sample. `phase:NAME`: time zero is
+            the start of a phase, and earlier rows are not compared. `recorded`: times as recorded.
+            `sample`: samples are compared by number, each with the pose that it read.
 
     Raises:
         CompareError: If there is no such alignment, or the runs do not overlap.
@@ -94,7 +94,7 @@ def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -
 def compare_measured(
     reference: Run, metrics: Mapping[str, Metric], run: Run, *, alignment: str
 ) -> RunComparison:
-    """Do the same as `compare_runs` with a reference of which all metrics are known."""
+    """Do the same as `compare_runs`, for a reference with known metrics."""
     clock = align_runs(reference, run, alignment)
     start_ns, end_ns = map(clock.read_ns, clock.span)
     names = list_signal_units([reference.declaration, run.declaration])
@@ -112,7 +112,7 @@ def compare_measured(
 
 
 def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[MetricDifference]:
-    """Return a run's metrics and a reference's; a loop that is not declared has no value."""
+    """Return the metrics of a run and a reference; those of an undeclared loop have no value."""
     measured = [measure_run(found, only=ids) if ids else {} for found in (reference, run)]
     return [MetricDifference(metric=measured[1][name], reference=measured[0][name]) for name in ids]
 
@@ -120,7 +120,7 @@ def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[Metr
 def tabulate_differences(
     comparisons: Sequence[RunComparison], *, names: Sequence[str], reference: str
 ) -> Table:
-    """Return a table of the largest difference of every signal from the reference, and its time.
+    """Return a table of the largest difference of every signal from the reference, with its time.
 
     `names` are the column titles, one for each comparison.
     """
@@ -156,7 +156,7 @@ _ALIGNMENT_WORDS: Final = {
 def _pair_metrics(
     reference: tuple[Run, Mapping[str, Metric]], run: Run
 ) -> tuple[MetricDifference, ...]:
-    """Return every metric of either law; a loop that one does not declare has `no_phase`."""
+    """Return every metric of either law. A loop that one law does not declare has `no_phase`."""
     declarations = reference[0].declaration, run.declaration
     theirs, ours = reference[1], measure_run(run)
     return tuple(
@@ -197,7 +197,7 @@ def _describe_alignment(alignment: str) -> str:
 
 
 def _list_overlaps(comparisons: Sequence[RunComparison], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the segments in which runs were compared; equal ones in one sentence."""
+    """Return the segments in which runs were compared, with equal segments in one sentence."""
     stretches: dict[str, list[str]] = {}
     for name, found in zip(names, comparisons, strict=True):
         end_s = found.overlap_from_s + found.overlap_s

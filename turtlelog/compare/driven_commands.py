@@ -1,4 +1,4 @@
-"""Commands that drive a simulated robot instead of a recorded one, and pieces of its run."""
+"""Commands that drive a simulated robot instead of a recorded one, and segments of its run."""
 
 import math
 from collections.abc import Mapping
@@ -18,27 +18,27 @@ from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.streams import RANDOM_KEYS, list_streams
 
 _FADED: Final = 1e-3
-"""Share of an earlier rate below which it no longer counts."""
+"""Share of an earlier rate below which the rate no longer counts."""
 
 _STANDING: Final = 0.02
-"""Mean rate, as a share of the largest command, below which a robot stands."""
+"""Mean rate below which a robot stands still, as a share of the largest command."""
 
 _LOOK_S: Final = 0.3
-"""For how long a robot must be seen to stand before its first command [s]."""
+"""Time for which a robot must stand still before its first command [s]."""
 
 _BEFORE_S: Final = 60.0
-"""Of the commands longer before the first pose the last one is simulated alone [s]."""
+"""Time before the first pose; of earlier commands, only the last is simulated [s]."""
 
 _HALF: Final = 0.5
 
 _ROUNDING_NS: Final = 1000
-"""What a double of seconds since 1970 cannot tell [ns]: a silence ends before the next command."""
+"""Resolution of a double of seconds since 1970 [ns]: a silence ends before the next command."""
 
 
 def list_commands(
     run: Run, motions: Mapping[Axis, AxisMotion], scenario: Scenario
 ) -> CommandColumns:
-    """Return the commands during the poses, with a 0 where the robot stops by itself."""
+    """Return the commands during the poses, with a 0 wherever the robot stops by itself."""
     first_ns, last_ns = int(run.poses.time_ns[0]), int(run.poses.time_ns[-1])
     columns = run.commands
     time_ns, speed, turn_rate = columns.time_ns, columns.speed_m_s, columns.turn_rate_rad_s
@@ -105,19 +105,19 @@ def silence(scenario: Scenario) -> Scenario:
 def is_random(scenario: Scenario) -> bool:
     """Return whether the sensed poses of a driven robot depend on the seed of its scenario.
 
-    Sensed poses are never lost or late in it.
+    In the comparison, sensed poses are never lost or late.
     """
     return bool(list_streams(scenario) - {"dropout_lose_pose", "jitter_pose_travel"})
 
 
 def _counts_commands(scenario: Scenario) -> bool:
-    """Return whether a repeated command may have an effect: by chance, or in a queue."""
+    """Return whether a repeated command may have an effect, by chance or in a queue."""
     loop = scenario.loop
     return loop.queue_policy != "newest" or loop != silence(scenario).loop
 
 
 def _drop_repeated(commands: CommandColumns) -> CommandColumns:
-    """Return commands without repeated ones, which only take time."""
+    """Return commands without repeated ones, which only cost time."""
     changes = np.diff(commands.speed_m_s) != 0.0
     changes |= np.diff(commands.turn_rate_rad_s) != 0.0
     return take_rows(commands, np.concatenate([[True], changes]))
@@ -144,7 +144,7 @@ def _find_delay(scenario: Scenario, axis: Axis, command: float, left: float) -> 
 
 
 def _stands(run: Run, axis: Axis, earlier: NDArray[np.bool_], seen_s: float) -> bool:
-    """Return whether a robot is at rest meanwhile, or an axis is never commanded."""
+    """Return whether a robot is at rest in a segment, or an axis is never commanded."""
     largest = float(np.abs(get_commands(run, axis)).max())
     poses = run.poses
     if axis == "speed":
@@ -158,28 +158,32 @@ Values = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 _NEAR: Final = 0.1
-"""Share of the horizon within which a pose must lie to end a piece: errors grow by as much."""
+"""Share of the horizon within which a pose must lie to end a piece. Errors grow by the same
+share."""
 
 _SPARSE: Final = 0.25
-"""The same where poses are so far apart that the nearest may lie further off."""
+"""The same share for sparse poses, of which the nearest may be further away."""
 
 _HALF_STEP: Final = 0.55
-"""How far off the nearest pose may lie, by the usual time between poses: half, and some jitter."""
+"""Largest distance of the nearest pose, relative to the usual time between poses: half, plus
+jitter."""
 
 _JUMP_RATE: Final = 2.0
-"""A jump goes further than so many times what the largest command leads to in the time."""
+"""Size of a jump, as a multiple of the largest motion that a command can cause in the time."""
 
 _JUMP_NOISE: Final = 12.0
-"""And further than so many standard deviations of the steps between poses: normal noise never."""
+"""Size of a jump, as a multiple of the standard deviation of the steps between poses: normal noise
+never reaches it."""
 
 _GRAIN: Final = 1e-6
-"""And by what 32 bits cannot tell [m] or [rad]: a robot without noise does not jump."""
+"""Smallest size of a jump, the 32-bit resolution [m] or [rad]. Without this size, the rounding of a
+robot without noise would be a jump."""
 
 _NORMAL_MAD: Final = 1.4826
-"""Standard deviation by median magnitude of normal noise."""
+"""Ratio of standard deviation to median magnitude of normal noise."""
 
 _MOST_GROWTH: Final = 20
-"""Points of the curve of errors over time."""
+"""Number of points of the curve of errors over time."""
 
 
 def cut_pieces(time_ns: Rows, horizon_ns: int, known_ns: int) -> tuple[Rows, int]:
@@ -222,7 +226,7 @@ def list_growth_rows(time_ns: Rows, cut: Rows, horizon_s: float) -> Rows:
 
 
 def drop_jumps(cut: Rows, jumps: Rows) -> tuple[Rows, int]:
-    """Return the pieces that contain no jump, and the number of the others."""
+    """Return the pieces without jumps, and the number of pieces with jumps."""
     inside = np.searchsorted(jumps, cut[1], side="right") - np.searchsorted(
         jumps, cut[0], side="right"
     )
@@ -250,11 +254,12 @@ def find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) 
 
 
 def measure_errors(actual: Values, predicted: Values) -> Values:
-    """Return distance [m] and turn [rad] between ends, with predictions moved to the begins.
+    """Return the errors in distance [m] and turn [rad] at the end of each piece.
 
     Args:
         actual: States at the beginnings and ends of pieces, shape (2, n, 3).
-        predicted: Predicted states, shape (2, n, 3).
+        predicted: Predicted states, shape (2, n, 3). The predictions are moved so that they begin
+            at the actual state.
 
     Returns:
         Errors, shape (2, n).

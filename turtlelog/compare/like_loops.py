@@ -1,8 +1,9 @@
 """Equivalent loops of different laws, whose metrics are put next to each other in tables.
 
 Loops with the same name share rows. Other loops are equivalent if they control the same quantity
-(the heading, the distance to the goal, the offset from the line) with the same command, and both
-answer a step or both follow a reference. Loops of one law are never merged, because a run has both.
+with the same command. Quantities are the heading, the distance to the goal and the offset from the
+line. In addition, both must answer a step, or both follow a reference. Loops of one law are never
+merged, because a run has both.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,7 +14,7 @@ _Kind = tuple[str, str, bool]
 
 
 def order_ids(ids: Iterable[str], declarations: Iterable[Declaration] = ()) -> tuple[str, ...]:
-    """Return the ids of several laws, each once: loop by loop, then those of the end and the run.
+    """Return the ids of several laws without duplicates: loop by loop, then end and run.
 
     Equivalent loops in the laws' declarations alternate, metric by metric.
     """
@@ -35,7 +36,7 @@ def group_ids(
 def group_loops(
     names: Iterable[str], declarations: Iterable[Declaration]
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the names of equivalent loops in groups; groups of one kind follow each other."""
+    """Return the names of equivalent loops in groups, with groups of one kind side by side."""
     declared = tuple(dict.fromkeys(declarations))
     kinds: dict[str, _Kind] = {}
     for loop in (loop for declaration in declared for loop in declaration.loops):

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None
-"""Metrics to compute: ids and patterns, or a function that returns those of a run; None: all."""
+"""Metrics to compute: ids and patterns, or a function that returns the metrics of a run. None: all
+metrics."""
 
 
 def summarise_files(
@@ -37,13 +38,13 @@ def summarise_files(
     Args:
         paths: Any files that `read_run` takes.
         settings: Settings of the metrics, as in `measure_run`.
-        only: Metrics, as in `measure_run`; a pattern selects the metrics that each run has. Or a
-            function that chooses the metrics of a run.
+        only: Metrics, as in `measure_run`; a pattern selects the metrics that each run has. A
+            function may choose the metrics of each run.
         topics: Topics to read from bags, the same for all files.
         jobs: Number of processes, at least 1, or a pool. Processes import the main module: a script
-            that asks for more than one keeps its own work under `if __name__ == "__main__":`.
-        with_parameters: Whether summaries keep all parameters, which are half of their size, or
-            the laws' gains alone.
+            that uses several processes keeps its own work under `if __name__ == "__main__":`.
+        with_parameters: Whether summaries contain all parameters, which are half of their size, or
+            only the gains.
 
     Raises:
         MeasureError: If `only` names no metric.
@@ -87,9 +88,10 @@ def complete_summaries(
     *,
     topics: ReadChoice | None = None,
 ) -> tuple[RunSummary, ...]:
-    """Return runs with the metrics of `final` and `run` that were measured for any of them.
+    """Return runs with all metrics of `final` and `run` that any of the runs has.
 
-    Only if third-party bags are compared with runs of a law: their files are then read again.
+    If third-party bags are compared with runs of a law, the files are read again; otherwise nothing
+    changes.
     """
     if len({found.is_lawless for found in summaries}) < 2:
         return tuple(summaries)

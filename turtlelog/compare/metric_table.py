@@ -1,4 +1,4 @@
-"""The table of metrics: a row for each, with a few runs as columns; why values are missing."""
+"""The table of metrics: one row per metric, a few runs as columns, reasons for missing values."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import accumulate
@@ -13,7 +13,7 @@ from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 
 _MOST_NAMED: Final = 3
-"""Metrics that are named beside the reason for their missing values."""
+"""Largest number of metrics named beside the reason for their missing values."""
 
 
 def tabulate_metrics(
@@ -43,8 +43,8 @@ def tabulate_measured(
 ) -> Table:
     """Return the table of `tabulate_metrics` for at least one measured run.
 
-    Runs of several laws are columns of one table; a cell is empty if a law lacks the loop.
-    Equivalent loops of different laws share a group of rows, metric by metric.
+    Runs of several laws are columns of one table; a cell is empty if the law does not have the
+    loop. Equivalent loops of different laws share a group of rows, metric by metric.
 
     Args:
         names: Name of each run.
@@ -74,9 +74,10 @@ def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
 
 
 def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return the reasons for missing values, each once.
+    """Return the reasons for missing values without duplicates.
 
-    A status with several reasons does not show which of them a cell has: these name the metrics.
+    If a status has several reasons, a cell does not show which one applies; then the reasons name
+    the metrics.
     """
     named: dict[Status, dict[str, dict[str, None]]] = {}
     for metrics in measured:
@@ -98,7 +99,7 @@ def _name_some(names: Sequence[str]) -> str:
 
 
 def get_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:
-    """Return a value, with its unit if the metric has several units; or why it is missing."""
+    """Return a value, with a unit if the metric has several units, or why the value is missing."""
     if metric is None:
         return None
     if metric.value is None:
@@ -107,6 +108,6 @@ def get_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:
 
 
 def list_metric_units(metrics: Sequence[Metric]) -> list[str]:
-    """Return the units of a metric's values; several if loops of one name differ."""
+    """Return the units of a metric's values; several if loops of the same name differ."""
     valued = [metric.unit for metric in metrics if metric.value is not None]
     return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))

@@ -68,7 +68,7 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
 
 
 def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
-    """Return Table 1 without its window: each run to its end, with the response of its loops."""
+    """Return Table 1 without its time window: each run to its end, with its loop responses."""
     has_theory, of_loops = _have_theory(runs), _list_loop_columns(runs)
     has_goal = any(run.declaration.uses_goal for run in runs)
     of_run = {name: _WHOLE_RUN[name] for name in _WHOLE_RUN if has_goal or "error" not in name}
@@ -120,8 +120,8 @@ _ANSWERS: Final = MappingProxyType(
 def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
     """Return the columns of the loops that the runs have, by metric.
 
-    They are the settling times of loops that answer a step, the overshoots of those that turn the
-    robot, and the rms errors of loops that follow a reference.
+    Loops that answer a step have a settling time, and loops that turn the robot an overshoot. Loops
+    that follow a reference have an rms error.
     """
     declared = {loop.name: loop for run in runs for loop in run.declaration.loops}
     groups = group_loops(declared, [run.declaration for run in runs])
@@ -151,15 +151,15 @@ def _have_theory(runs: Sequence[Run]) -> bool:
 def _list_theory_loops(run: Run) -> list[ControlLoop]:
     """Return the loops with a gain and a theory: position by speed, heading by turn rate.
 
-    A cross-track error, a heading controlled by speed, and a loop with an integral or derivative
-    respond differently; a moving reference is not a step.
+    Other loops do not have this theory: a cross-track error, a heading controlled by speed, and a
+    loop with an integral or derivative respond differently. A moving reference is not a step.
     """
     loops = [loop for loop in run.declaration.loops if loop.gain is not None and not loop.moves]
     return [loop for loop in loops if loop.has_theory]
 
 
 def _get_gain(run: Run) -> float | None:
-    """Return the common gain of all loops; None if unknown, unequal, or without theory."""
+    """Return the common gain of all loops; None if it is unknown, unequal, or without theory."""
     keys = run.declaration.list_gains() if _list_theory_loops(run) else ()
     gains = {run.parameters.get(key) for key in keys}
     gain = gains.pop() if gains else None

@@ -1,4 +1,4 @@
-"""Whether runs may be ranked: the conditions that must agree before one is called the best."""
+"""Ranking of runs: conditions that must agree before a run is called the best."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -17,30 +17,31 @@ if TYPE_CHECKING:
     from turtlelog.compare.run_summary import RunSummary
 
 CONDITIONS: Final = ("goal", "path", "start", "plant", "limits")
-"""What runs must have in common; runs under other conditions solved another task."""
+"""Conditions that runs must have in common. Runs under other conditions solved another task."""
 
 _BAND: Final = 0.02
-"""Resolution of a run whose tolerances are not known, as a share of the way to its goal [1]: the
-settling band, within which metrics take a robot for arrived."""
+"""Resolution of a run with unknown tolerances, as a share of the distance to its goal [1]: the
+settling band, within which metrics regard a robot as arrived."""
 
 _HEADING_RAD: Final = 0.02
-"""Likewise of a heading [rad]: the same band of one radian."""
+"""Resolution of a heading with unknown tolerances [rad]: the same share of one radian."""
 
 _TABLES: Final[Mapping[str, tuple[str, ...]]] = {
     "path": ("path.",),
     "plant": ("plant.", "disturbance."),
     "limits": ("limits.",),
 }
-"""Keys of a scenario that are a condition: the plant is what is driven, and what pushes it."""
+"""Keys of a scenario that belong to a condition; the condition of the plant includes its
+disturbances."""
 
 _NO_GOAL_M: Final = 1.0
-"""The way of a run without a goal, for its resolution [m]."""
+"""Distance of a run without a goal, for the resolution [m]."""
 
 _MOST_NAMED: Final = 4
-"""Runs that a sentence names; of more it says how many there are."""
+"""Largest number of runs that a sentence names; of more runs, it gives the number."""
 
 Keys = tuple[tuple[str, Any], ...]
-"""Keys of a scenario with their values; a list of values is its text."""
+"""Keys of a scenario with their values; a list of values is represented as text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,8 +49,8 @@ class Conditions:
     """Conditions of a run; None: unknown.
 
     Attributes:
-        goal: x, y [m] and heading [rad] of the goal; the heading is None if it has none; () if the
-            law uses no goal.
+        goal: x, y [m] and heading [rad] of the goal. The heading is None if the goal has none; ()
+            if the law uses no goal.
         start: x, y [m] and heading [rad] of the first pose that was read.
         plant: `turtlesim`, `lagged` or `robot`; None: unknown.
         tables: Keys of path, plant and limits, each None if unknown.
@@ -66,7 +67,7 @@ class Conditions:
 
     @property
     def is_whole(self) -> bool:
-        """Whether path, plant and limits are known, as they are with the whole scenario."""
+        """Whether path, plant and limits are known, as in a run with its whole scenario."""
         return None not in self.tables
 
 
@@ -76,9 +77,9 @@ class ConditionDifference:
 
     Attributes:
         condition: One of `CONDITIONS`.
-        key: Key of the scenario (`limits.speed_m_s`), otherwise the condition itself.
+        key: Key of the scenario (`limits.speed_m_s`), or the condition itself.
         values: Value of each run, in order; None if unknown.
-        is_unknown: Whether the reason is that the condition of a run is unknown.
+        is_unknown: Whether the ranking is prevented because the condition of a run is unknown.
     """
 
     condition: str
@@ -89,12 +90,13 @@ class ConditionDifference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ranking:
-    """Whether runs may be ranked.
+    """Decision whether runs may be ranked, with the reasons.
 
     Attributes:
         varied: Keys that were varied intentionally and differ: gains, and named keys.
         differences: Conditions that prevent a ranking, in order of `CONDITIONS`.
-        unknown: Conditions that are unknown for all runs and prevent nothing, with those runs.
+        unknown: Conditions that are unknown for all runs and therefore prevent nothing, with the
+            runs.
     """
 
     varied: tuple[str, ...]
@@ -108,11 +110,11 @@ class Ranking:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Keys that differ; those varied intentionally come first."""
+        """Keys that differ; the intentionally varied ones come first."""
         return (*self.varied, *(found.key for found in self.differences))
 
     def describe(self) -> str:
-        """Return why no run may be called the best, as a clause; empty if one may."""
+        """Return why no run may be called the best, as a clause; empty if a run may."""
         known = [one.condition for one in self.differences if not one.is_unknown]
         unknown = [one.condition for one in self.differences if one.is_unknown]
         clauses = [
@@ -161,8 +163,8 @@ def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
     """Return the conditions of a run.
 
     Args:
-        run: Run with the goal, start and plant that count, instead of those of the scenario.
-        parameters: Its scenario with defaults, as far as known.
+        run: Run whose goal, start and plant replace those of the scenario.
+        parameters: Parameters of the run's scenario with defaults, as far as known.
     """
     first = [*run.samples.pose_sequence[:1], 0][0]
     x_m, y_m = map(float, run.poses.xy_m[first])
@@ -185,7 +187,7 @@ def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
 
 
 def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys | None:
-    """Return the keys of a condition; None if unknown."""
+    """Return the keys of a condition; None if the condition is unknown."""
     found = tuple(
         (key, value if isinstance(value, str | int | float) else str(value))
         for key, value in sorted(parameters.items())
@@ -195,7 +197,7 @@ def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys
 
 
 def _is_usual(key: str, value: Any, parameters: Mapping[str, Any]) -> bool:
-    """Return whether a key says what its table means without it: a polygon is closed."""
+    """Return whether a key has the value that is meant without it, e.g. a polygon is closed."""
     kind = parameters.get("path.kind")
     return key == "path.closed" and value is closes_by_itself(str(kind))
 
@@ -209,7 +211,7 @@ def _find_reach(parameters: Mapping[str, Any], distance_m: float) -> tuple[float
 
 
 def _find_plant(run: Run, parameters: Mapping[str, Any], *, is_simulated: bool) -> str | None:
-    """Return the kind of a plant: a scenario without the key has turtlesim's."""
+    """Return the kind of a plant; without the key, a scenario has turtlesim."""
     if is_simulated:
         return str(parameters.get("plant.kind", "turtlesim"))
     if not is_lawless(run):
@@ -222,13 +224,12 @@ def _find_plant(run: Run, parameters: Mapping[str, Any], *, is_simulated: bool) 
 def judge_runs(
     summaries: "Sequence[RunSummary]", *, varied: Collection[str] = (), source: str = "varied"
 ) -> Ranking:
-    """Return whether one of several runs may be called the best; the only place that decides.
+    """Return whether one of several runs may be called the best. Only this function decides.
 
-    Goals and starts may differ by the resolution, which comes from the laws' tolerances of position
-    (heading tolerance times distance plus position tolerance) and heading. If the tolerances are
-    unknown, it is 2 % of the distance to the goal and 0.02 rad. An unknown goal of a run prevents a
-    ranking. A path, a plant or limits prevent it if they are known for some runs only, not if they
-    are unknown for all.
+    Goals and starts may differ by a resolution from the laws' tolerances: heading tolerance times
+    distance plus position tolerance, and the heading tolerance. If the tolerances are unknown, the
+    resolution is 2 % of the distance to the goal and 0.02 rad. An unknown goal of a run prevents a
+    ranking. An unknown path, plant or limit prevents a ranking only if it is known for other runs.
 
     Args:
         summaries: Runs to judge.
@@ -266,7 +267,7 @@ def judge_runs(
 def _describe_partly(
     condition: str, known: Sequence[Conditions], rows: Collection[int]
 ) -> ConditionDifference:
-    """Return a condition unknown for some rows, with its keys as text for the others."""
+    """Return a condition that is unknown for some runs, with its keys as text for the others."""
     values = [
         None if row in rows else _write_condition(condition, found)
         for row, found in enumerate(known)
@@ -287,7 +288,7 @@ def _write_condition(condition: str, found: Conditions) -> str:
 
 
 def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) -> tuple[str, ...]:
-    """Return the keys that were varied intentionally and differ, in the order of the scenario."""
+    """Return the intentionally varied keys that differ, in the order of the scenario."""
     values: dict[str, set[str]] = {}
     for summary in summaries:
         for key, value in summary.parameters.items():
@@ -297,7 +298,7 @@ def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) ->
 
 
 def _find_condition(key: str) -> str:
-    """Return the condition to which a key of a scenario belongs, otherwise its table."""
+    """Return the condition that a scenario's key belongs to, or else its table."""
     for condition, prefixes in _TABLES.items():
         if key.startswith(prefixes):
             return condition
@@ -365,7 +366,7 @@ def _are_near(
 
 
 def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
-    """Return the keys of a table that differ between the runs for which it is known."""
+    """Return the keys of a table that differ between the runs with a known table."""
     held = [_get_table(condition, found) for found in known]
     tables = [None if table is None else dict(table) for table in held]
     present = [table for table in tables if table is not None]
@@ -400,7 +401,7 @@ _JUDGES: Final[Mapping[str, Callable[[str, Sequence[Conditions]], list[Condition
 
 
 def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
-    """Return the value of each run, with runs of equal value together."""
+    """Return the value of each run as text; runs with equal values are grouped."""
     groups: dict[str, list[str]] = {}
     for name, value in zip(names, found.values, strict=True):
         groups.setdefault(_show(found, value), []).append(name)
@@ -414,7 +415,7 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
 
 
 def _advise_goal(found: ConditionDifference) -> str:
-    """Return the option that gives a goal to runs without one; it applies to all files."""
+    """Return the option that sets a goal for runs without a goal; it applies to all files."""
     is_of_all = all(value is None for value in found.values)
     return "--goal X,Y" if is_of_all else "turtlelog convert FILE --goal X,Y -o NEW.mcap"
 

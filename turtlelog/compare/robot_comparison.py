@@ -1,4 +1,4 @@
-"""Deviation of a simulated robot from a recorded one: errors, and whether noise explains them."""
+"""Deviation of a simulated robot from a recorded one, and whether noise explains the errors."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,37 +15,40 @@ from turtlelog.run import Clock, PoseColumns
 Values = NDArray[np.float64]
 
 SEEDS: Final = 39
-"""Simulations of one motion: another one of the same kind lies between the least and the largest of
-them in 38 of 40 cases, which are 95 %."""
+"""Number of simulations of one motion. Another motion of the same kind lies between the smallest
+and the largest of them in 38 of 40 cases, or 95 %."""
 
 _CENTRAL: Final = (SEEDS - 1) / (SEEDS + 1)
-"""That share [1]."""
+"""Share of cases between the smallest and the largest simulation [1]."""
 
 _CHANCE: Final = 1e-3
-"""Probability below which so few errors within the band are no chance [1]: for a robot with the
-right noise, one band of a thousand is judged wrongly."""
+"""Probability below which few errors within the band are not chance [1]. For a robot with the right
+noise, one of a thousand bands is judged wrongly."""
 
 SHOWN_UNITS: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
-"""Unit and factor in which the errors of a quantity are shown; values hold m and rad."""
+"""Unit and factor for showing the errors of a quantity; values are in m and rad."""
 
 Quantity = Literal["position", "heading"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorBand:
-    """Recorded errors after a time, and those of simulations of the same pieces.
+    """Recorded errors after a time, with the errors of simulations of the same pieces.
 
-    An error is the magnitude of the difference between the pose and the prediction: the simulation
-    without noise that starts at the pose one horizon before.
+    An error is the magnitude of the difference between the pose and its prediction. The prediction
+    is the simulation without noise that starts one horizon earlier at the recorded pose.
 
     Attributes:
         quantity: `position` [m] or `heading` [rad].
         horizon_s: Prediction time [s].
         time_s: End time of each piece, since the run's time zero [s], shape (n,).
         recorded: Recorded errors, shape (n,).
-        simulated: Median of the simulated errors of each piece, shape (n,); None: without noise.
-        low: The smallest simulated error of each piece, shape (n,); None: without noise.
-        high: The largest simulated error of each piece, shape (n,); None: without noise.
+        simulated: Median of the simulated errors of each piece, shape (n,); None if the simulation
+            has no noise.
+        low: Smallest simulated error of each piece, shape (n,); None if the simulation has no
+            noise.
+        high: Largest simulated error of each piece, shape (n,); None if the simulation has no
+            noise.
     """
 
     quantity: Quantity
@@ -63,12 +66,12 @@ class ErrorBand:
 
     @property
     def largest(self) -> float:
-        """The largest recorded error [m or rad]."""
+        """Largest recorded error [m or rad]."""
         return float(self.recorded.max())
 
     @property
     def largest_at_s(self) -> float:
-        """Time of the largest error, since the run's time zero [s]."""
+        """Time of the largest recorded error, since the run's time zero [s]."""
         return float(self.time_s[int(self.recorded.argmax())])
 
     @property
@@ -95,7 +98,7 @@ class ErrorBand:
 
     @property
     def verdict(self) -> Literal["as simulated", "larger", "smaller", "no noise"]:
-        """Whether the recorded errors agree with the simulation, or in which way they differ."""
+        """Whether the recorded errors agree with the simulation, or how they differ."""
         from scipy.special import bdtr
 
         if self.above is None or self.below is None:
@@ -131,7 +134,7 @@ class ErrorBand:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorGrowth:
-    """Growth of the errors from an anchor on.
+    """Growth of the errors with the time since an anchor.
 
     Attributes:
         quantity: `position` [m] or `heading` [rad].
@@ -152,7 +155,7 @@ Level = Literal["as simulated", "noisier", "quieter"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseLevel:
-    """The noise of a recorded robot compared with that of the simulated one.
+    """Noise of a recorded robot, compared with the noise of the simulated robot.
 
     Attributes:
         quantity: `position` or `heading`.
@@ -172,7 +175,7 @@ class NoiseLevel:
 
     @property
     def text(self) -> str:
-        """Comparison of the noise with the scenario's, in a sentence; empty if they agree."""
+        """Comparison of the noise with the scenario's noise, in a sentence; empty if they agree."""
         if self.level == "as simulated":
             return ""
         more = "more" if self.level == "noisier" else "less"
@@ -195,11 +198,11 @@ class RobotComparison:
         noise: Noise of position and heading compared with the simulation, if it is visible.
         growth: Growth of the errors of position and heading, over the pieces of the longest
             horizon.
-        recorded: Recorded poses, as sensed if that is recorded, n rows.
-        simulated: Poses of the simulation without noise at the same times, from the origin on; n
+        recorded: Recorded poses, n rows; the sensed poses if they are recorded.
+        simulated: Poses of the simulation without noise at the same times, from the origin on, n
             rows. `predict_pieces` moves them to the pieces.
-        begins: Row of the pose at which each piece of the longest horizon begins.
-        ends: Row of the pose at which each piece ends.
+        begins: Row of the first pose of each piece of the longest horizon.
+        ends: Row of the last pose of each piece.
         traces: Commanded, recorded and simulated (`modelled`) rates of both axes, in the log's
             time.
         start_s: The run's time zero on the log's clock [s].
@@ -225,7 +228,7 @@ class RobotComparison:
         """Return the errors of a quantity after a time [s].
 
         Raises:
-            KeyError: If there are none.
+            KeyError: If there are no such errors.
         """
         for band in self.bands:
             if (band.quantity, band.horizon_s) == (quantity, horizon_s):
@@ -235,7 +238,7 @@ class RobotComparison:
     def predict_pieces(self) -> Iterator[Values]:
         """Yield the predicted positions of each piece of the longest horizon [m], shape (m, 2).
 
-        Each begins at its recorded pose.
+        Each piece begins at its recorded pose.
         """
         for begin, end in zip(self.begins.tolist(), self.ends.tolist(), strict=True):
             turn_rad = self.recorded.heading_rad[begin] - self.simulated.heading_rad[begin]
@@ -265,7 +268,7 @@ class RobotComparison:
 
 
 def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
-    """Return a table of the errors of recorded robots and simulated ones, with their meaning."""
+    """Return a table of the errors between recorded and simulated robots, with their meaning."""
     first = found[0]
     rows: list[tuple[Cell, ...]] = []
     notes, breaks = [], []
@@ -322,27 +325,27 @@ def _list_cells(band: ErrorBand) -> tuple[Cell, ...]:
 
 
 SHORTEST_S: Final = 0.1
-"""After this time errors of a robot that is not noisier are small beside noise [s]."""
+"""Time after which the error of a robot model is still small compared with noise [s]."""
 
 _NOTED: Final = float(np.sqrt(2.0))
-"""Halfway, in powers of two, between the same noise and the double or half [1]. Noise that was
+"""Boundary between equal noise and double or half noise, halfway in powers of two [1]. Noise
 identified from 60 s is 0.85 to 1.25 times the true noise."""
 
 _SURE: Final = 3.0
-"""Student's t of 38 degrees of freedom that chance exceeds once in 200 [1]."""
+"""Student's t with 38 degrees of freedom that chance exceeds once in 200 cases [1]."""
 
 _T_95: Final = 2.024
-"""Student's t of 38 degrees of freedom within which chance stays in 95 of 100 cases [1]."""
+"""Student's t with 38 degrees of freedom that chance does not exceed in 95 of 100 cases [1]."""
 
 _FEWEST: Final = 30
-"""Errors of a robot that moves whose median is worth naming."""
+"""Smallest number of errors of a moving robot whose median is reported."""
 
 _GROWN: Final = 2.0
-"""Student's t that chance exceeds once in 20: a doubt is enough to say nothing [1]."""
+"""Student's t that chance exceeds once in 20 cases: in doubt, nothing is reported [1]."""
 
 _GROWTH: Final = 1.25
-"""Noise that is doubled is doubled after any time. The error of a wrong model grows with time, by
-ten between 0.1 s and 1 s, where that of noise grows by three at most [1]."""
+"""Growth of errors that shows a wrong model [1]. Doubled noise is doubled after any time. Between
+0.1 s and 1 s, the error of a wrong model grows by ten, that of noise by three at most."""
 
 
 def _round(ratio: float) -> str:
@@ -359,7 +362,7 @@ def compare_noise(
         quantity: Quantity of the errors.
         after_s: Prediction time of the errors of `short` [s].
         short: Recorded errors, shape (n,), and simulated ones, shape (seeds, n).
-        long: The same after a several times longer time, at which a wrong model shows.
+        long: The same errors after a time several times longer, at which a wrong model shows.
     """
     if len(short[0]) < _FEWEST or not len(long[0]):
         return None
@@ -388,7 +391,7 @@ def _compare(
 ) -> tuple[float, float]:
     """Return the logarithm of the ratio of medians, and its standard deviation over seeds.
 
-    With `beside`, it is divided by the ratio of those.
+    With `beside`, the ratio is divided by the ratio of those errors.
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # Without noise an error may be 0.
         one = np.log(np.median(recorded))

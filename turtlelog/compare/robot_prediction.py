@@ -1,9 +1,9 @@
-"""A recorded robot compared with a simulated one that its commands drive, with repeated anchors.
+"""Comparison of a recorded robot with a simulated one that repeats its commands from many anchors.
 
-The robot of a scenario is simulated: its plant, disturbance and sensing. Its rates follow from the
-commands and do not depend on its pose. Therefore, one simulation from the first command on, moved
-to the recorded pose at an anchor, equals a simulation that begins there and knows all earlier
-commands.
+The simulation includes the plant, disturbance and sensing of a scenario. The rates of the robot
+follow from the commands and do not depend on the pose. Therefore one simulation from the first
+command on is enough: moved to the recorded pose at an anchor, it equals a simulation that begins
+there with all earlier commands.
 """
 
 import math
@@ -55,22 +55,23 @@ from turtlelog.run.columns import take_rows
 from turtlelog.scenario import Scenario
 
 HORIZONS_S: Final = (1.0, 5.0)
-"""For how long a motion is predicted before it is anchored anew [s]."""
+"""Times for which a motion is predicted before the next anchor [s]."""
 
 LONGEST_S: Final = 600.0
-"""How much of a run is simulated at most [s]: 120 pieces of 5 s."""
+"""Longest simulated part of a run [s]: 120 pieces of 5 s."""
 
 MOST_TICKS: Final = 30_000
-"""Periods of the plant that are simulated at most: 600 s at 50 Hz, which 39 seeds take 20 s for."""
+"""Largest number of simulated plant periods: 600 s at 50 Hz, for which 39 seeds take 20 s."""
 
 _FIRST_SEED: Final = 2**32
-"""The first seed: a recording that was simulated with a seed of its own is none of the others."""
+"""First seed: a recording simulated with a seed of its own differs from all other seeds."""
 
 _MOST_NAMED: Final = 5
-"""Jumps and stops that are named one by one."""
+"""Largest number of jumps and stops that are named one by one."""
 
 _MOVED: Final = 1e-9
-"""A robot that moves less between two poses stands [m] or [rad]: rounding alone moves it so far."""
+"""Smallest motion between two poses of a moving robot [m] or [rad]; rounding alone moves a robot as
+far."""
 
 _QUANTITIES: Final[tuple[Quantity, Quantity]] = ("position", "heading")
 
@@ -82,10 +83,10 @@ def compare_robot(
 ) -> RobotComparison:
     """Return the deviation of a simulated robot from a recorded one, driven by the same commands.
 
-    The simulation is moved to the recorded pose after each horizon, and knows all earlier commands.
-    If the scenario has noise, it is repeated over seeds: the noise is right if the recorded errors
-    are distributed as the simulated ones. Use a run to which the scenario was not fitted. If the
-    recording contains sensed poses, these are used.
+    After each horizon, the simulation is moved to the recorded pose; all earlier commands still
+    act. If the scenario has noise, the simulation is repeated over seeds: the noise is right if
+    recorded and simulated errors have the same distribution. Use a run to which the scenario was
+    not fitted. Sensed poses are used if they are recorded.
 
     Args:
         run: Run with commands; poses may be irregular or missing.
@@ -161,7 +162,7 @@ def compare_robot(
 
 
 class _Stack:
-    """The recorded states, the states without noise, and those of each seed at some rows."""
+    """The recorded states, the states without noise, and the states of each seed at given rows."""
 
     def __init__(
         self, recorded: PoseColumns, predicted: Values, rows: Rows, worlds: Values
@@ -257,7 +258,7 @@ def _require_sense(run: Run, scenario: Scenario, horizons_s: Sequence[float]) ->
 
 
 def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
-    """Return the comparable part of a run with sensed poses, and the part that this leaves out."""
+    """Return the comparable part of a run with sensed poses, and the time segments left out."""
     poses, notes = run.poses, []
     longest_s = min(LONGEST_S, MOST_TICKS * scenario.plant.facts.period_s)
     until_ns = poses.time_ns[0] + round(longest_s * 1e9)

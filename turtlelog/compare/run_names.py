@@ -1,4 +1,4 @@
-"""Names that distinguish runs in a table or picture, and their order in it."""
+"""Names that distinguish runs in a table or picture, and the order of runs there."""
 
 import math
 from collections import Counter
@@ -16,21 +16,21 @@ from turtlelog.run import Parameter, Run
 _MOST_PARAMETERS: Final = 2
 
 _LONGEST: Final = 24
-"""Of a name in a table of text [characters]."""
+"""Longest name in a text table [characters]."""
 
 _TAIL: Final = 13
-"""Of a longer file's name [characters]: dates and numbers are at its end."""
+"""Number of last characters kept of a longer file name; dates and numbers are at the end."""
 
 _MOST_TOLD: Final = 4
-"""Long names that are given in full; of more the keys alone."""
+"""Largest number of long names given in full; with more, only the keys are given."""
 
 
 def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
     """Return one name per run, in order, all different.
 
-    Runs with the same name are called by their files if known: by the file's name, or by its path
-    if the names are equal too. Otherwise the one or two parameters that differ are added (`paper Kp
-    4`). If this does not distinguish the runs, a number follows.
+    Runs with the same name get the name of their file, or its path if the file names are equal too.
+    Without files, the one or two parameters that differ are added (`paper Kp 4`). If this does not
+    distinguish the runs, a number follows.
     """
     clashing: dict[str, list[int]] = {}
     for row, run in enumerate(runs):
@@ -52,7 +52,7 @@ def label_file(file: str | Path) -> str:
 def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], list[str]]:
     """Return runs with names of at most 24 characters, and their original names.
 
-    A run with a longer name is called by its file; a longer file name is cut in the middle.
+    A run with a longer name gets the name of its file. A longer file name is cut in the middle.
     """
     names = name_runs(runs)
     long = [len(name) > _LONGEST for name in names]
@@ -109,9 +109,9 @@ def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
 
 
 def list_differing(runs: Sequence[Run | RunSummary]) -> list[str]:
-    """Return the scenario's keys that differ between runs, without their names.
+    """Return the scenario keys that differ between runs, without the names of the scenarios.
 
-    A key that files leave out if it has its default does not count as different.
+    A missing key counts as equal to its default if files omit this default.
     """
     parameters = [_list_parameters(run) for run in runs]
     keys = dict.fromkeys(key for known in parameters for key in known if key != "name")
@@ -155,7 +155,7 @@ def order_by_gain(runs: Sequence[AnyRun]) -> tuple[AnyRun, ...]:
     """Return runs sorted by the gains that their laws declare, the gain of the speed first.
 
     Runs with equal gains are in the natural order of their names (`run2` before `run10`); runs with
-    one name keep their order. A run without gains comes after those with gains.
+    the same name keep their order. Runs without gains come last.
     """
     return tuple(sorted(runs, key=lambda run: (_get_gains(run), split_numbers(run.name))))
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.ranking import Conditions, find_conditions
-from turtlelog.display import fit_line
+from turtlelog.display import fit_line, join_words
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.measure import (
@@ -27,11 +27,12 @@ from turtlelog.measure import (
 )
 from turtlelog.measure.metric import Status
 from turtlelog.run import Parameter, Run, require_run
+from turtlelog.run.ending import GoalEnd, find_goal_end
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Start
 
 TEXTS: Final = ("name", "source", "stop_reason")
-"""What filters and orders may ask for besides parameters and metrics."""
+"""Texts that filters and orders may use in addition to parameters and metrics."""
 
 
 HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
@@ -45,7 +46,7 @@ HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
         ),
     }
 )
-"""What metrics need: poses, samples of a controller, commands, a goal, reported rates."""
+"""Data that metrics need: poses, samples of a controller, commands, a goal, reported rates."""
 
 
 def list_lacks(run: Run) -> tuple[str, ...]:
@@ -58,7 +59,7 @@ _MAPPINGS: Final = ("parameters", "metrics", "notes")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
-    """A run without its columns, so that thousands fit into memory; it can be pickled.
+    """A run without its columns, so that thousands fit into memory. A summary can be pickled.
 
     Attributes:
         name: Name of the run.
@@ -66,11 +67,12 @@ class RunSummary:
         stop_reason: Stop reason, as in `Run`.
         parameters: Parameters by dotted key (`law.kp_linear`).
         metrics: Metrics by id.
-        file: File from which it was read; empty if unknown.
+        file: File from which the run was read; empty if unknown.
         notes: Notes, as in `Run`.
         declaration: Declaration of the law, as in `Run`.
-        lacks: Elements of `HOLDINGS` that it lacks.
+        lacks: Elements of `HOLDINGS` that the run lacks.
         conditions: Conditions that must agree before runs are ranked; None: unknown.
+        goal_end: End of the run at its goal; None without poses or a goal.
     """
 
     name: str
@@ -83,6 +85,7 @@ class RunSummary:
     declaration: Declaration = field(default_factory=Declaration)
     lacks: tuple[str, ...] = ()
     conditions: Conditions | None = None
+    goal_end: GoalEnd | None = None
 
     def __post_init__(self) -> None:
         for name in _MAPPINGS:
@@ -99,7 +102,7 @@ class RunSummary:
 
     @property
     def is_lawless(self) -> bool:
-        """Whether its controller is unknown, as for a third-party bag."""
+        """Whether the controller of the run is unknown, as for a third-party bag."""
         return "samples" in self.lacks and not self.declaration.loops
 
     def find_value(self, name: str) -> Parameter | None:
@@ -111,9 +114,9 @@ class RunSummary:
         return self.parameters.get(name) if metric is None else metric.value
 
     def find_metric(self, name: str) -> Metric | None:
-        """Return a metric; that of a loop which its law does not declare has the status `no_phase`.
+        """Return a metric. The metric of an undeclared loop has the status `no_phase`.
 
-        None if it was not measured, or if no metric of this law but a parameter has this id.
+        The result is None if the metric was not measured, or if the id belongs to a parameter.
         """
         if name in self.metrics or name in list_metrics(self.declaration):
             return self.metrics.get(name)
@@ -129,10 +132,28 @@ class RunSummary:
         return Metrics(self.metrics.items(), first=first)._repr_html_()
 
 
-def complete_parameters(run: Run) -> Mapping[str, Parameter]:
-    """Return the parameters of a run with those that files leave out if they have their default.
+_MOST_NAMED: Final = 3
+"""Largest number of runs that a clause names."""
 
-    They are unknown if a run lacks its whole scenario, or if its law is not built in.
+
+def describe_reached(summaries: Sequence[RunSummary]) -> str:
+    """Return which runs reach the goal, as a clause; empty if the tolerances of one are unknown."""
+    ends = [(one.name, one.goal_end) for one in summaries if one.goal_end is not None]
+    if not ends or len(ends) < len(summaries) or any(end.verdict == "ended" for _, end in ends):
+        return ""
+    names = [name for name, end in ends if end.verdict == "reached"]
+    if len(names) in {0, len(ends)}:
+        return "all reach the goal" if names else "none reaches the goal"
+    if len(names) > _MOST_NAMED:
+        return f"{len(names)} of {len(ends)} reach the goal"
+    return f"only {join_words(names)} {'reaches' if len(names) == 1 else 'reach'} the goal"
+
+
+def complete_parameters(run: Run) -> Mapping[str, Parameter]:
+    """Return the parameters of a run, including defaults that files leave out.
+
+    Defaults are unknown if the run does not contain its whole scenario, or if its law is not built
+    in.
     """
     kind = run.parameters.get("law.kind")
     if not run.scenario_is_complete or kind not in LAWS:
@@ -180,7 +201,7 @@ def _unpack(packed: _Packed) -> tuple[str, Metric]:
 
 
 def _share(value: Any) -> Any:
-    """Return a shared copy of a text that equals this one; other values unchanged."""
+    """Return a shared copy of an equal text; other values unchanged."""
     return _keep_text(value) if isinstance(value, str) else value
 
 
@@ -202,7 +223,7 @@ def _share_declaration(declaration: Declaration) -> Declaration:
 def summarise_run(
     run: Run, *, file: str = "", metrics: Mapping[str, Metric] | None = None
 ) -> RunSummary:
-    """Return the summary of a run; `metrics` are its metrics if already measured."""
+    """Return the summary of a run; `metrics` are its metrics if they are already measured."""
     require_run(run)
     return summarise_measured(run, file, measure_run(run) if metrics is None else metrics)
 
@@ -210,7 +231,7 @@ def summarise_run(
 def summarise_measured(
     run: Run, file: str, metrics: Mapping[str, Metric], *, with_parameters: bool = True
 ) -> RunSummary:
-    """Return the summary of a run, with all its parameters or with its gains alone."""
+    """Return the summary of a run, with all its parameters or with its gains only."""
     known = complete_parameters(run)
     return RunSummary(
         name=run.name,
@@ -223,6 +244,7 @@ def summarise_measured(
         declaration=run.declaration,
         lacks=list_lacks(run),
         conditions=find_conditions(run, known) if len(run.poses) else None,
+        goal_end=find_goal_end(run),
     )
 
 
@@ -233,7 +255,7 @@ def _take_gains(run: Run, known: Mapping[str, Parameter]) -> Mapping[str, Parame
 def select_runs(
     summaries: Sequence[RunSummary], where: str, *, source: str = "where"
 ) -> tuple[tuple[RunSummary, ...], tuple[str, ...]]:
-    """Return the runs for which an expression is true, and notes on those that lack its values.
+    """Return the runs for which an expression is true, and notes on runs without its values.
 
     Args:
         summaries: Runs to choose from.
@@ -242,8 +264,8 @@ def select_runs(
         source: Beginning of error lines.
 
     Raises:
-        ExpressionError: If it does not parse, or contains a name that no run has.
-        CompareError: If it is not a condition.
+        ExpressionError: If the expression does not parse, or contains a name that no run has.
+        CompareError: If the expression is not a condition.
     """
     expression = expressions.parse_expression(where, source=source)
     others = (name for name in expression.names if find_metric_kind(name) is not None)
@@ -325,9 +347,9 @@ def list_usual_of_run(run: Run | RunSummary) -> tuple[str, ...]:
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
     """Return the ids of the metrics that characterise runs of these laws.
 
-    They are the response of the loops that turn the robot, if a law has such loops, otherwise of
-    all loops, and the final state. The response of the driving loops shows in the final position.
-    For laws without a goal, the distance driven is included.
+    The metrics describe the final state and the response of the loops that turn the robot; for laws
+    without such loops, the response of all loops. The final position shows the response of the
+    driving loops. For laws without a goal, the distance driven is included.
     """
     chosen: dict[str, None] = {}
     for declaration in declarations:
@@ -350,7 +372,7 @@ def list_needed_metrics(
 ) -> tuple[str, ...]:
     """Return ids and patterns of the metrics that a table across runs needs.
 
-    No others are measured; the law of a run decides which of them it has.
+    Other metrics are not measured; the law of a run decides which of these the run has.
 
     Args:
         columns: Columns as for `choose_columns`; empty: the default ones.
@@ -376,9 +398,9 @@ USUAL_OF_MOTION: Final = (
     *("final.position_error", "run.duration", "run.path_length", "run.measured_speed_max"),
     *("run.speed_lag", "run.turn_rate_lag"),
 )
-"""Of runs of which no law is known."""
+"""Default metrics of runs with an unknown law."""
 _USUAL_PATTERNS: Final = (*(f"*.{name}" for name in _USUAL_OF_LOOP), *_USUAL_OF_RUN)
-"""Whatever the law; the runs are not read yet."""
+"""Patterns of the default metrics for any law, before the runs are read."""
 
 
 def _list_ids(summaries: Sequence[RunSummary]) -> list[str]:

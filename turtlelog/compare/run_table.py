@@ -1,4 +1,4 @@
-"""The table of runs: a row for each, with parameters and metrics as columns."""
+"""The table of runs: one row per run, with parameters and metrics as columns."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -28,13 +28,13 @@ from turtlelog.run import Parameter
 from turtlelog.run.loops import ControlLoop, Declaration
 
 _MOST_DIFFERING: Final = 2
-"""Columns of parameters in which runs differ."""
+"""Largest number of columns for parameters that differ between runs."""
 
 _MOST_NAMED: Final = 3
-"""Keys that the first line names as differing beside what was varied."""
+"""Largest number of other differing keys that the first line names."""
 
 _MOST_HIDDEN: Final = 8
-"""More of them that are named below a table."""
+"""Largest number of further differing keys that are named below a table."""
 
 
 def _list_summaries(summaries: object) -> list[RunSummary]:
@@ -58,17 +58,17 @@ def tabulate_runs(
 ) -> Table:
     """Return a row for every run: its gains, and metrics with the best and the worst marked.
 
-    The title names the best run. If runs have different conditions, the title names these, and
-    nothing is marked: `judge_runs` decides.
+    The title names the best run. If the conditions of the runs differ, the title names the
+    conditions, and nothing is marked: `judge_runs` decides.
 
     Args:
         summaries: Runs in the order of the rows.
         only: Metrics, patterns (`translate.*`) and parameters; empty: the default ones.
         title: Title instead of the number of runs.
         notes: Sentences below the table.
-        ranking: Whether a run may be called the best; None: as `judge_runs` decides.
-        differing: Largest number of columns for other parameters that differ; the rest is named
-            below.
+        ranking: Whether a run may be called the best. Default: as `judge_runs` decides.
+        differing: Largest number of columns for other parameters that differ; the remaining ones
+            are named below.
 
     Raises:
         CompareError: If `only` contains an unknown name.
@@ -134,7 +134,7 @@ def _list_first(keys: Sequence[str]) -> str:
 
 
 _MOST_GAINS: Final = 6
-"""Gains that the first line lists; of more it gives the least and the largest."""
+"""Largest number of gains that the first line lists; of more gains, it gives the range."""
 
 
 def _describe_varied(
@@ -176,7 +176,7 @@ def _list_values(values: Sequence[Cell]) -> str:
 
 
 def _name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
-    """Return which run is the best in all compared metrics; empty if none is marked."""
+    """Return which run is the best in all compared metrics; empty if no run is marked."""
     best = {
         name: {row for row, mark in found.items() if mark == "best"}
         for name, found in marks.items()
@@ -198,7 +198,7 @@ def sort_by_column(
     """Return the runs in rising order of a gain, by its column title; otherwise as `sort_runs`.
 
     Raises:
-        CompareError: If no run has it.
+        CompareError: If no run has this column.
     """
     title = by.removeprefix("-")
     titles = [column.title for column in _list_gain_columns(summaries)]
@@ -216,14 +216,15 @@ def sort_by_column(
 def mark_metric(
     summaries: Sequence[RunSummary], name: str, *, ranking: Ranking | None = None
 ) -> dict[int, Mark]:
-    """Return which runs are the best and the worst in a metric; empty if all are printed alike.
+    """Return which runs are the best and the worst in a metric; empty if all print alike.
 
-    Empty too if loops of one name control signals with different units, or runs may not be ranked.
+    The result is also empty if loops of the same name control signals with different units, or if
+    runs may not be ranked.
 
     Args:
         summaries: Runs to mark.
         name: Id of the metric.
-        ranking: Whether they may be ranked, if already known.
+        ranking: Whether the runs may be ranked, if already known.
     """
     if not (judge_runs(summaries) if ranking is None else ranking).is_fair:
         return {}
@@ -245,7 +246,7 @@ def mark_metric(
 
 
 def _list_usual(summaries: Sequence[RunSummary]) -> tuple[str, ...]:
-    """Return the default metrics; with third-party bags, those that some run has."""
+    """Return the default metrics; with third-party bags, only metrics that some run has."""
     laws = [found.declaration for found in summaries if not found.is_lawless]
     if len(laws) == len(summaries):
         return list_usual_metrics(*laws)
@@ -254,9 +255,9 @@ def _list_usual(summaries: Sequence[RunSummary]) -> tuple[str, ...]:
 
 
 def drop_absent(summaries: Sequence[RunSummary], ids: Collection[str]) -> tuple[str, ...]:
-    """Return the metrics for which some run has the data.
+    """Return the metrics for which at least one run has the data.
 
-    All metrics if every run has a law, so that their tables do not depend on the data.
+    If every run has a law, all metrics are returned, so that tables do not depend on the data.
     """
     if not any(found.is_lawless for found in summaries):
         return tuple(ids)
@@ -269,7 +270,7 @@ def _is_held(summary: RunSummary, name: str) -> bool:
 
 
 def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
-    """Return which inputs would add metrics if all runs are third-party bags that lack them."""
+    """Return which inputs would add metrics, if all runs are third-party bags without them."""
     if not summaries or not all(found.is_lawless for found in summaries):
         return []
     return [
@@ -295,14 +296,14 @@ UNLOCKS: Final = MappingProxyType(
         " metrics of loops",
     }
 )
-"""What a bag may lack, by `HOLDINGS`, and what would add the metrics that need it."""
+"""Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
 
 _AT_GOAL: Final = ("final.heading_error", "final.position_error")
 _COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn", "speed": "drive"})
 
 
 def _leave_out_goal(summary: RunSummary) -> RunSummary:
-    """Return a run without errors at a goal if its law uses none: no other run has that goal."""
+    """Return a run without errors at a goal if its law uses none: other runs have another goal."""
     if summary.declaration.uses_goal:
         return summary
     kept = {name: found for name, found in summary.metrics.items() if name not in _AT_GOAL}
@@ -310,7 +311,7 @@ def _leave_out_goal(summary: RunSummary) -> RunSummary:
 
 
 def _list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
-    """Return the gain columns: a single one if all loops of each run have the same gain."""
+    """Return the gain columns: one column if all loops of each run have the same gain."""
     known = [found for found in summaries if _list_known_gains(found)]
     if not known:
         return []
@@ -353,9 +354,9 @@ def _get_gain(summary: RunSummary, title: str) -> Cell:
 
 
 def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[str]:
-    """Return the other parameters that differ between runs; an unknown one does not differ.
+    """Return the other parameters that differ between runs. Unknown parameters do not differ.
 
-    Those varied intentionally come first, then those that prevent a ranking.
+    Intentionally varied parameters come first, then those that prevent a ranking.
     """
     shown = {"name", *(key for found in summaries for key in found.declaration.list_gains())}
     values: dict[str, set[str]] = {}
@@ -371,7 +372,7 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
 
 
 def _list_defaults(keys: Collection[str]) -> dict[str, object]:
-    """Return the defaults of those keys that a whole scenario leaves out without the effect."""
+    """Return the defaults of the keys that a whole scenario omits without the effect."""
     from turtlelog.effects import EFFECTS
 
     return {
@@ -384,14 +385,14 @@ def _list_defaults(keys: Collection[str]) -> dict[str, object]:
 
 
 def _is_complete(summary: RunSummary) -> bool:
-    """Return whether a run has its whole scenario."""
+    """Return whether a run contains its whole scenario."""
     return summary.conditions is not None and summary.conditions.is_whole
 
 
 def order_parameters(
     summaries: Sequence[RunSummary], ranking: Ranking
 ) -> list[dict[str, Parameter]]:
-    """Return the parameters of each run: varied ones, others that differ, and the rest."""
+    """Return the parameters of each run: the varied ones, others that differ, and the rest."""
     first = [*ranking.varied, *_find_differing(summaries, ranking)]
     return [
         {

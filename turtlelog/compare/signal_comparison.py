@@ -1,4 +1,4 @@
-"""Signals of a run compared with those of a reference: their deviations and tolerances."""
+"""Comparison of a run's signals with those of a reference: deviations and tolerances."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ from turtlelog.replay.differences import Difference, SignalDifference as SignalD
 from turtlelog.run import Run
 
 _OF_TRACK: Final = frozenset({"along_track", "cross_track"})
-"""Signals that belong to the path that a law tracks, or else to the line from start to goal."""
+"""Signals that refer to the path of a law, or else to the line from start to goal."""
 
 
 def compare_signals(
@@ -40,7 +40,7 @@ def compare_signals(
     Args:
         reference: Run from which differences are taken.
         run: Other run.
-        tolerances: Tolerances by name of the signal; a signal that a run lacks is left out.
+        tolerances: Tolerances by signal name; a signal that a run lacks is left out.
         alignment: Alignment, as in `compare_runs`.
 
     Raises:
@@ -58,10 +58,10 @@ class SignalTube:
     Attributes:
         time_ns: Time in the run [ns], shape (n,), not decreasing.
         values: Values of the run, in the signal's unit, shape (n,).
-        reference: The reference value with which each row is compared, shape (n,).
+        reference: Reference value with which each row is compared, shape (n,).
         low: Lower end of the band, shape (n,).
         high: Upper end of the band, shape (n,).
-        excess: Distance beyond the tolerance, shape (n,); not positive inside.
+        excess: Distance beyond the tolerance, shape (n,); zero or negative within the tolerance.
     """
 
     time_ns: NDArray[np.int64]
@@ -75,9 +75,9 @@ class SignalTube:
 def trace_tube(
     reference: Run, run: Run, name: str, tolerance: Tolerance, *, alignment: str = "first_sample"
 ) -> SignalTube | None:
-    """Return a numeric signal compared with the reference's; None if they cannot be compared.
+    """Return a numeric signal compared with the reference's; None if no comparison is possible.
 
-    Angles of the reference are shifted to within half a turn of the run's.
+    Angles of the reference are shifted by full turns to within half a turn of the run's angles.
 
     Args:
         reference: Run from which differences are taken.
@@ -130,11 +130,11 @@ def trace_tube(
 
 
 _BEYOND: Final = 1e12
-"""Further than any signal reaches, in its unit."""
+"""A distance larger than any signal, in its unit."""
 
 
 def explain_lack(name: str, reference: Run, run: Run) -> str:
-    """Return why a signal cannot be compared: a run lacks it, or its law has no such signal."""
+    """Return why a signal cannot be compared: a run or its law does not have it."""
     known = list(list_signal_units([reference.declaration, run.declaration]))
     if name not in known:
         near = find_near(name, known, most=2)
@@ -182,7 +182,7 @@ def compare_aligned_signals(
 
 
 def _find_span(placed: tuple[Signal, Signal], clock: CommonClock) -> tuple[int, int]:
-    """Return the compared segment of two signals: commands from when both have published one."""
+    """Return the compared segment of two signals; for commands, it begins when both have one."""
     start, end = clock.span
     firsts = [int(one.time_ns[0]) for one in placed if one.kind.source == "command"]
     return max([start, *firsts]), end
@@ -191,8 +191,8 @@ def _find_span(placed: tuple[Signal, Signal], clock: CommonClock) -> tuple[int, 
 def share_track(reference: Run, run: Run) -> bool:
     """Return whether along-track and cross-track have the same meaning in both runs.
 
-    This is true if both laws track the same path, with any time law, or no path: each run then has
-    its line from start to goal.
+    This is true if both laws track the same path, at any speed, or no path: then each run has its
+    own line from start to goal.
     """
     paths = [
         None if who.path is None else dataclasses.replace(who.path, speed_m_s=None)
@@ -208,7 +208,7 @@ def _measure_rows(
     clock: CommonClock,
     phases: list[str],
 ) -> SignalDifference:
-    """Return the deviation of a run's rows from the reference's signal, both on the clock."""
+    """Return the deviation of a run's rows from the reference's signal, both on one clock."""
     half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
     nearest = find_deciding_values(reference, rows, tolerance, half_width=half_width)
     off = measure_distance(reference, rows.values, nearest)
@@ -247,7 +247,7 @@ def _join_phases(reference: Run, run: Run) -> list[str]:
 
 
 def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, Signal | None]:
-    """Return a signal of both runs, None for a run that lacks it; phases with common numbers."""
+    """Return a signal of both runs, None for a run without it; phases have common numbers."""
     theirs, ours = (
         find_signal(who, name) if name in list_signals(who.declaration) else None
         for who in (reference, run)

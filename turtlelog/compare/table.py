@@ -1,4 +1,4 @@
-"""Tables as values: the content of a printed table or of a file, before it is text."""
+"""Tables as values: the content of a printed table or of a file, before formatting."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,9 +18,9 @@ class Column:
 
     Attributes:
         title: Head of the column.
-        unit: Unit of its values; empty if they have none.
-        digits: Decimals of its values; None: five significant digits.
-        joined: Whether it is meaningful only next to the previous column.
+        unit: Unit of the values; empty if the values have no unit.
+        digits: Decimals of the values; None: five significant digits.
+        joined: Whether the column is meaningful only next to the previous column.
         lines: Title broken into lines, for narrow terminals.
     """
 
@@ -36,13 +36,13 @@ class Table(Tabular):
     """A table with its notes.
 
     Attributes:
-        title: One line. LaTeX numbers tables itself, and leaves out a leading `Table 1: `.
+        title: Title in one line. LaTeX numbers tables itself, and leaves out a leading `Table 1: `.
         columns: Columns, at least one.
-        rows: Rows, each as long as `columns`; None: there is no such value.
+        rows: Rows, each as long as `columns`; None: no value.
         notes: Sentences below the table.
-        breaks: First rows of new groups; a terminal shows an empty line before them.
-        marks: Marks of the best and the worst cells of their column, by row and column.
-        label: Label for references in LaTeX; empty: none.
+        breaks: First rows of new groups; a terminal shows an empty line before each.
+        marks: Marks of the best and the worst cells of a column, by row and column.
+        label: Label for references in LaTeX; empty: no label.
     """
 
     title: str
@@ -98,10 +98,10 @@ def narrow_table(table: Table, width: int, ranks: Sequence[int | None]) -> Table
     """Return a table with as many columns as fit into a line of text.
 
     Args:
-        table: Table whose marks take a character each.
+        table: Table to narrow; each of its marks takes one character.
         width: Number of characters in a line.
-        ranks: Rank of each column; columns with None stay, the others are added in rising order
-            while they fit.
+        ranks: Rank of each column. Columns with None always stay; the others are added in rising
+            order while they fit.
     """
     cells = [
         [format_cell(row[place], column) for row in table.rows]
@@ -131,4 +131,4 @@ def narrow_table(table: Table, width: int, ranks: Sequence[int | None]) -> Table
 
 
 _GAP: Final = 2
-"""Blanks between columns."""
+"""Number of blanks between columns."""

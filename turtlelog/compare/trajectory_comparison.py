@@ -1,4 +1,4 @@
-"""Two trajectories -> the error of one relative to the other: ATE and RPE, and their basis."""
+"""Comparison of two trajectories: the errors of one relative to the other (ATE and RPE)."""
 
 import math
 import re
@@ -35,19 +35,20 @@ AlignIn = Literal["none", "origin", "se2", "se3", "sim2", "sim3"]
 ALIGN_IN: Final[tuple[AlignIn, ...]] = get_args(AlignIn)
 
 LEAST_POSES: Final = 3
-"""Associated poses that an error needs: a turn and a scale bring any two together."""
+"""Smallest number of associated poses for an error: a turn and a scale align any two poses."""
 
 _MOST_RMSE: Final = 0.5
-"""RMSE, as a share of how far the reference spreads about its middle, from which on the alignment
-explains less than three quarters of the variance: the two hardly have one shape and size."""
+"""Largest RMSE, as a share of the spread of the reference about its middle. Above this share, the
+alignment explains less than three quarters of the variance: the two trajectories hardly have the
+same shape and size."""
 
 _LEAST_SHARE: Final = 0.5
-"""Share of the shorter trajectory's poses below which it is said that most have no partner."""
+"""Share of the shorter trajectory's poses below which a note says that most have no partner."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delta:
-    """Length of the relative motions of the RPE."""
+    """Length of the relative motions for the RPE."""
 
     value: float
     unit: DeltaUnit
@@ -63,17 +64,17 @@ class TrajectorySettings:
 
     Attributes:
         align: Fitted transformation of the estimate: none; that of the first poses (origin); a
-            rotation and translation in the plane (se2) or in space (se3), with a scale (sim2,
-            sim3). None: se3 if both trajectories are in space and one leaves the horizontal plane,
-            otherwise se2.
+            rotation and translation in the plane (se2) or in space (se3); with a scale (sim2,
+            sim3). Default: se3 if both trajectories are in space and one leaves the horizontal
+            plane, otherwise se2.
         interpolates: Whether the trajectory with more poses is interpolated at the times of the
-            other. Otherwise each pose takes the nearest in time.
+            other. Otherwise each pose is paired with the nearest in time.
         most_apart_s: Largest time difference between associated poses [s].
-        offset_s: Offset added to the times of the estimate [s]; None makes the times of the first
-            poses equal.
+        offset_s: Offset added to the times of the estimate [s]. None: the first poses of both get
+            the same time.
         deltas: Lengths of relative motions for the RPE, along the reference.
-        overlaps: Whether a relative motion begins at every pose; otherwise at the end of the last
-            one.
+        overlaps: Whether a relative motion begins at every pose; otherwise each begins at the end
+            of the last one.
     """
 
     align: AlignIn | None = None
@@ -108,13 +109,14 @@ class TrajectoryComparison:
     Attributes:
         name: Name of the estimate.
         reference_name: Name of the reference.
-        space: `plane` if x, y and heading were compared, `space` if positions and rotations were.
+        space: `plane` if x, y and heading were compared; `space` if positions and rotations were
+            compared.
         align: Alignment of the estimate.
         alignment: Transformation of the alignment.
         reference: Associated poses of the reference.
         estimate: Aligned poses of the estimate at the same times.
         errors: ATE of positions and rotations, then the RPE of each delta.
-        absolute: The errors of the ATE, pose by pose.
+        absolute: Errors of the ATE, pose by pose.
         before_m: RMSE of the positions without alignment [m].
         poses: Numbers of poses of the estimate and of the reference.
         notes: Notes for the reader.
@@ -136,7 +138,7 @@ class TrajectoryComparison:
     def find_error(
         self, kind: str, quantity: str, delta: Delta | None = None
     ) -> ErrorStatistics | None:
-        """Return the statistics of an error; for the first delta unless another is given."""
+        """Return the statistics of an error; by default those of the first delta."""
         for one in self.errors:
             if (one.kind, one.quantity) == (kind, quantity) and delta in {None, one.delta}:
                 return one.statistics
@@ -151,7 +153,7 @@ def parse_delta(text: str) -> Delta:
     """Return a delta: a number with its unit, as in `1 m`, `30 deg`, `0.5 s` or `10 frames`.
 
     Raises:
-        CompareError: If it is not a delta.
+        CompareError: If the text is not a delta.
     """
     match = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*([a-z]+)\s*", text[:60])
     unit = _UNITS.get(match[2]) if match else None
@@ -177,11 +179,11 @@ _UNITS: Final[dict[str, DeltaUnit]] = {
 def compare_trajectories(
     reference: Trajectory, estimate: Trajectory, settings: TrajectorySettings | None = None
 ) -> TrajectoryComparison:
-    """Return the absolute and relative errors of an estimate, aligned to its reference.
+    """Return the absolute and relative errors of an estimate that is aligned to its reference.
 
     Args:
-        reference: Trajectory that is taken as true.
-        estimate: Trajectory that is compared with it.
+        reference: Trajectory that counts as true.
+        estimate: Trajectory that is compared with the reference.
         settings: Settings of the comparison.
 
     Raises:
@@ -243,14 +245,14 @@ def _choose_align(reference: Trajectory, estimate: Trajectory, asked: AlignIn | 
 
 
 def _is_flat(trajectory: Trajectory) -> bool:
-    """Return whether a robot stays in a horizontal plane, upright."""
+    """Return whether a robot stays upright in a horizontal plane."""
     turns = trajectory.orientation_quat_wxyz
     tilt_rad = 2.0 * np.hypot(turns[:, 1], turns[:, 2]).max()
     return bool(np.ptp(trajectory.xyz_m[:, 2]) <= _FLAT_M and tilt_rad <= _FLAT_RAD)
 
 
 _FLAT_M, _FLAT_RAD = 1e-6, 1e-6
-"""Heights and tilts that are rounding: text has six digits at least."""
+"""Heights and tilts that count as rounding: texts have at least six digits."""
 
 
 def _associate(
@@ -287,7 +289,7 @@ def _associate(
 
 
 def _describe_times(reference: Trajectory, estimate: Trajectory, offset_s: float | None) -> str:
-    """Return the time spans of both, and the offset between them."""
+    """Return the time spans of both trajectories, and the offset between them."""
     if len(reference) < LEAST_POSES or len(estimate) < LEAST_POSES:
         return f"they have {len(estimate)} and {len(reference)} poses"
     begins, ends = zip(
@@ -328,7 +330,7 @@ NAMES: Final[dict[AlignIn, str]] = {
     "sim2": "Sim(2)",
     "sim3": "Sim(3)",
 }
-"""How the groups of alignments are written."""
+"""Words for the groups of alignments."""
 
 
 def _list_errors(
@@ -412,7 +414,7 @@ def tabulate_trajectories(found: Sequence[TrajectoryComparison]) -> Table:
 
 
 STATISTICS: Final = ("rmse", "mean", "median", "std", "min", "max", "sse")
-"""Of every error."""
+"""Statistics of every error."""
 
 
 def _list_cells(error: TrajectoryError, space: str) -> tuple[str | float | int, ...]:

@@ -8,8 +8,8 @@ Sources:
   Patterns", IEEE PAMI 13(4), 1991, equations 34 to 43.
 - Interpolation of rotations: K. Shoemake, "Animating Rotation with Quaternion Curves", SIGGRAPH
   1985 (slerp).
-- Which of these errors to choose: Z. Zhang, D. Scaramuzza, "A Tutorial on Quantitative Trajectory
-  Evaluation for Visual(-Inertial) Odometry", IROS 2018.
+- Choice of these errors: Z. Zhang, D. Scaramuzza, "A Tutorial on Quantitative Trajectory Evaluation
+  for Visual(-Inertial) Odometry", IROS 2018.
 """
 
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ Rows = NDArray[np.int64]
 DeltaUnit = Literal["frames", "m", "deg", "s"]
 
 _LEAST_SPREAD: Final = 1e-9
-"""Singular value, as a share of the largest, from which on points span a direction. Text with six
-decimals leaves 1e-7 of a path of 10 m, and is data; rounding of doubles leaves 1e-16."""
+"""Singular value, as a share of the largest, from which points span a direction. Text with six
+decimals gives 1e-7 for a path of 10 m, which is data; rounding of doubles gives 1e-16."""
 
 _MOST_OFF: Final = 0.75
-"""How far a pair in time may be off its delta, in usual steps: the nearest of even steps is off by
-a half at most, the pose before a gap or the end by one and more."""
+"""Largest deviation of a pair in time from its delta, in usual steps. The nearest of evenly spaced
+poses deviates by at most half a step; the pose before a gap or the end by one step or more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ class ErrorStatistics:
 
     Attributes:
         count: Number of errors.
-        rmse: Root of the mean square.
+        rmse: Root mean square.
         mean: Mean.
         median: Median.
         std: Standard deviation about the mean, of this population: divided by `count`.
@@ -59,7 +59,7 @@ class ErrorStatistics:
 
 
 class DegenerateError(ValueError):
-    """Points that leave an alignment undetermined; the message names the missing direction."""
+    """Points that do not determine an alignment. The message names the missing direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,7 +78,7 @@ class Alignment:
 
 
 def summarise_errors(errors: Values) -> ErrorStatistics:
-    """Return the statistics of errors, at least one."""
+    """Return the statistics of at least one error."""
     squares = float((errors**2).sum())
     return ErrorStatistics(
         count=len(errors),
@@ -93,7 +93,7 @@ def summarise_errors(errors: Values) -> ErrorStatistics:
 
 
 class Associated(NamedTuple):
-    """Two trajectories of equal length with associated rows."""
+    """Two trajectories of equal length whose rows belong together."""
 
     reference: Trajectory
     estimate: Trajectory
@@ -102,17 +102,18 @@ class Associated(NamedTuple):
 def associate_trajectories(
     reference: Trajectory, estimate: Trajectory, *, most_apart_ns: int, interpolates: bool
 ) -> Associated:
-    """Return the poses of both at the times of the trajectory with fewer poses.
+    """Return the poses of both trajectories at the times of the one with fewer poses.
 
-    Each of its poses takes the nearest in time of the other, or the earlier of two; a pose whose
-    nearest is further away is left out. With interpolation, the other is then interpolated at these
-    times, the position linearly and the rotation along the shortest arc (slerp); times outside the
-    other are left out, because nothing is extrapolated.
+    Each of these poses is paired with the other trajectory's nearest pose in time, or with the
+    earlier of two equally near ones. A pose whose nearest partner is too far away is left out. With
+    interpolation, the other trajectory is then interpolated at these times: the position linearly,
+    the rotation along the shortest arc (slerp). Times outside the other trajectory are left out,
+    because nothing is extrapolated.
 
     Args:
-        reference: One trajectory.
-        estimate: The other, its times already on the clock of the reference. With equally many
-            poses its times are used.
+        reference: Reference trajectory.
+        estimate: Trajectory to compare, with times already on the clock of the reference. If both
+            have equally many poses, the times of the estimate are used.
         most_apart_ns: Largest difference between the times of two poses [ns].
         interpolates: Whether the trajectory with more poses is interpolated.
     """
@@ -196,8 +197,9 @@ def find_alignment(
     Args:
         reference_m: Positions [m], shape (n, 3).
         estimate_m: Associated positions [m], shape (n, 3).
-        dimensions: 2: a rotation about the vertical and a translation in the plane. 3: any.
-        scales: Whether the scale is estimated, too.
+        dimensions: 2: a rotation about the vertical and a translation in the plane. 3: any rotation
+            and translation.
+        scales: Whether the scale is estimated too.
 
     Raises:
         DegenerateError: If the points leave the rotation or the scale undetermined.
@@ -222,7 +224,7 @@ def find_alignment(
 
 
 def _require_spread(singular: Values, sizes: list[float], means: list[Values]) -> None:
-    """Raise an error if points do not determine a rotation: it needs all but one direction."""
+    """Raise an error if points do not determine a rotation, which needs all but one direction."""
     for who, size, mean in zip(("reference", "estimate"), sizes, means, strict=True):
         # Rounding of coordinates far from the origin is no motion.
         if size <= _LEAST_SPREAD * max(1.0, float(np.abs(mean).max())):
@@ -232,7 +234,7 @@ def _require_spread(singular: Values, sizes: list[float], means: list[Values]) -
 
 
 def find_origin_alignment(reference: Trajectory, estimate: Trajectory) -> Alignment:
-    """Return the transformation that makes the first poses of both equal."""
+    """Return the transformation that makes the first poses of both trajectories equal."""
     ours, theirs = (
         build_rotations(one.orientation_quat_wxyz[:1])[0] for one in (estimate, reference)
     )
@@ -271,7 +273,7 @@ class PoseErrors(NamedTuple):
 
     Attributes:
         position_m: Position errors [m], shape (n,).
-        rotation_rad: Angle of the rotation between both, in [0, pi] [rad], shape (n,).
+        rotation_rad: Angle of the rotation between both poses, in [0, pi] [rad], shape (n,).
     """
 
     position_m: Values
@@ -290,18 +292,19 @@ def measure_absolute_errors(reference: Trajectory, estimate: Trajectory) -> Pose
 def choose_pairs(
     trajectory: Trajectory, delta: float, unit: DeltaUnit, *, overlaps: bool = False
 ) -> tuple[Rows, Rows]:
-    """Return the first and second rows of the pairs whose relative motion is compared.
+    """Return the first and last rows of the pairs whose relative motion is compared.
 
-    A pair ends at the first pose at least the delta after its first pose: in poses, in metres along
-    the trajectory, or in degrees of turn summed over poses. In seconds, a pair ends at the pose
-    nearest to the delta; it is left out if that is off by more than three quarters of the usual
-    step between poses, because there is a gap.
+    A pair ends at the first pose that is at least one delta after its first pose: in poses, in
+    metres along the trajectory, or in degrees of turn summed over poses. For a delta in seconds, a
+    pair ends at the nearest pose. The pair is left out if this pose is off by more than three
+    quarters of the usual step between poses.
 
     Args:
         trajectory: The reference or the estimate, after association.
         delta: Length of a motion, above 0, whole for frames.
         unit: Unit of the delta.
-        overlaps: Whether a pair begins at every pose; otherwise at the end of the last one.
+        overlaps: Whether a pair begins at every pose; otherwise each pair begins at the end of the
+            last one.
     """
     if unit == "s":
         return _pair_times(trajectory.time_ns, round(delta * 1e9), overlaps=overlaps)

@@ -1,10 +1,10 @@
-"""Deviation of a run from a reference: from its values near in time, and from its path.
+"""Deviation of a run from a reference: from values near in time, and from the path.
 
 At time t, with a time tolerance d, a value is compared with the values of the reference in [t - d,
 t + d]. A linearly interpolated signal takes every value between its minimum and maximum there; a
-held signal takes those of its rows in the window and the one held at the window's start. A value
-passes if it is within max(abs, rel |reference|) of any of them. As rel <= 1, that half-width grows
-no faster than the distance: the nearest values below and above decide.
+held signal takes the values of its rows in the window, and the value held at the window's start. A
+value passes if it is within max(abs, rel |reference|) of any of these values. Because rel <= 1,
+this half-width grows no faster than the distance, so the nearest values below and above decide.
 """
 
 import math
@@ -32,9 +32,10 @@ class Tolerance:
 
     Attributes:
         abs: Absolute tolerance in the unit of the signal or metric, >= 0.
-        rel: Fraction of the reference's magnitude, 0 to 1; for an angle, of its magnitude in [0,
-            pi].
-        time_s: Passes if it matches any reference value within +- time_s [s]; >= 0; signals only.
+        rel: Fraction of the reference's magnitude, 0 to 1; for an angle, the fraction of its
+            magnitude in [0, pi].
+        time_s: Time tolerance [s], >= 0: a value passes if it matches any reference value within +-
+            time_s. Only for signals.
         reason: Reason for the tolerance.
 
     Raises:
@@ -66,7 +67,7 @@ class Grid:
 
     Attributes:
         at: Times in units of the clock, shape (n,), not decreasing.
-        run_row: The run's row at each point, shape (n,); the first row before it.
+        run_row: The run's row at each point, shape (n,); for a point between rows, the row before.
         later: Number of further rows of the run with the same time, shape (n,).
     """
 
@@ -84,7 +85,7 @@ class GridValues:
 
 
 _LONGEST_S = 1e6
-"""Longest tolerance in time [s]: eleven days, beyond any run; in ns an int64 holds it."""
+"""Longest tolerance in time [s]: eleven days, longer than any run; in ns it fits into an int64."""
 
 
 def _describe(value: object) -> str:
@@ -109,7 +110,7 @@ def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
 
 
 def read_rows(run: Signal, grid: Grid) -> GridValues:
-    """Return a placed signal's values on a grid, interpolated or held as its kind requires."""
+    """Return a placed signal's values on a grid, interpolated or held according to its kind."""
     if run.kind.resampling == "line":
         return GridValues(grid=grid, values=np.interp(grid.at, run.time_ns, run.values))
     return GridValues(grid=grid, values=run.values[grid.run_row])
@@ -118,7 +119,7 @@ def read_rows(run: Signal, grid: Grid) -> GridValues:
 def find_deciding_values(
     reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
 ) -> Values:
-    """Return the reference value that decides for each row, shape of the rows.
+    """Return the reference value that decides each row, in the shape of the rows.
 
     If a row is far inside its tolerance, another value within its tolerance may be returned.
     """
@@ -179,11 +180,11 @@ def _find_held(reference: Signal, rows: GridValues) -> Values:
 def _find_nearest_held(
     reference: Signal, rows: GridValues, tolerance: Tolerance, half_width: int
 ) -> Values:
-    """Return the nearest row value in each window, if it can matter.
+    """Return the nearest row value in each window, if this value can matter.
 
-    The nearest value to a value outside the range of its window is at the edge. A value within the
-    range may lie in a gap; the rows are searched only if the held value does not already show that
-    the row passes with more margin than another.
+    For a value outside the range of its window, the nearest value is at the edge. A value within
+    the range may lie in a gap. The rows are searched only if the held value does not already show
+    that the row passes with more margin than another row.
     """
     start, end = rows.grid.at - half_width, rows.grid.at + half_width
     first = np.maximum(np.searchsorted(reference.time_ns, start, side="right") - 1, 0)
@@ -208,7 +209,7 @@ def _find_nearest_held(
 
 
 def _merge_times(one: Times, other: Times) -> Times:
-    """Return the times of both, sorted and without duplicates."""
+    """Return the times of both signals, sorted and without duplicates."""
     if np.array_equal(one, other):
         both = one
     else:
@@ -218,11 +219,11 @@ def _merge_times(one: Times, other: Times) -> Times:
 
 
 def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Values]:
-    """Return the minimum and maximum of every segment, shape of `first`.
+    """Return the minimum and maximum of every segment, in the shape of `first`.
 
-    A segment is the rows `first` to `after - 1` and not empty; all segments are evaluated at once.
-    Two overlapping segments of 2^k rows cover any longer one: only the tables of the required k are
-    made, one after another.
+    A segment has the rows `first` to `after - 1`, at least one; all segments are evaluated at once.
+    Two overlapping segments of 2^k rows cover any longer segment. Only the tables of the required k
+    are built, one after another.
     """
     level = np.frexp((after - first).astype(np.float64))[1] - 1
     low, high = values, values
@@ -242,10 +243,10 @@ def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Va
 def _find_neighbours(
     values: Values, first: Times, after: Times, wanted: Values
 ) -> tuple[Values, Values]:
-    """Return the nearest value at or below `wanted`, and above it, in every segment; nan: none.
+    """Return the nearest value at or below `wanted`, and above it, in each segment; NaN: no value.
 
-    A tree of sorted blocks, from rows upwards; each segment consists of at most two blocks of every
-    size, and all blocks of one size are searched by bisection in one call.
+    The search uses a tree of sorted blocks, from single rows upwards. Each segment consists of at
+    most two blocks of every size. All blocks of one size are searched by bisection in one call.
     """
     order = np.argsort(values, kind="stable")
     sorted_values = values[order]
@@ -279,7 +280,7 @@ class _Blocks:
         self._keys = ranks + np.arange(len(ranks)) // width * self._most
 
     def search(self, block: Times, rank: Times) -> tuple[Times, Times]:
-        """Return the largest rank <= `rank` in each block (-1: none) and the smallest above it."""
+        """Return the largest rank <= `rank` in each block (-1: none), and the smallest above it."""
         start, end = block * self._width, (block + 1) * self._width
         place = np.searchsorted(self._keys, block * self._most + rank, side="right")
         last = len(self._ranks) - 1
@@ -289,7 +290,7 @@ class _Blocks:
 
 
 _MOST_POINTS: Final = 20_000
-"""Points of a path that distances are taken from: more take minutes."""
+"""Largest number of points of a path for distances: more points take minutes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -319,7 +320,8 @@ def measure_path_error(
     """Return the deviation of a run from a reference's path, and from the reference at equal times.
 
     Args:
-        reference: Run whose poses, joined by lines, are the path; of more than 20,000 every n-th.
+        reference: Run whose poses, joined by lines, are the path. Of more than 20,000 poses, every
+            n-th is used.
         run: Other run.
         alignment: Alignment, as in `compare_runs`.
 

@@ -1,6 +1,6 @@
 """Drawing of runs: Rerun recordings, figures, movies, reports and tables.
 
-Public names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

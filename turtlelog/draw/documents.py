@@ -1,4 +1,4 @@
-"""Text next to the pictures: tables and the scenario, in Markdown."""
+"""Text next to the pictures: tables and the scenario, as Markdown."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -27,7 +27,7 @@ _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run
 
 
 def document_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
-    """Return the documents of one run by title: metrics, and the known part of its scenario.
+    """Return the documents of one run by title: metrics, and the known part of the scenario.
 
     Args:
         run: Run to describe.
@@ -69,7 +69,7 @@ def document_runs(
 def _put_ends_first(table: Table) -> Table:
     """Return a table of runs with their final position errors directly after the gains.
 
-    There is room for only half of the columns next to the pictures.
+    Next to the pictures there is room for only half of the columns.
     """
     titles = [column.title for column in table.columns]
     ends = [place for place, title in enumerate(titles) if title.startswith("final.")]
@@ -87,13 +87,13 @@ def _put_ends_first(table: Table) -> Table:
 def choose_essentials(
     runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]
 ) -> list[dict[str, Metric]]:
-    """Return the metrics of each run to look at first; loop metrics only of declared loops."""
+    """Return the metrics of each run to look at first; loop metrics only for declared loops."""
     ids = list_essential_metrics(*(run.declaration for run in runs))
     return [{name: known[name] for name in ids if name in known} for known in metrics]
 
 
 def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
-    """Yield the lines of the metrics: a table for each group, with missing values below."""
+    """Yield the lines of the metrics: a table for each group, and missing values below."""
     yield escape_markdown(run.name, starts_line=True)
     groups = groupby(metrics.values(), lambda metric: metric.id.partition(".")[0])
     tables = [(group, list(found)) for group, found in groups]

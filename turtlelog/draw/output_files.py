@@ -1,4 +1,4 @@
-"""Output files that are complete or absent; the content policy of HTML pages."""
+"""Output files that are complete or absent, and the content policy of HTML pages."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator
@@ -14,7 +14,7 @@ from turtlelog.log import replace_when_complete
 
 @contextmanager
 def replace_file(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name in the folder of `path`; it replaces `path` if the block succeeds.
+    """Yield a temporary file name; this file replaces `path` if the block succeeds.
 
     Raises:
         ShowError: If the folder cannot be written.
@@ -30,7 +30,7 @@ def replace_file(path: str | Path) -> Iterator[Path]:
 def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path]]:
     """Yield a function that writes files into a folder by name; all appear together at the end.
 
-    If the block fails, nothing is left: no file, and no new folder.
+    If the block fails, no file and no new folder remain.
 
     Raises:
         ShowError: If the folder cannot be written.
@@ -68,7 +68,7 @@ _SOURCES: Final = {
     "base_uri": "'none'",
     "form_action": "'none'",
 }
-"""Allowed sources: Bokeh and Rerun write styles while they draw; other rules keep styles from
+"""Allowed sources. Bokeh and Rerun write styles while they draw; other rules prevent styles from
 loading anything."""
 
 
@@ -76,8 +76,8 @@ def write_policy(scripts: Iterable[str], **more: str) -> str:
     """Return a policy that allows the scripts in the page by their hashes, and nothing remote.
 
     Args:
-        scripts: Text of each script; data blocks, as of JSON, are not scripts.
-        more: Further sources by directive, with `_` for `-`, as `connect_src="'self'"`.
+        scripts: Text of each script. Data blocks, for example of JSON, are not scripts.
+        more: Further sources by directive, with `_` for `-`, as in `connect_src="'self'"`.
     """
     hashes = (b64encode(sha256(code.encode()).digest()).decode() for code in scripts)
     ours = {"script_src": " ".join(f"'sha256-{found}'" for found in hashes), **_SOURCES}
@@ -90,6 +90,6 @@ def write_policy(scripts: Iterable[str], **more: str) -> str:
 
 
 def write_policy_tag(*scripts: str) -> str:
-    """Return the policy as a tag for the head of a page, to be placed before all that loads."""
+    """Return the policy as a tag for the head of a page, which must precede all that loads."""
     policy = write_policy(scripts)
     return f'<meta http-equiv="Content-Security-Policy" content="{policy}">'

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figure":
-    """Return a run as a widget of Rerun's viewer; without the extra `notebook` as figure `panel`.
+    """Return a run as a widget of Rerun's viewer, or without the extra `notebook` as a figure.
 
-    Both show themselves as the last line of a cell.
+    The figure is `panel`. A notebook shows the widget or figure as the value of a cell.
 
     Args:
         run: Run to show.

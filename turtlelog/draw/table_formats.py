@@ -1,6 +1,6 @@
 """Tables as text for a terminal, Markdown, CSV and LaTeX.
 
-Written without a library, so that printed and stored tables do not change with its version.
+No library is used, so that printed and stored tables do not change with its version.
 """
 
 import csv
@@ -30,11 +30,11 @@ class _Column:
     """A column as text.
 
     Attributes:
-        titles: Lines of its head.
-        unit: Unit in brackets; empty if there is none.
+        titles: Lines of the column's title.
+        unit: Unit in brackets; empty without a unit.
         cells: Text of each row.
-        is_numeric: Whether it is aligned to the right.
-        is_joined: Whether it must stay beside the previous column.
+        is_numeric: Whether the column is aligned to the right.
+        is_joined: Whether the column must stay next to the previous column.
         width: Available width [characters]; longer text is broken into lines.
     """
 
@@ -47,7 +47,7 @@ class _Column:
 
     @property
     def least_width(self) -> int:
-        """Smallest possible width [characters]: values stay complete, names may be broken."""
+        """Smallest possible width [characters]. Values stay complete, names may be broken."""
         if not self.is_numeric:
             return min(self.width, _LEAST_TEXT)
         return min(self.width, max(_LEAST_NUMBER, len(self.unit), *map(len, self.cells)))
@@ -59,8 +59,8 @@ class _Column:
 def format_text(table: Table, width: int | None = None) -> str:
     """Return a table for a terminal: aligned columns, units in the second line, notes below.
 
-    If it is wider than `width`, names are broken into lines; if that is not sufficient, the columns
-    are split into several blocks, each beginning with the text columns.
+    If the table is wider than `width`, names are broken into lines. If that is not sufficient, the
+    columns are split into several blocks, and each block begins with the text columns.
     """
     columns = [_build_column(table, index) for index in range(len(table.columns))]
     blocks = [columns] if width is None else _fit(columns, width)
@@ -90,7 +90,7 @@ def format_markdown(table: Table) -> str:
 
 
 def format_csv(table: Table) -> str:
-    """Return a table as CSV with full precision, units in the head; missing values are empty."""
+    """Return a table as CSV with full precision and units in titles; missing values are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([guard_cell(_join_title(column)) for column in table.columns])
@@ -101,7 +101,7 @@ def format_csv(table: Table) -> str:
 
 
 def format_latex(table: Table) -> str:
-    """Return a table as LaTeX for the booktabs package; a wide table spans two columns."""
+    """Return a table as LaTeX for the booktabs package. A wide table spans two columns."""
     alignment = "".join("r" if _is_numeric(table, i) else "l" for i in range(len(table.columns)))
     rows = _format_rows(table, "tex")
     size = r"\footnotesize" if _is_wide(table) else r"\small"
@@ -141,8 +141,8 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
     Args:
         table: Table to format.
         kind: Name of the format.
-        width: Line length for `txt` [characters]: if the table is too wide, names are broken into
-            lines, and columns are split into blocks; None: unlimited.
+        width: Line length for `txt` [characters]. In a table that is too wide, names are broken
+            into lines, and columns are split into blocks. Default: unlimited.
 
     Raises:
         ShowError: If there is no such format.
@@ -171,12 +171,12 @@ def _format(cell: Cell, column: Column, kind: str) -> str:
 
 
 def _mark(table: Table, row: int, index: int, text: str, kind: str) -> str:
-    """Return a cell's text with its mark, if it has one."""
+    """Return a cell's text with its mark, if any."""
     return _MARKS[kind].get(table.marks.get((row, index)), "{}").format(text)
 
 
 def _list_notes(table: Table, kind: str) -> list[str]:
-    """Return the notes below a table, the legend of its marks first."""
+    """Return the notes below a table, with the legend of its marks first."""
     legend = [_LEGENDS[kind]] if table.marks else []
     escape = partial(escape_markdown, starts_line=True) if kind == "md" else _escape_latex
     return [*legend, *map(escape, table.notes)]
@@ -191,7 +191,7 @@ def _join_title(column: Column) -> str:
 
 
 def _is_wide(table: Table) -> bool:
-    """Return whether a row is too long for one of two columns."""
+    """Return whether a row is too long for one of two columns of a page."""
     rows = [list(map(format_cell, row, table.columns)) for row in table.rows]
     titles = [max(column.lines or (column.title,), key=len) for column in table.columns]
     columns = zip(titles, *rows, strict=True)
@@ -199,7 +199,7 @@ def _is_wide(table: Table) -> bool:
 
 
 def _list_heads(table: Table) -> list[list[str]]:
-    """Return the lines of the head: titles, broken if they are long, and the units below."""
+    """Return the title lines of a table: long titles are broken, and units are below."""
     titles = [list(map(_escape_latex, column.lines or (column.title,))) for column in table.columns]
     height = max(map(len, titles))
     heads = [[*[""] * (height - len(title)), *title] for title in titles]
@@ -262,7 +262,7 @@ def _build_column(table: Table, index: int) -> _Column:
 
 
 def _fit(columns: Sequence[_Column], width: int) -> list[list[_Column]]:
-    """Return blocks of columns that are no wider than `width`, if possible."""
+    """Return blocks of columns that are not wider than `width`, if possible."""
     if _measure([replace(column, width=column.least_width) for column in columns]) <= width:
         return [_shrink(columns, width)]
     capped = [
@@ -291,7 +291,7 @@ def _group(columns: Sequence[_Column]) -> Iterator[list[_Column]]:
 
 
 def _shrink(columns: Sequence[_Column], width: int) -> list[_Column]:
-    """Narrow the widest columns that can be broken until all fit, or none is left."""
+    """Narrow the widest columns that can be broken, until all fit or no such column is left."""
     shrunk = list(columns)
     while _measure(shrunk) > width:
         wide = [i for i, column in enumerate(shrunk) if column.width > column.least_width]

@@ -1,7 +1,6 @@
-"""Effects between control law and plant, one file each.
+"""Effects between control law and plant, one per file.
 
-The order of the list is that in which effects act at one place, in which their keys stand in a
-scenario file, and in which `explain` lists them.
+Effects at one place act in the order of the list. Scenario files and `explain` have the same order.
 """
 
 from typing import Final
@@ -29,4 +28,4 @@ _FILES: Final = (
 )
 
 EFFECTS: Final[tuple[Effect, ...]] = load_parts(__name__, _FILES)
-"""The `PART` of each file."""
+"""The `PART` of each file of effects."""

@@ -1,7 +1,8 @@
-"""Limits of acceleration and jerk, which bound how fast a command follows what is wanted.
+"""Limits of acceleration and jerk, which bound how fast a command follows the wanted command.
 
-With a limit of the jerk the command moves along the fastest S-curve to what is wanted, where it
-comes to rest without an overshoot: three parts of constant jerk, of which the middle one has none.
+With a jerk limit the command follows the fastest S-curve to the wanted command and comes to rest
+there without overshoot. The curve has three parts of constant jerk; the jerk of the middle part is
+0.
 """
 
 import math
@@ -15,13 +16,13 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccelerationKeys:
-    """Limits of how fast commands change.
+    """Limits of the rate at which commands change.
 
     Attributes:
         acceleration_m_s2: Largest magnitude of the change of the speed per second [m/s^2].
         turn_acceleration_rad_s2: Largest magnitude of the change of the turn rate per second
             [rad/s^2].
-        jerk_m_s3: Largest magnitude of the change of that acceleration per second [m/s^3].
+        jerk_m_s3: Largest magnitude of the change of the acceleration per second [m/s^3].
         turn_jerk_rad_s3: Largest magnitude of the change of the turn acceleration per second
             [rad/s^3].
     """
@@ -34,7 +35,7 @@ class AccelerationKeys:
 
 @dataclass(slots=True)
 class Follower:
-    """A command and its change per second, from rest."""
+    """State of one command: its value and its rate of change, starting at rest."""
 
     value: float = 0.0
     rate: float = 0.0
@@ -42,7 +43,7 @@ class Follower:
 
 @dataclass(slots=True)
 class Followers:
-    """State at rest."""
+    """State of both commands, starting at rest."""
 
     speed: Follower = field(default_factory=Follower)
     turn_rate: Follower = field(default_factory=Follower)
@@ -51,7 +52,7 @@ class Followers:
 def follow(
     settings: Any, state: Any, dt_s: float, value: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return the command a time after the last one [s]; `value` is within the limits."""
+    """Return the command at a time after the last command [s]; `value` is within the limits."""
     limits = settings.limits
     largest, turn_largest = limits.acceleration_m_s2, limits.turn_acceleration_rad_s2
     speed, turn_rate = value
@@ -71,7 +72,7 @@ def follow(
 
 
 def follow_with_acceleration(state: Any, largest: float, wanted: float, dt_s: float) -> float:
-    """Return a command whose change per second is bounded."""
+    """Return a command with bounded change per second."""
     step = largest * dt_s
     if abs(wanted - state.value) <= step:
         state.value = wanted
@@ -84,7 +85,7 @@ def follow_with_acceleration(state: Any, largest: float, wanted: float, dt_s: fl
 def follow_with_jerk(
     state: Any, limit: float, rates: tuple[float, float], wanted: float, dt_s: float
 ) -> float:
-    """Return a command whose acceleration and jerk, the two rates, are bounded."""
+    """Return a command with bounded acceleration and jerk, its first and second rate of change."""
     if not (dt_s <= 0.0 or (state.value == wanted and state.rate == 0.0)):
         _follow_curve(state, rates, wanted, dt_s)
         state.value = clip(state.value, limit)

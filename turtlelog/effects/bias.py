@@ -1,4 +1,4 @@
-"""Add a constant offset to the poses that are read."""
+"""Add a constant offset to the poses that the controller reads."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,10 +9,10 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BiasKeys:
-    """Offset of the poses that are read.
+    """Offset of the poses that the controller reads.
 
     Attributes:
-        bias_position_m: Offset of x and of y [m].
+        bias_position_m: Offset of both x and y [m].
         bias_heading_rad: Offset of the heading [rad].
     """
 
@@ -21,7 +21,7 @@ class BiasKeys:
 
 
 def add_bias(settings: Any, value: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the pose that is read."""
+    """Return the pose that the controller reads."""
     bias_m, bias_rad = settings.sensing.bias_position_m, settings.sensing.bias_heading_rad
     x_m, y_m, heading_rad = value
     if bias_m != 0.0:

@@ -11,11 +11,11 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandDelayKeys:
-    """Delay of commands; both add up.
+    """Delay of commands: the sum of both keys.
 
     Attributes:
         transport_delay_ticks: Ticks between publication and arrival of a command.
-        transport_delay_s: Time that is added to these ticks [s].
+        transport_delay_s: Additional time [s].
     """
 
     transport_delay_ticks: Ticks = 0
@@ -45,7 +45,7 @@ def delay_pose(settings: Any, value: int) -> int:
 
 
 def _judge(scenario: Any) -> Iterator[Complaint]:
-    """Yield notes on delays that are longer than the run, in which nothing would happen."""
+    """Yield notes on delays longer than the run, with which nothing would happen."""
     most_s, loop = scenario.max_duration_s, scenario.loop
     ticks_s = loop.transport_delay_ticks * scenario.plant.facts.period_s
     delays = {

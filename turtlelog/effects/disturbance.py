@@ -1,4 +1,4 @@
-"""Disturbances and noise of the plant's rates, added after its time constant."""
+"""Disturbances and noise of the plant's rates, added after the time constant."""
 
 import math
 from collections.abc import Iterator
@@ -24,20 +24,20 @@ from turtlelog.parts import (
 from turtlelog.run.loops import PUSH_KEYS, Cause
 
 _END_OF_TIME_S = 9e9
-"""Later than any run [s], whose nanoseconds fit into 64 bits."""
+"""A time later than any run [s]; in nanoseconds it fits into 64 bits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DisturbanceKeys:
-    """Disturbances and noise that are added to the rates of the plant.
+    """Disturbances and noise, added to the rates of the plant.
 
     Attributes:
         speed_m_s: Disturbance along the heading [m/s].
         turn_rate_rad_s: Disturbance of the turn rate, counter-clockwise [rad/s].
         from_s: Time at which disturbance and noise begin [s].
-        to_s: Time at which they end [s]; inf: with the run.
-        noise_speed: White noise of the speed [m/s times the root of a second]: after a time t the
-            way has a standard deviation of the noise times the root of t.
+        to_s: Time at which disturbance and noise end [s]; inf: the end of the run.
+        noise_speed: White noise of the speed [m/s times the root of a second]. After a time t, the
+            standard deviation of the distance is the noise times the root of t.
         noise_turn_rate: White noise of the turn rate [rad/s times the root of a second].
     """
 
@@ -52,7 +52,7 @@ class DisturbanceKeys:
 def find_push(
     settings: Any, drawn: Any, time_ns: int, period_ns: int, value: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return what is added to speed [m/s] and turn rate [rad/s] at a time of a step."""
+    """Return the disturbance of speed [m/s] and turn rate [rad/s] at a time in a step."""
     push = settings.disturbance
     if not to_ns(push.from_s) <= time_ns < _find_end_ns(push.to_s):
         return value

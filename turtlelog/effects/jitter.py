@@ -1,4 +1,4 @@
-"""Delay each pose and each command by a random time; none overtakes another."""
+"""Delay each pose and each command by a random time, without changing their order."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Delay some commands at random, and the commands behind them."""
+"""Delay some commands at random, together with the commands behind them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

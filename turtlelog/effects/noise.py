@@ -1,4 +1,4 @@
-"""Add noise to the poses that are read."""
+"""Add noise to the poses that the controller reads."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,10 +9,10 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseKeys:
-    """Noise of the poses that are read; x and y are treated alike, each with a noise of its own.
+    """Noise of the poses that the controller reads; x and y have independent noise of equal size.
 
     Attributes:
-        noise_position_m: Standard deviation of the noise of x and of y [m].
+        noise_position_m: Standard deviation of the noise of both x and y [m].
         noise_heading_rad: Standard deviation of the noise of the heading [rad].
     """
 
@@ -23,7 +23,7 @@ class NoiseKeys:
 def add_noise(
     settings: Any, drawn: Any, value: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """Return the pose that is read."""
+    """Return the pose that the controller reads."""
     noise_m, noise_rad = settings.sensing.noise_position_m, settings.sensing.noise_heading_rad
     if noise_m == 0.0 and noise_rad == 0.0:
         return value

@@ -11,12 +11,12 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutlierKeys:
-    """Outliers among the poses that are read.
+    """Outliers among the poses that the controller reads.
 
     Attributes:
         outlier_probability: Probability that a pose is an outlier.
         outlier_m: Distance of an outlier from the pose, in any direction [m].
-        outlier_rad: Error of its heading, to either side [rad].
+        outlier_rad: Heading error of an outlier, to either side [rad].
     """
 
     outlier_probability: Probability = absent(0.0)
@@ -27,7 +27,7 @@ class OutlierKeys:
 def throw(
     settings: Any, drawn: Any, value: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """Return the pose that is read."""
+    """Return the pose that the controller reads."""
     probability = settings.sensing.outlier_probability
     if probability == 0.0 or not drawn.chance < probability:
         return value

@@ -1,4 +1,4 @@
-"""Publish poses in 32 bits; the loop reads this key itself."""
+"""Precision of published poses: 32-bit or 64-bit floats. The loop itself reads this key."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -7,7 +7,7 @@ from turtlelog.parts import Effect
 from turtlelog.run.loops import Cause
 
 FLOAT64: Final = 1
-"""The second of `pose_precision`."""
+"""Number of the second value of `pose_precision`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

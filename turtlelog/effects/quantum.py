@@ -1,4 +1,4 @@
-"""Round the poses that are read."""
+"""Round the poses that the controller reads."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,11 +10,11 @@ from turtlelog.run.loops import Cause
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuantumKeys:
-    """Rounding of the poses that are read.
+    """Rounding of the poses that the controller reads.
 
     Attributes:
-        quantum_position_m: Step to which x and y are rounded [m]; 0: none.
-        quantum_heading_rad: Step to which the heading is rounded [rad]; 0: none.
+        quantum_position_m: Step to which x and y are rounded [m]; 0: no rounding.
+        quantum_heading_rad: Step to which the heading is rounded [rad]; 0: no rounding.
     """
 
     quantum_position_m: Size = absent(0.0)
@@ -22,7 +22,7 @@ class QuantumKeys:
 
 
 def round_pose(settings: Any, value: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the pose that is read."""
+    """Return the pose that the controller reads."""
     step_m = settings.sensing.quantum_position_m
     x_m, y_m = round_to_step(value[0], step_m), round_to_step(value[1], step_m)
     return x_m, y_m, round_to_step(value[2], settings.sensing.quantum_heading_rad)

@@ -1,4 +1,4 @@
-"""Queues of poses and commands; the loop reads these keys itself."""
+"""Queues of poses and commands. The loop itself reads these keys."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -7,7 +7,7 @@ from turtlelog.parts import Count, Effect
 from turtlelog.run.loops import Cause
 
 NEWEST: Final = 1
-"""The second of `queue_policy`."""
+"""Number of the second value of `queue_policy`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,12 +15,12 @@ class QueueKeys:
     """Depths and policy of the queues of poses and commands.
 
     Attributes:
-        start_backlog: Initial queue: poses that wait when the controller starts; 1: only the
-            newest.
+        start_backlog: Initial queue: number of poses that wait when the controller starts; 1: only
+            the newest pose.
         pose_queue: Depth of the controller's pose queue.
         command_queue: Depth of the plant's command queue.
-        queue_policy: `one-per-tick`: the plant takes one command per tick; `newest`: it takes the
-            newest and drops the rest.
+        queue_policy: `one-per-tick`: the plant takes one command per tick. `newest`: the plant
+            takes the newest command and drops the others.
     """
 
     start_backlog: Count = 1

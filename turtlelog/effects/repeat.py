@@ -19,7 +19,7 @@ class RepeatKeys:
 
 
 def repeat_command(settings: Any, drawn: Any, value: int) -> int:
-    """Return the number of times that a command arrives."""
+    """Return how often a command arrives."""
     probability = settings.loop.repeat_probability
     if probability != 0.0 and drawn.chance < probability:
         return value + 1

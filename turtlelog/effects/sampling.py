@@ -1,4 +1,4 @@
-"""Answer every n-th pose, or by a timer; the loop reads these keys itself."""
+"""Answer every n-th pose, or use a timer. The loop itself reads these keys."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ class SamplingKeys:
     """Trigger and period of the controller.
 
     Attributes:
-        period_ticks: Number n of the poses of which the controller answers every n-th.
-        trigger: `pose`: the controller answers poses as they come; `timer`: it answers the newest
-            pose every `period_s`.
-        period_s: Period of the timer [s]; only where it triggers.
+        period_ticks: Number n: the controller answers every n-th pose.
+        trigger: `pose`: the controller answers each pose that arrives. `timer`: the controller
+            answers the newest pose every `period_s`.
+        period_s: Period of the timer [s]; used only with the trigger `timer`.
     """
 
     period_ticks: Count = 1
@@ -40,4 +40,4 @@ PART = Effect(
     modelled=("loop.period_ticks", "loop.trigger", "loop.period_s"),
     judge=_judge,
 )
-"""Its design parameter is the clock's: `explain` takes it out with a finer one."""
+"""The design parameter belongs to the clock: `explain` removes sampling with a finer clock."""

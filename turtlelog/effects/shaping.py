@@ -14,14 +14,15 @@ from turtlelog.run.loops import Cause
 class ShapingKeys:
     """Low-pass filter, dead zone and quantisation of commands: the table `[shaping]`.
 
-    They act in this order: the low-pass filter, the dead zone, rounding to the quantisation step.
+    The order is: low-pass filter, dead zone, rounding to the quantisation step.
 
     Attributes:
-        low_pass_s: Time constant of a filter of first order on both commands [s]; 0: none.
-        dead_zone_speed_m_s: Dead zone of the speed: smaller magnitudes become 0, others stay [m/s].
-        dead_zone_turn_rate_rad_s: Dead zone of the turn rate, likewise [rad/s].
-        quantum_speed_m_s: Step to which the speed is rounded [m/s]; 0: none.
-        quantum_turn_rate_rad_s: Step to which the turn rate is rounded [rad/s]; 0: none.
+        low_pass_s: Time constant of a first-order filter on both commands [s]; 0: no filter.
+        dead_zone_speed_m_s: Dead zone of the speed [m/s]: smaller magnitudes become 0, others do
+            not change.
+        dead_zone_turn_rate_rad_s: Dead zone of the turn rate [rad/s]: smaller magnitudes become 0.
+        quantum_speed_m_s: Step to which the speed is rounded [m/s]; 0: no rounding.
+        quantum_turn_rate_rad_s: Step to which the turn rate is rounded [rad/s]; 0: no rounding.
     """
 
     low_pass_s: Time = absent(0.0)
@@ -33,14 +34,14 @@ class ShapingKeys:
 
 @dataclass(slots=True)
 class Filter:
-    """The filter of one command."""
+    """State of the filter of one command."""
 
     value: float = 0.0
 
 
 @dataclass(slots=True)
 class Filters:
-    """State at rest."""
+    """State of both filters, starting at rest."""
 
     speed: Filter = field(default_factory=Filter)
     turn_rate: Filter = field(default_factory=Filter)
@@ -49,7 +50,7 @@ class Filters:
 def shape(
     settings: Any, state: Any, dt_s: float, value: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return the shaped command a time after the last one [s]."""
+    """Return the shaped command at a time after the last command [s]."""
     keys = settings.shaping
     speed, turn_rate = value
     if keys.low_pass_s != 0.0:
@@ -67,7 +68,7 @@ def shape(
 
 
 def low_pass(state: Any, time_constant_s: float, dt_s: float, wanted: float) -> float:
-    """Return a command behind a filter of first order, exact for one that holds."""
+    """Return a command behind a first-order filter; the result is exact for a constant command."""
     state.value -= math.expm1(-dt_s / time_constant_s) * (wanted - state.value)
     filtered: float = state.value
     return filtered

@@ -1,6 +1,6 @@
 """Explanation of a run's metric: causes of a value, and of differences between runs.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

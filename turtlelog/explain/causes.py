@@ -1,7 +1,8 @@
 """Differences between an implementation and the ideal loop: one table of causes per scenario.
 
-Causes of an effect are in its file, those of a law in the law. Each defines the scenario without
-it. Sampling belongs to the clock: without it, the same scenario is simulated with a finer clock.
+The causes of an effect are in its file, those of a law in the law. Each cause defines the scenario
+without it. Sampling belongs to the clock: without sampling, the same scenario is simulated with a
+finer clock.
 """
 
 from collections.abc import Iterable, Mapping
@@ -25,10 +26,10 @@ from turtlelog.simulate import simulate_run
 from turtlelog.simulate.streams import RANDOM_KEYS, STREAMS
 
 FINER: Final = 8
-"""Number of steps per tick without sampling: 2 ms each."""
+"""Number of steps per tick without sampling; a step is then 2 ms."""
 
 SAMPLING: Final = "sampling"
-"""Name of the design parameter without a setting: without it, the plant has a finer clock."""
+"""Name of the design parameter that has no setting: without it, the plant has a finer clock."""
 
 LOOP_CAUSES: Final = (
     *(cause for effect in EFFECTS for cause in effect.causes),
@@ -44,7 +45,8 @@ LOOP_CAUSES: Final = (
 PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = MappingProxyType(
     {kind: part.causes for kind, part in PLANTS.items() if part.causes}
 )
-"""Causes in a plant, by its kind; dead time and time constant of a robot are not among them."""
+"""Causes in a plant, by kind of plant. Dead time and time constant of a robot are not among
+them."""
 
 RANDOM_EFFECTS: Final = frozenset(
     one.name for one in LOOP_CAUSES if not RANDOM_KEYS.isdisjoint(one.neutral)
@@ -92,7 +94,7 @@ def list_effects(table: Mapping[str, Cause]) -> tuple[str, ...]:
 
 
 def is_present(scenario: Scenario, cause: Cause) -> bool:
-    """Return whether a cause is in a scenario: whether its removal changes a setting."""
+    """Return whether a cause is in a scenario, that is, whether its removal changes a setting."""
     return cause.name == SAMPLING or take_out(scenario, [cause]) != scenario
 
 
@@ -124,7 +126,7 @@ def find_cause(name: str, table: Mapping[str, Cause], scenario: Scenario) -> Cau
 
 
 def describe_no_sampling(scenario: Scenario) -> str:
-    """Return the reason why the clock cannot be made finer, in one clause; empty if it can."""
+    """Return why the clock cannot be made finer, in one clause; empty if it can be made finer."""
     if list_sample_counters(find_law(scenario.law.kind)) is None:
         return (
             f"sampling is not taken out, as the law {scenario.law.kind} does not say which of its"
@@ -156,7 +158,7 @@ def simulate_finer(scenario: Scenario) -> Run:
 
 
 def _stretch_counts(scenario: Scenario) -> Scenario:
-    """Return the scenario for a finer clock: counts of ticks or samples keep their duration.
+    """Return the scenario for a finer clock, with counts of ticks or samples that last as long.
 
     Every pose is answered, even with a timer. A dead time of k ticks becomes k times `FINER` steps,
     and a queue of k commands becomes a delay of k - 1 ticks.

@@ -22,10 +22,10 @@ class Periods:
     """Times between successive rows of a table.
 
     Attributes:
-        usual_ns: The median [ns].
+        usual_ns: Median period [ns].
         low_ns: Lower end of the central 90 % [ns].
         high_ns: Upper end of the central 90 % [ns].
-        longest_ns: The longest [ns].
+        longest_ns: Longest period [ns].
         longest_at_ns: Start of the longest period [ns].
     """
 
@@ -59,9 +59,9 @@ class Delays:
 
     Attributes:
         counts: Number of commands by ticks of dead time: 0 is the first pose after the command.
-        low_ns: The shortest time from a command to the pose that shows it [ns].
-        median_ns: The median [ns].
-        high_ns: The longest [ns].
+        low_ns: Shortest time from a command to the pose that shows it [ns].
+        median_ns: Median delay [ns].
+        high_ns: Longest delay [ns].
     """
 
     counts: dict[int, int]
@@ -77,14 +77,14 @@ class MotionFacts:
     Attributes:
         name: Name of the run.
         kind: Kind of robot that the poses belong to.
-        poses: Times from one pose to the next; None for fewer than two.
-        commands: Times from one command to the next; None for fewer than two.
-        largest: Commands of the largest magnitude on each axis that is used.
+        poses: Times from one pose to the next; None for fewer than two poses.
+        commands: Times from one command to the next; None for fewer than two commands.
+        largest: Command of the largest magnitude on each used axis.
         outliers: Measured rates that their neighbours contradict.
-        jumps: Steps that a robot cannot have driven; for turtlesim they are in the replay.
-        gaps: Segments without poses; for turtlesim they are in the replay.
+        jumps: Steps that a robot cannot have driven; for turtlesim, the replay contains them.
+        gaps: Segments without poses; for turtlesim, the replay contains them.
         replay: Result of replaying the commands in turtlesim's plant; None for another robot.
-        refused: Reason why the replay in turtlesim's plant failed; empty if it worked, or for
+        refused: Reason why the replay in turtlesim's plant failed; empty after success, or for
             another robot.
         delays: Delays of turtlesim; None if no pose shows a command.
     """

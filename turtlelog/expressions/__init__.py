@@ -1,6 +1,6 @@
-"""The expression language of filters and checks: parsed here, never run as Python.
+"""The expression language of filters and checks. Expressions are parsed and never run as Python.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

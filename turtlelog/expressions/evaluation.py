@@ -1,6 +1,7 @@
 """Evaluation of expression trees on whole columns; unknown values stay unknown.
 
-Numbers and truth values are float64 arrays of any shape; a truth value is 0 or 1, nan is unknown.
+Numbers and truth values are float64 arrays of any shape; truth values are 0 or 1, NaN means
+unknown.
 """
 
 from __future__ import annotations
@@ -56,9 +57,9 @@ _WORDS = {Kind.NUMBER: "a number", Kind.TEXT: "a text", Kind.TRUTH: "true or fal
 def evaluate_expression(expression: Expression, values: Values) -> Any:
     """Return the value of an expression.
 
-    None means a missing value. A result that needs a missing value is missing too, as is the result
-    of a division by zero, of an argument outside a function's domain, or of an overflow. Truth
-    values follow Kleene's logic: `false and unknown` is false, `true or unknown` true, and
+    None means a missing value. A result that needs a missing value is missing too. The results of a
+    division by zero, an overflow, or an argument outside a function's domain are also missing.
+    Truth values follow Kleene's logic: `false and unknown` is false, `true or unknown` true, and
     otherwise unknown stays unknown.
 
     Args:
@@ -109,7 +110,7 @@ def evaluate_node(expression: Expression, node: Node, values: Values) -> Operand
 
 
 def require_kind(expression: Expression, node: Node, operand: Operand, kind: Kind) -> None:
-    """Refuse an operand of another kind; UNKNOWN is accepted.
+    """Refuse an operand of another kind than the given one; UNKNOWN is accepted.
 
     Raises:
         ExpressionError: If the kind differs; the message gives the column of the node.
@@ -185,7 +186,8 @@ def check_comparison(expression: Expression, node: Comparison, operands: Sequenc
     """Refuse to compare operands of different kinds, or to order texts or truth values.
 
     Raises:
-        ExpressionError: If they cannot be compared; the message gives the column of the operator.
+        ExpressionError: If the operands cannot be compared; the message gives the column of the
+            operator.
     """
     for index, operator in enumerate(node.operators):
         left, right = operands[index], operands[index + 1]
@@ -230,19 +232,20 @@ ARGUMENTS: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
         "log": (1, 1),
     }
 )
-"""Smallest and largest number of arguments. Angles are in rad; `log` is the natural logarithm."""
+"""Smallest and largest number of arguments of each function. Angles are in rad; `log` is the
+natural logarithm."""
 
 _UFUNCS: Final = MappingProxyType(
     {"min": "minimum", "max": "maximum", "atan2": "arctan2", "deg": "degrees", "rad": "radians"}
 )
-"""What numpy calls a function, where it has another name there."""
+"""numpy's names of functions that have another name in numpy."""
 
 
 def _make_operand(value: Value) -> Operand:
     """Return a user's value as an operand.
 
     Raises:
-        TypeError: If it is not a number, truth value, text or array of these.
+        TypeError: If the value is not a number, truth value, text or array of these.
     """
     import numpy as np
 
@@ -259,7 +262,7 @@ def _make_operand(value: Value) -> Operand:
 
 
 def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
-    """Return the result of + - * / or ** on two numbers; nan if it is undefined."""
+    """Return the result of + - * / or ** on two numbers; NaN if the result is undefined."""
     import numpy as np
 
     ufunc = {
@@ -279,14 +282,14 @@ def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
 
 
 def describe_arguments(function: str) -> str:
-    """Return how many arguments a function takes, for messages."""
+    """Return the number of arguments that a function takes, as text for messages."""
     least, most = ARGUMENTS[function]
     count = f"{least} or more" if least != most else f"{least}"
     return f"{function} to have {count} argument{'s' if count != '1' else ''}"
 
 
 def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
-    """Return the value of a function of numbers; nan if it is undefined."""
+    """Return the value of a function of numbers; NaN if the value is undefined."""
     import numpy as np
 
     ufunc = getattr(np, _UFUNCS.get(function, function))
@@ -344,7 +347,7 @@ def _disjoin(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
 
 
 def _make_number(data: NDArray[Any], sources: Sequence[Operand]) -> Operand:
-    """Return a number operand; infinite results of finite operands become nan (overflow, pole)."""
+    """Return a number operand. Infinite results of finite operands become NaN (overflow, pole)."""
     import numpy as np
 
     data = np.asarray(data)

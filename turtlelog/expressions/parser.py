@@ -40,7 +40,7 @@ _PRECEDENCE: Final = {
     "unary -": 9,
     "**": 10,
 }
-"""The higher, the tighter. `unary -` is the minus of -x."""
+"""Precedence of operators; a higher number binds tighter. `unary -` is the minus of -x."""
 
 _INFIX: Final = frozenset(_PRECEDENCE) - {"not", "unary -"}
 

@@ -18,7 +18,7 @@ class Node:
     """Part of an expression.
 
     Attributes:
-        column: Column of the node or its operator, counted from 1. Not compared.
+        column: Column of the node or its operator, counted from 1; excluded from comparisons.
     """
 
     column: int = field(default=1, compare=False)
@@ -82,7 +82,7 @@ class Prefix(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arithmetic(Node):
-    """Two numbers and an operator; `column` is that of the operator."""
+    """Two numbers and an operator; `column` is the column of the operator."""
 
     operator: ArithmeticOperator
     left: Node
@@ -100,7 +100,7 @@ class Comparison(Node):
     Attributes:
         operators: Operators, at least one.
         operands: Operands, one more than operators.
-        columns: Columns of the operators. Not compared.
+        columns: Columns of the operators; excluded from comparisons.
     """
 
     operators: tuple[ComparisonOperator, ...]
@@ -182,7 +182,7 @@ class Expression:
 
     @property
     def is_temporal(self) -> bool:
-        """Whether it contains `always`, `eventually` or `until` and so needs signals over time."""
+        """Whether the expression contains `always`, `eventually` or `until` and needs signals."""
         return any(isinstance(node, Temporal | Until) for node in iterate_nodes(self.root))
 
     def __repr__(self) -> str:

@@ -2,7 +2,7 @@
 
 fsspec, which reads object storage and http, is loaded only for URLs.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

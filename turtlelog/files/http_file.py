@@ -1,7 +1,8 @@
-"""Files read over http: the header of each response is checked before its body is read.
+"""Files read over http, with a check of each response header before the body is read.
 
-fsspec provides the session with the user's configuration. Requests are made here because fsspec
-reads bodies of any length, decompresses them, and reports a redirect loop as a missing file.
+fsspec provides the session with the user's configuration. This module makes its own requests,
+because fsspec reads bodies of any length, decompresses them, and reports a redirect loop as a
+missing file.
 """
 
 import asyncio
@@ -18,17 +19,19 @@ from turtlelog.files.urls import format_size
 T = TypeVar("T")
 
 HEAD: Final = 2**14
-"""Bytes of the first request: they tell what a file is, and hold its header."""
+"""Size of the first request [bytes]: enough for the kind and the header of a file."""
 
 _SLOWEST_BYTES_PER_S: Final = 1000.0
-"""A line of 9600 baud: below it 1 MB takes more than a quarter of an hour."""
+"""Slowest accepted transfer, a line of 9600 baud: below this rate, 1 MB takes more than a quarter
+of an hour."""
 
 PATIENCE_S: float = 30.0
-"""How long less than that is borne [s]: a line that is lost for a moment comes back within it."""
+"""Time for which a slower transfer is accepted [s]; a line that is lost for a moment recovers
+within this time."""
 
 _PIECE: Final = 2**16
 _MARKS: Final = ("ETag", "Last-Modified")
-"""What tells one content of a file from another, the surer one first."""
+"""Response headers that identify the content of a file, the most reliable one first."""
 
 
 class HttpFile:
@@ -53,12 +56,12 @@ class HttpFile:
 
         Raises:
             NoRangesError: If the server sends the whole file instead.
-            AnswerError: If the server sends other bytes than requested.
+            AnswerError: If the server sends other bytes than the requested bytes.
         """
         return self._run(lambda: self._fetch(start, end))
 
     def copy(self, target: BinaryIO, most: int) -> None:
-        """Write the whole file into another one.
+        """Write the whole file into another file.
 
         Args:
             target: File to write to.
@@ -74,7 +77,10 @@ class HttpFile:
 
     @asynccontextmanager
     async def _ask(self, span: tuple[int, int] | None) -> AsyncIterator[Any]:
-        """Yield a response whose header is read; stalled or endless responses raise an error."""
+        """Yield a response whose header has been read.
+
+        Stalled or endless responses raise an error.
+        """
         session = await self._system.set_session()
         options = {name: value for name, value in self._system.kwargs.items() if name != "headers"}
         headers = {**self._system.kwargs.get("headers", {})}
@@ -195,7 +201,7 @@ def _require_empty(answer: Any) -> int:
 
 
 async def _read_exactly(answer: Any, count: int, length: int | None) -> bytes:
-    """Return a body of the expected length; a longer body is refused before it is read."""
+    """Return a body of the expected length. A longer body is refused before it is read."""
     if length is not None and length != count:
         raise _deny(f"an answer of {length} bytes", f"an answer of {count} bytes")
     data = bytearray()
@@ -219,7 +225,7 @@ async def _read_most(answer: Any, count: int) -> bytes:
 
 
 async def _read_pieces(answer: Any) -> AsyncIterator[bytes]:
-    """Yield a body in pieces; a transfer that is too slow raises an error."""
+    """Yield a body in pieces. A transfer that is too slow raises an error."""
     begun_s, count = time.monotonic(), 0
     while piece := await answer.content.read(_PIECE):
         count += len(piece)

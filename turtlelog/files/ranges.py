@@ -17,14 +17,15 @@ from turtlelog.files.requests import AnswerError, NoRangesError, open_system, tr
 from turtlelog.files.urls import RemoteNote, show_url
 
 _TAIL: Final = 2**18
-"""Bytes of the end that are fetched first: the summary of some thousand chunks, 20 ms on a line of
-100 Mbit/s, about as long as one more request takes."""
+"""Size of the end that is fetched first [bytes]: the summary of several thousand chunks. At 100
+Mbit/s this takes 20 ms, about as long as one more request."""
 
 _WINDOW: Final = 2**23
-"""Bytes of one request at most: what is held in memory, and what is lost when one fails."""
+"""Largest size of one request [bytes]: the memory needed, and the loss when a request fails."""
 
 _GAP: Final = 2**16
-"""Bytes between two ranges that take no longer to fetch than a request of their own."""
+"""Largest gap between two ranges that are fetched together [bytes]: fetching the gap takes no
+longer than another request."""
 
 
 class RemoteFile:
@@ -39,7 +40,7 @@ class RemoteFile:
 
         Args:
             url: URL of the file.
-            most: Most bytes that may be fetched into a temporary file.
+            most: Largest number of bytes that may be fetched into a temporary file.
 
         Raises:
             RemoteError: If the file does not exist or cannot be reached.
@@ -76,7 +77,7 @@ class RemoteFile:
         """Keep the first bytes, which show the kind of the file, and return the size.
 
         Raises:
-            RemoteError: If its size is unknown and it looks like a web page or is too large.
+            RemoteError: If the size is unknown and the file looks like a web page or is too large.
         """
         if http.head:
             self._ends[0] = http.head
@@ -91,7 +92,7 @@ class RemoteFile:
         return cast("BinaryIO", RangeStream(self))
 
     def fetch(self, start: int, end: int) -> bytes:
-        """Return a range of bytes; failed requests are repeated.
+        """Return a range of bytes. Failed requests are repeated.
 
         Raises:
             RemoteError: If the bytes cannot be fetched.
@@ -115,7 +116,7 @@ class RemoteFile:
         return copy.read(end - start)
 
     def fetch_whole(self) -> int:
-        """Fetch the file into a temporary file, unless that was done, and return its size.
+        """Fetch the file into a temporary file, unless that is done already, and return its size.
 
         Raises:
             RemoteError: If the file cannot be fetched or is larger than allowed.
@@ -135,7 +136,10 @@ class RemoteFile:
         return None
 
     def fetch_around(self, place: int, end: int) -> tuple[int, bytes]:
-        """Return a segment that contains a byte; segments at both ends are cached."""
+        """Return a segment that contains a byte.
+
+        The segments at both ends of the file are cached.
+        """
         tail = max(self.size - _TAIL, 0)
         start = tail if place >= tail else place
         end = self.size if start == tail else min(end, max(tail, place + 1))
@@ -154,7 +158,7 @@ class RemoteFile:
         return data
 
     def _copy_whole(self) -> int:
-        """Fetch the whole file, if the server supports no ranges, and return its size."""
+        """Fetch the whole file if the server supports no ranges, and return its size."""
         warnings.warn(
             f"{show_url(self._url)}: the server sends no ranges, so all of it is read",
             RemoteNote,
@@ -190,7 +194,7 @@ class RangeStream(io.RawIOBase):
         self._expected: list[tuple[int, int]] = []
 
     def expect(self, ranges: Iterable[tuple[int, int]]) -> None:
-        """Announce ranges to be read, in order; neighbouring ranges are fetched together."""
+        """Announce the next ranges to read, in order. Neighbouring ranges are fetched together."""
         merged: list[tuple[int, int]] = []
         for start, end in ranges:
             if merged and 0 <= start - merged[-1][1] <= _GAP:
@@ -218,7 +222,7 @@ class RangeStream(io.RawIOBase):
         return self._place
 
     def read(self, size: int | None = -1) -> bytes:
-        """Return up to this many bytes; fewer only at the end of the file."""
+        """Return up to this many bytes; fewer bytes only at the end of the file."""
         left = max(self._file.size - self._place, 0)
         if size is None or size < 0:
             self._file.require_copy()
@@ -230,7 +234,7 @@ class RangeStream(io.RawIOBase):
         return self.read()
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer; partly only at the end of the file."""
+        """Fill a buffer. The buffer is filled partly only at the end of the file."""
         view = memoryview(buffer).cast("B")
         done = 0
         for piece in self._iterate(min(len(view), max(self._file.size - self._place, 0))):

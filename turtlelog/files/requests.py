@@ -14,11 +14,11 @@ from turtlelog.libraries import load_library
 T = TypeVar("T")
 
 _WAITS_S: Final = (0.1, 0.5)
-"""Before a request that failed is repeated [s]: three attempts in all."""
+"""Waiting times before a failed request is repeated [s]: three attempts in all."""
 
 CONNECT_S: Final = 10
 STALL_S: Final = 20
-"""Without a byte from the server until it counts as hanging [s]."""
+"""Time without any byte after which a server counts as hanging [s]."""
 
 
 class NoRangesError(Exception):
@@ -30,7 +30,7 @@ class ReplacedError(Exception):
 
 
 class AnswerError(Exception):
-    """A response that cannot be used, with the reason; repeating the request does not help."""
+    """A response that cannot be used, with the reason. Repeating the request does not help."""
 
 
 _BACKENDS: Final = {
@@ -38,7 +38,7 @@ _BACKENDS: Final = {
     "gcs": "gcsfs", "az": "adlfs", "abfs": "adlfs", "abfss": "adlfs", "sftp": "paramiko",
     "ssh": "paramiko", "smb": "smbprotocol", "hf": "huggingface_hub",
 }  # fmt: skip
-"""What reads URLs, beside fsspec."""
+"""Libraries that read URLs, in addition to fsspec."""
 
 
 def open_system(url: str) -> tuple[Any, str]:
@@ -103,7 +103,7 @@ def find_objects(url: str) -> bool:
 
 
 def find_object(url: str) -> bool:
-    """Return whether an object exists; its bucket must exist.
+    """Return whether an object exists. The bucket must exist.
 
     Raises:
         RemoteError: If this cannot be determined, or the bucket does not exist.
@@ -138,7 +138,7 @@ def put_file(source: Path, url: str) -> None:
 
 
 def _choose_options(url: str) -> dict[str, Any]:
-    """Return options with timeouts for fsspec; the user's configuration has priority."""
+    """Return options with timeouts for fsspec. The user's configuration has priority."""
     if "::" in url:
         return {}  # they are told apart by nothing but the user's configuration
     scheme = urlsplit(url).scheme.lower()
@@ -167,7 +167,7 @@ def _choose_options(url: str) -> dict[str, Any]:
 
 
 def try_thrice(ask: Callable[[], T], url: str) -> T:
-    """Return the result of a request; it is repeated after temporary failures.
+    """Return the result of a request, which is repeated after temporary failures.
 
     Raises:
         RemoteError: If the request fails permanently, or every repetition fails.
@@ -206,7 +206,8 @@ def _find_status(err: BaseException) -> int | None:
 _LOST: Final = ("NoCredentialsError", "PartialCredentialsError", "TokenRetrievalError")
 _REPLACED: Final = ("ReplacedError", "FileExpired")
 MOST_REDIRECTS: Final = 5
-"""Servers of files need one or two: to https, and from a link that stays to a storage."""
+"""Largest number of redirects. File servers need one or two: to https, and from a permanent link to
+a storage."""
 
 _CIRCLES: Final = ("TooManyRedirects",)
 _WILD: Final = ("HttpProcessingError",)
@@ -233,7 +234,7 @@ _LIKELY: Final = (
     (_SLOW, "the server did not answer within {stall_s} s"),
     (_AWAY, "no server answers at this address"),
 )
-"""What errors of these names mean, by their status and without one."""
+"""Meaning of errors by name, with a status and without one."""
 
 
 def _describe(err: BaseException, url: str) -> str:

@@ -17,17 +17,17 @@ from turtlelog.errors import RemoteError, describe_error, find_near, join_names
 from turtlelog.files.urls import RemotePath, make_path
 
 MOST_BYTES: Final = 2**20
-"""What a file of settings holds at most: some ten thousand checks, which take a second to read."""
+"""Largest size of a file of settings: some ten thousand checks, which take a second to read."""
 
 LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/v1\n"
-"""How the text begins that Git LFS leaves in the place of a file."""
+"""Beginning of the text that Git LFS leaves in place of a file."""
 
 _PATIENCE_S: Final = 1.0
-"""So long a pipe may have nobody who writes to it, as while both programs start [s]."""
+"""Time for which a pipe may have no writer, for example while both programs start [s]."""
 
 _DEEPEST: Final = 32
-"""How far tables and arrays of TOML may lie within each other: ours do so 4 times at most, and a
-thousand times would be more than Python follows."""
+"""Largest nesting depth of TOML tables and arrays. Files of turtlelog nest at most 4 deep; Python
+cannot follow a depth of a thousand."""
 
 _KEY: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _LONG_KEY: Final = re.compile(
@@ -36,24 +36,25 @@ _LONG_KEY: Final = re.compile(
 
 _TABLE: Final = re.compile(r"\[([A-Za-z0-9_-]+)\]")
 _OF_LINES: Final = ('"""', "'''", "\r")
-"""What texts go over several lines in, and line ends that are not looked at by themselves."""
+"""Marks of texts that span several lines, and of line ends that cannot be parsed alone."""
 
 _LONGEST_LINE: Final = 120
 _MOST_LINES: Final = 4096
-"""Letters of a line that is kept, and lines: 2 MB at most."""
+"""Largest length of a cached line, and largest number of cached lines: at most 2 MB."""
 
 _NO_PAIR: Final = (None, None)
 
 _LINE_LENGTH: Final = 80
-"""Letters of a list that stands in one line: with its key about as wide as a terminal."""
+"""Largest length of a list on one line: with its key about as wide as a terminal."""
 
 _BLANKS: Final = re.compile(r"\s*+")
 BLANKS_AND_COMMENTS: Final = re.compile(r"(?:\s++|#[^\n]*+)*+")
-"""What stands between lines of text; of lines that begin with #, too."""
+"""Text between the lines of data: blanks, or blanks and lines that begin with #."""
 
 _NUMBERS: Final = re.compile(r"\[\n(?P<entries>(?: *[-+.\w]+,\n)+)(?P<indent> *)\]")
 _POINTS: Final = re.compile(r"\[\n(?P<entries>(?: *\[[-+.\w, ]+\],\n)+)(?P<indent> *)\]")
-"""Lists as tomli-w writes them, an entry a line. Text does not match: it has quotes."""
+"""Lists as tomli-w writes them, one entry per line. Texts do not match, because texts have
+quotes."""
 
 
 def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
@@ -99,11 +100,11 @@ def _decode(data: bytes, most: int) -> str:
 
 
 def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, str]]:
-    """Yield the non-empty lines with their numbers, from 1; one line is in memory at a time.
+    """Yield the non-empty lines with their numbers, from 1, with one line in memory at a time.
 
     Args:
         text: Text of any length.
-        comments: Whether to yield lines that begin with #, too.
+        comments: Whether lines that begin with # are yielded too.
     """
     skipped = _BLANKS if comments else BLANKS_AND_COMMENTS
     start, number = 0, 1
@@ -135,7 +136,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text.
 
     Raises:
-        ValueError: If the text is not TOML or is nested too deeply; one line.
+        ValueError: If the text is not TOML or is nested too deeply. The message has one line.
     """
     deep = f"tables or arrays more than {_DEEPEST} deep within each other"
     if not isinstance(text, str):
@@ -157,10 +158,10 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_known_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text as `parse_toml` does; known lines are cached.
+    """Return the tables of a TOML text like `parse_toml`, with a cache of known lines.
 
-    Scenarios of one experiment differ in a few lines. The cache applies to tables of one level with
-    one plain value per line; any other text is parsed as a whole.
+    The scenarios of one experiment differ in few lines. The cache applies to tables of one level
+    with one plain value per line. Any other text is parsed as a whole.
 
     Raises:
         ValueError: As for `parse_toml`.
@@ -180,7 +181,7 @@ def parse_known_toml(text: str) -> dict[str, Any]:
 
 
 def _parse_line(line: str) -> tuple[str | None, Any]:
-    """Return the key and value of a complete line, `_NO_PAIR` for any other line."""
+    """Return the key and value of a complete line; `_NO_PAIR` for any other line."""
     try:
         pairs = [*tomllib.loads(line).items()]
     except (ValueError, RecursionError):
@@ -210,7 +211,7 @@ def format_toml(tables: Mapping[str, Any]) -> str:
 
 
 def _join_entries(found: re.Match[str]) -> str:
-    """Return a list on one line; a long list on lines of many numbers or one point each."""
+    """Return a list on one line, or a long list on lines of many numbers or of one point each."""
     line = " ".join(found["entries"].split()).removesuffix(",")
     if len(line) <= _LINE_LENGTH:
         return f"[{line}]"

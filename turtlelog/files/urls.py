@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from turtlelog.files.ranges import RemoteFile
 
 _TOPIC: Final = re.compile(r"(.*?):(/[A-Za-z_~{][\w/~{}]*)([?#].*)?", re.DOTALL)
-"""The URL of a file, a topic of ROS, and what stands behind both."""
+"""Pattern that splits the URL of a file, a ROS topic, and the text behind both."""
 
 if TYPE_CHECKING:
     _LocalPath = Path
@@ -30,7 +30,7 @@ else:
 
 
 _MAX_DOWNLOAD: Final[ContextVar[int]] = ContextVar("max_download", default=4 * 2**30)
-"""Bytes that are fetched into a temporary file at most: what a small disk has room for."""
+"""Largest size of a download into a temporary file [bytes]: the free space of a small disk."""
 
 _SIZES: Final = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12,
     "Ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40}  # fmt: skip
@@ -75,12 +75,12 @@ class RemoteNote(UserWarning):
 
 
 def is_url(text: str) -> bool:
-    """Return whether a text is a URL; `C:/x.mcap` and a file called `a:b.mcap` are not URLs."""
+    """Return whether a text is a URL. `C:/x.mcap` and a file called `a:b.mcap` are not URLs."""
     return URL.match(text) is not None
 
 
 class _ShownUrl(str):
-    """The text of a remote path; a path made from it has the complete URL.
+    """Text of a remote path. A path made from this text has the complete URL.
 
     Attributes:
         path: Path that the text belongs to.
@@ -102,13 +102,13 @@ def _load_path(url: str, most: int) -> "RemotePath":
 
 
 class RemotePath(_LocalPath):
-    """A file behind a URL. Its text is the URL without secrets.
+    """A file behind a URL. The text of the path is the URL without secrets.
 
     Attributes:
         url: The complete URL.
-        max_download: Largest download into a temporary file [bytes], which is needed if the server
-            supports no ranges or the file is in SQLite. Default: that of `limit_downloads`, else 4
-            GiB.
+        max_download: Largest download into a temporary file [bytes]. A download is needed for
+            SQLite files and if the server supports no ranges. Default: the limit of
+            `limit_downloads`, or else 4 GiB.
     """
 
     url: str
@@ -151,7 +151,7 @@ class RemotePath(_LocalPath):
     def split_topic(self) -> tuple["RemotePath", str | None]:
         """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.
 
-        A query may be before or after the topic; it belongs to the URL.
+        A query before or after the topic belongs to the URL.
         """
         scheme, mark, rest = self.url.partition("://")
         found = _TOPIC.fullmatch(rest)
@@ -162,7 +162,9 @@ class RemotePath(_LocalPath):
 
     @property
     def file(self) -> "RemoteFile":
-        """File object that fetches the data; kept, so that the ends are not fetched twice.
+        """File object that fetches the data.
+
+        The object is kept, so that the file's ends are fetched once.
 
         Raises:
             RemoteError: If the file does not exist or cannot be reached.
@@ -197,7 +199,7 @@ class RemotePath(_LocalPath):
         return self.file.open()
 
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:  # noqa: ARG002
-        """Return the size of the file; it is never written in place."""
+        """Return the size of the file. A remote file is never written in place."""
         return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 1, 0, 0, self.file.size, 0, 0, 0))
 
     def mkdir(self, *_: Any, **__: Any) -> None:
@@ -209,11 +211,11 @@ class RemotePath(_LocalPath):
         raise OSError(errno.ENOTSUP, "a URL, where only single files are written", str(self))
 
     def is_dir(self, **_: Any) -> bool:
-        """Return False: folders of bags are read only from disks."""
+        """Return False, because folders of bags are read only from disks."""
         return False
 
     def is_file(self, **_: Any) -> bool:
-        """Return True: a missing file is noticed when it is read."""
+        """Return True, because only reading shows that a file is missing."""
         return True
 
     def is_symlink(self) -> bool:
@@ -221,7 +223,7 @@ class RemotePath(_LocalPath):
         return False
 
     def exists(self, **_: Any) -> bool:
-        """Return True: a missing file is noticed when it is read."""
+        """Return True, because only reading shows that a file is missing."""
         return True
 
     def resolve(self, strict: bool = False) -> "RemotePath":  # noqa: ARG002, FBT001, FBT002
@@ -243,7 +245,7 @@ class RemotePath(_LocalPath):
 
     @property
     def parents(self) -> Sequence["RemotePath"]:
-        """Always empty: no output is within an object."""
+        """Always empty, because no output is within an object."""
         return ()
 
     def with_name(self, name: str) -> "RemotePath":
@@ -267,7 +269,7 @@ def make_path(path: "str | os.PathLike[str]") -> Path:
     """Return the path of a file or URL that a user names.
 
     Raises:
-        UsageError: If it is not a path.
+        UsageError: If the argument is not a path.
     """
     if not isinstance(path, str | os.PathLike):
         raise UsageError(f"path: expected text or a Path, found {path!r:.60}")
@@ -306,7 +308,7 @@ def has_files(folder: Path) -> bool:
 
 
 def expect_reads(stream: BinaryIO, ranges: Iterable[tuple[int, int]]) -> None:
-    """Announce the ranges to be read to a remote stream; local streams ignore this."""
+    """Announce the next ranges to a remote stream. Local streams ignore the announcement."""
     expect = getattr(stream, "expect", None)
     if expect is not None:
         expect(ranges)

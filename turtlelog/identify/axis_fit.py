@@ -19,34 +19,35 @@ _GRID_S: Final = 0.04
 _GRID_LAGS_S: Final = (0.0, 0.05, 0.15, 0.4, 1.0)
 
 _GRID_STEPS: Final = 20_000
-"""Largest number of steps in the first search; the final fit uses all."""
+"""Largest number of steps in the first search; the final fit uses all steps."""
 
 _SPIKE_STEPS: Final = 2
-"""Steps on either side that show whether a step is a jump in the first search: one wrong heading
-makes two wrong steps, there and back."""
+"""Number of steps on either side that show whether a step is a jump, in the first search: one wrong
+heading gives two wrong steps, there and back."""
 
 _SOFT: Final = 3.0
-"""Standard deviations from which a residual counts less than its square (soft L1)."""
+"""Size of a residual, in standard deviations, from which it counts less than its square (soft
+L1)."""
 
 _OUTLIER: Final = 8.0
-"""Robust standard deviations from which a step is an outlier and does not count: normal noise
-exceeds them once in 1e15 steps, stamp jitter at the highest speed has five times the usual
+"""Size of an outlier in robust standard deviations; outliers do not count. Normal noise exceeds
+this size once in 1e15 steps; stamp jitter at the highest speed has five times the usual
 residual."""
 
 _MOST_OUTLIERS: Final = 0.05
-"""Share of the steps that may be outliers: a simulated robot rests exactly and moves by steps that
-all are off by more than rests are, and these are its motion."""
+"""Largest share of the steps that may be outliers. A simulated robot rests exactly, and all its
+moving steps deviate more than its rests: these steps are its motion."""
 
 _LONGEST_JUMP: Final = 5
-"""Steps that a jump takes at most: a wrong pose makes two, a filter of the odometry some more."""
+"""Largest number of steps of a jump: a wrong pose gives two, an odometry filter some more."""
 
 _LAG_STEP_S: Final = 1e-4
-"""Step for derivatives with respect to the time constant [s]."""
+"""Difference for derivatives with respect to the time constant [s]."""
 
 _MOST_ROUNDS: Final = 40
 
 _ROUND_ENDS: Final = 1e-9
-"""Share of the cost that another round must save."""
+"""Share of the cost that another round must save to continue."""
 
 _SCORE_LAGS: Final = 12
 """Number of steps over which the covariance includes correlations left by whitening."""
@@ -79,7 +80,7 @@ class StepModel:
         self.follows = np.concatenate([motion.follows for motion in self.motions])
 
     def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
-        """Return the response of each run's commands for a time constant and further parameters."""
+        """Return the responses to each run's commands for a time constant and other parameters."""
         return [
             self.structure.respond(motion.commands, lag_s, extras, motion.beside)
             for motion in self.motions
@@ -126,10 +127,9 @@ class AxisFit:
         model: Fitted model.
         parameters: Gain [1], dead time [s], time constant [s], and further parameters of the
             structure.
-        covariance: Covariance of gain, total delay, time constant and the further parameters: dead
-            time and time constant are anticorrelated, and their sum is known far better than
-            either.
-        dispersion: Factor by which the variance of the time constant exceeds that for normal noise.
+        covariance: Covariance of gain, total delay, time constant and the further parameters. Dead
+            time and time constant are anticorrelated; their sum is known far better than either.
+        dispersion: Ratio of the variance of the time constant to that for normal noise.
         cost: Sum of the robust squares, each in units of the noise's variance.
         residual: Measured minus modelled [m or rad], shape (n,).
         white: Whitened residual, shape (n,).
@@ -149,7 +149,7 @@ class AxisFit:
 
 
 def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
-    """Return the best fit of first order.
+    """Return the best first-order fit.
 
     Raises:
         NoGainError: If no gain above 0 explains any of the motion.
@@ -160,7 +160,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
-    """Return the best first-order fit without time constant, with the noise of another fit."""
+    """Return the best first-order fit without time constant, using the noise of another fit."""
     start = fit.parameters[: LAG + 1].copy()
     start[DEAD_TIME] += start[LAG]
     start[LAG] = 0.0
@@ -174,7 +174,7 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
     Args:
         fit: Fit of another structure.
         structure: Structure to fit.
-        starts: Start values of its further parameters.
+        starts: Start values of the structure's further parameters.
     """
     model = StepModel(fit.model.motions, structure)
     tried = [_descend(model, _fit_gain(fit, model, start), fit.whitening.apply) for start in starts]
@@ -182,9 +182,10 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
 
 
 def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values:
-    """Return the delays of a fit and further parameters, with the gain that is best for these.
+    """Return the delays and further parameters of a fit, with the gain that is best for them.
 
-    With a gain of its own, a bound that suits would seem worse than none, and be left at once.
+    With the gain of the fit, a suitable bound would seem worse than no bound, and the search would
+    leave it at once.
     """
     _, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     way = model.predict(dead_time_s, model.prepare(lag_s, *extras))[0][0]
@@ -231,7 +232,7 @@ def measure_badness(fit: AxisFit) -> float:
 def measure_reductions(
     fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
 ) -> list[float]:
-    """Return by how much further parameters could reduce the sum of squares, to first order."""
+    """Return how much further parameters could reduce the sum of squares, to first order."""
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     other = StepModel(fit.model.motions, structure)
@@ -256,7 +257,7 @@ def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) ->
 
 
 def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
-    """Return the change of the parameters from some steps alone, and its covariance.
+    """Return the change of the parameters from some of the steps, with its covariance.
 
     Parameters are ordered as in the fit's covariance.
     """
@@ -319,8 +320,8 @@ def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
 def _search_start(motions: Sequence[AxisMotion]) -> Values:
     """Return the best parameters by plain least squares.
 
-    Descents begin at the best point of a grid for each time constant: commands of a controller
-    leave local minima, of which neighbours share one.
+    For each time constant, the descent begins at the best point of a grid, because commands of a
+    controller leave local minima.
     """
     share = min(1.0, _GRID_STEPS / count_steps(motions))
     model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
@@ -344,7 +345,7 @@ def _search_start(motions: Sequence[AxisMotion]) -> Values:
 
 
 def _drop_spikes(moved: Values) -> Values:
-    """Return steps limited so that no jump or wrongly wrapped heading dominates."""
+    """Return steps limited in size, so that no jump or wrongly wrapped heading dominates."""
     beside = np.pad(moved, _SPIKE_STEPS, mode="edge")
     middle = np.median(sliding_window_view(beside, 2 * _SPIKE_STEPS + 1), axis=-1)
     most = 3.0 * float(np.quantile(np.abs(middle), 0.99))
@@ -363,7 +364,7 @@ def _descend(
     whiten: Callable[[Values], Values],
     fixed: Sequence[int] = (),
 ) -> tuple[Values, float]:
-    """Return the parameters with the least cost (Levenberg-Marquardt), and the cost.
+    """Return the parameters with the smallest cost (Levenberg-Marquardt), and the cost.
 
     Neither time constants nor the dead time become negative, nor the dead time larger than the
     limit.
@@ -408,12 +409,13 @@ def _sum_softly(white: Values) -> float:
 
 
 def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
-    """Return the covariance, and its excess over that of normal noise for the time constant.
+    """Return the covariance, and the ratio of the time constant's variance to that of normal noise.
 
-    The covariance is the larger of the model covariance and a sandwich estimate.
+    The covariance is the larger of two: the model covariance, and a robust ("sandwich") estimate
+    from the residuals.
 
-    The sandwich estimate allows for correlated neighbours. If a few steps carry all information, it
-    is too small, but the model covariance is not.
+    The robust estimate allows for correlated neighbours. If a few steps carry all information, the
+    robust estimate is too small, but the model covariance is not.
     """
     bent = 1.0 + (white / _SOFT) ** 2
     scores = slopes * (white / np.sqrt(bent))[:, None]
@@ -436,7 +438,7 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
 def _invert(matrix: Values) -> Values:
     """Return the inverse of a matrix of squares, independent of the units of its rows.
 
-    The inverse is large, not 0, in a direction in which the matrix has no information.
+    In a direction without information, the inverse is large instead of 0.
     """
     size = np.maximum(np.sqrt(np.diag(matrix)), _UNSEEN)
     scale = np.outer(size, size)

@@ -24,22 +24,22 @@ NAMES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "speed", "turn_rat
 """Names of the axes in sentences."""
 
 LARGEST_DEAD_TIME_S: Final = 1.5
-"""Largest dead time that is searched [s]: ten times the usual one. A larger one comes from clocks
-that disagree."""
+"""Largest dead time that is searched [s]: ten times the usual one. A larger dead time means that
+the clocks disagree."""
 
 _CLOSEST_S: Final = 1e-3
-"""Distance in time below which poses, if also below half the usual step, were received late; the
-later one is left out [s]."""
+"""Distance in time below which a pose was received late, if it is also below half the usual step
+[s]. The later pose is left out."""
 
 _LONGEST_STEP_S: Final = 1.0
-"""Longest step that is used [s]: in a longer one a heading may turn by a full turn."""
+"""Longest step that is used [s]: in a longer step, a heading may turn by a full turn."""
 
 _MOST_TURN_RAD: Final = 1.0
-"""Largest turn of a step [rad]: there an arc differs from its chord by 4 %, which is corrected; a
-larger turn has no single direction."""
+"""Largest turn of a step [rad]. At this turn an arc differs from its chord by 4 %, which is
+corrected; a larger turn has no single direction."""
 
 _MEMORY_S: Final = 3.0
-"""Time for which an earlier command matters [s]: the largest dead time and 1.5 s of time
+"""Time for which an earlier command matters [s]: the largest dead time plus 1.5 s of time
 constants."""
 
 _STANDING: Final = 0.02
@@ -100,7 +100,7 @@ class AxisMotion:
 
 
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
-    """Return the steps of an axis with acting commands, all of which are known."""
+    """Return the steps of an axis in which commands act, all of which are known."""
     command = get_commands(run, axis)
     time_s, moved, is_sound = measure_axis_steps(run.poses, axis)
     command_s = run.commands.time_ns / 1e9
@@ -154,7 +154,7 @@ def _stands(moved: Values, duration_s: Values, largest: float) -> bool:
 
 
 def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
-    """Return the steps in which a nonzero command acts, or did recently."""
+    """Return the steps in which a nonzero command acts, or acted recently."""
     ends_at = np.append(commands.time_s[1:], np.inf)
     moving = np.flatnonzero(commands.value)
     if not len(moving):
@@ -186,31 +186,32 @@ def count_steps(motions: Sequence[AxisMotion]) -> int:
 
 
 _SILENCE_S: Final = 0.4
-"""Shortest silence after which a robot may stop by itself [s]: bases wait for 0.5 s and more."""
+"""Shortest silence after which a robot may stop by itself [s]: mobile bases wait for at least 0.5
+s."""
 
 _LOOK_S: Final = 0.3
 """Time before the end of a silence for which the robot must be at rest [s]."""
 
 _JOINED_S: Final = 0.1
-"""Time over which rates are averaged [s]; otherwise noise of poses would hide when a robot
-stops."""
+"""Time over which rates are averaged [s]; otherwise noise of poses would hide the time of a
+stop."""
 
 _STOPPED: Final = 0.1
 """Share of the largest rate in a silence below which the robot is at rest."""
 
 _OBEYS: Final = 0.25
-"""Share of the held command from which a robot still follows it: gains are 0.5 and more. Before a
-small command the robot may have been ten times as fast."""
+"""Share of the held command from which a robot still follows it: gains are at least 0.5. Before a
+small command, the robot may have been ten times as fast."""
 
 _ABOVE_NOISE: Final = 3.0
-"""Smallest motion in a silence, as a multiple of the poses' wander at its end: noise of 1,000 poses
-spreads 2.5 times as far as that of six."""
+"""Smallest motion in a silence, as a multiple of the scatter of the poses at its end: noise of
+1,000 poses spreads 2.5 times as far as noise of six."""
 
 
 def find_silent_stops(
     command_s: Values, command: Values, time_s: Values, moved: Values
 ) -> list[SilentStop]:
-    """Return the silences after a nonzero command at whose end a robot is at rest.
+    """Return the silences after a nonzero command at the end of which a robot is at rest.
 
     Args:
         command_s: Times of the commands [s].
@@ -256,7 +257,7 @@ def _look_at_silence(
 
 
 def _has_moved(way: Values, at_end: Values, held: float) -> bool:
-    """Return whether a robot moves during a silence: a robot at rest throughout does not stop."""
+    """Return whether a robot moves during a silence. A robot at rest throughout does not stop."""
     went = float(np.abs(way).max())
     return went > max(_OBEYS * held * _SILENCE_S, _ABOVE_NOISE * float(np.ptp(at_end)))
 

@@ -18,8 +18,8 @@ _SHORT_LAG: Final = 2.0
 """Time constant in steps between poses up to which it may be 0."""
 
 _FINEST: Final = 1e-4
-"""Least standard error of a limit, as a share of it: the change over which its effect on the motion
-is measured. Nothing shows that this effect is the same over less."""
+"""Smallest standard error of a limit, as a share of the limit: the change over which its effect on
+the motion is measured. For smaller changes the effect may be different."""
 
 _ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
     {"limited_before": "before_lag", "limited_within": "within_lag"}
@@ -74,7 +74,7 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
 
 
 _ROUNDING: Final = 1e-18
-"""Below this share of their squares [1], steps differ by rounding alone."""
+"""Share of the squares of the steps below which differences are rounding alone [1]."""
 
 
 def _measure_dead_time_error(fit: AxisFit) -> float:
@@ -85,10 +85,11 @@ def _measure_dead_time_error(fit: AxisFit) -> float:
 
 
 def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Estimate, Estimate]:
-    """Widen intervals to a time constant of 0 if that fits as well.
+    """Widen intervals to a time constant of 0 if no time constant fits as well.
 
-    A time constant short compared with the steps is visible only in steps in which the command
-    changes: its errors are not normal, and the cost is more reliable than its curvature.
+    A time constant much shorter than the steps is visible only in steps in which the command
+    changes. The errors of such a time constant are not normal, so the cost is more reliable than
+    its curvature.
     """
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
     if fit.model.structure != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
@@ -108,7 +109,7 @@ def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
 
 
 def _take(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
-    """Return an estimate of a further parameter; None if the structure lacks it."""
+    """Return an estimate of a further parameter; None if the structure does not have it."""
     if place is None:
         return None
     error = float(np.sqrt(max(fit.covariance[place, place], 0.0)))
@@ -160,6 +161,6 @@ def _estimate_deadband(fit: AxisFit, unit: str) -> Estimate | None:
 
 
 def _measure_whiteness(white: Values) -> float | None:
-    """Return the mean square of the changes divided by twice the mean square: 1 for noise."""
+    """Return the mean square of the changes divided by twice the mean square; noise has 1."""
     squares = float(np.mean(white**2))
     return float(np.mean(np.diff(white) ** 2)) / (2.0 * squares) if squares > 0.0 else None

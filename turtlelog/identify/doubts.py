@@ -2,9 +2,9 @@
 
 Doubts widen the intervals until they cover the alternatives, and are reported.
 
-The second estimate fits no model: it is the delay with the largest correlation of commands and
-motion. A flat correlation gives no single delay, so the result is a range: the delays that explain
-the motion as well as the best one, as far as the parts of the log agree.
+The second estimate uses no model: it is the delay with the largest correlation of commands and
+motion. A flat correlation gives no single delay. Therefore the result is a range: the delays that
+explain the motion as well as the best delay, within the differences between parts of the log.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -34,33 +34,33 @@ _FEWEST: Final = 50
 """Smallest number of steps of a part of the motion with values of its own."""
 
 _APART: Final = 4.0
-"""Smallest difference between two parts of the motion that the model does not explain, in standard
-deviations: by chance in 1 of 800 robots with 20 differences each."""
+"""Smallest unexplained difference between two parts of the motion, in standard deviations. By
+chance, such a difference occurs in 1 of 800 robots with 20 differences each."""
 
 _LIKELY: Final = 2.0
-"""The same if the residual is a curve, so that some difference is likely."""
+"""The same limit if the residual is a curve, so that some difference is likely."""
 
 _CURVE: Final = 4.0
-"""Correlation of neighbouring residuals from which they are a curve, in standard deviations. Of 240
-robots that the model explains, one exceeds 3; most others exceed 10."""
+"""Correlation of neighbouring residuals from which they form a curve, in standard deviations. Of
+240 robots that the model explains, one exceeds 3; most other robots exceed 10."""
 
 _IN_TURNS: Final = 0.1
 """Smallest negative correlation of the nearest residuals that matters. The lower bound of the
-assumed slip alone causes 0.01 or 0.02, which is significant in a long log but harmless."""
+assumed slip alone causes 0.01 or 0.02: significant in a long log, but harmless."""
 
 _NEIGHBOURS_S: Final = 0.5
-"""Largest time between neighbours [s]: the length of a usual robot's step response."""
+"""Largest time between neighbours [s]: the duration of a usual robot's step response."""
 
 _MOST: Final = 3.0
-"""Limit of residuals there, in standard deviations."""
+"""Limit of residuals in this comparison, in standard deviations."""
 
 _TELLS: Final = 1.05
-"""Growth of an interval from which it is reported."""
+"""Growth factor of an interval from which the growth is reported."""
 
 _MATTERS: Final = 0.01
 """Half-width of an interval from which a doubt is reported, as a share of the gain or of the total
-delay: below it no recommended gain changes by more than 1 %. A simulated log without noise has a
-curve in the eighth digit."""
+delay. Below this share, no recommended gain changes by more than 1 %. A simulated log without noise
+has a curve in the eighth digit."""
 
 
 def cover_rivals(
@@ -76,13 +76,13 @@ def cover_rivals(
     rivals = describe_rivals([structure, *(one for one, _ in others)])
     doubt = (
         f"The log does not show what limits the {NAMES[found.axis]}: {rivals}."
-        " The intervals cover each, and advice uses the longer delay."
+        " The intervals cover both cases, and advice uses the longer delay."
     )
     return replace(covered, doubts=(*found.doubts, doubt))
 
 
 def describe_rivals(structures: Sequence[Structure]) -> str:
-    """Return the further parameters of structures, those common to all only once."""
+    """Return the further parameters of structures; parameters common to all appear once."""
     parts = [_list_parts(one) for one in structures]
     shared = [part for part in parts[0] if all(part in other for other in parts)]
     own = [[part for part in one if part not in shared] for one in parts]
@@ -117,10 +117,10 @@ def _list_parts(structure: Structure) -> list[str]:
 def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     """Return an axis with intervals that cover the differing values of parts of the motion.
 
-    If the model explains the motion, all parts give one set of values: small and large commands,
+    If the model explains the motion, all parts give the same values: small and large commands,
     positive and negative, rising and falling ones, both halves of the log, and commands with and
-    without the other axis. If the residual is a curve, they count as different sooner, and all
-    intervals grow by the correlation of neighbours.
+    without the other axis. If the residual is a curve, smaller differences count, and all intervals
+    grow by the correlation of neighbours.
     """
     excess = _measure_curve(fit)
     is_curve = excess > _CURVE
@@ -149,8 +149,9 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
 def _measure_curve(fit: AxisFit) -> float:
     """Return the correlation of neighbouring residuals, in standard deviations.
 
-    The nearest ones, those within a few steps and those within a short time are tested separately:
-    if a curve is taken for noise, the nearest differ and the others agree.
+    Three groups are tested separately: the nearest residuals, those within a few steps, and those
+    within a short time. If a curve is taken for noise, the nearest residuals differ and the others
+    agree.
     """
     sums = [(float(one.sum()), float(one @ one)) for one in _multiply_neighbours(fit)]
     along, squares = np.cumsum(sums, axis=0).T
@@ -181,7 +182,7 @@ def _clip(fit: AxisFit) -> Values:
 
 
 def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    """Yield the division of the steps by one criterion: whether the first of two commands acts."""
+    """Yield divisions of the steps by one criterion: whether the first of two commands acts."""
     dead_time_s = float(fit.parameters[DEAD_TIME])
     acting, before, beside = [], [], []
     for motion in fit.model.motions:
@@ -250,7 +251,7 @@ def _evaluate(fit: AxisFit, field: str) -> float:
 
 
 def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:
-    """Return an axis with the interval of a field widened by a factor, not below 0."""
+    """Return an axis with the interval of a field widened by a factor, but not below 0."""
     own = getattr(axis, field)
     if own is None:
         return axis
@@ -259,7 +260,7 @@ def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:
 
 
 def _widen(axis: AxisModel, field: str, other: Estimate | None) -> AxisModel:
-    """Return an axis with the interval of a field extended to cover another, not below 0."""
+    """Return an axis with the interval of a field extended to another interval, but not below 0."""
     own = getattr(axis, field)
     if own is None or other is None:
         return axis
@@ -290,7 +291,7 @@ _LARGEST_S: Final = 3.0
 """Largest delay that is searched [s]: the largest dead time and an equal time constant."""
 
 _COARSE_S, _FINE_S = 0.05, 0.005
-"""Distances of tried delays [s]: first over the whole range, then near the best one and the
+"""Distances of tried delays [s]: first over the whole range, then near the best delay and the
 ends."""
 
 _MOST_STEPS: Final = 20_000
@@ -306,8 +307,8 @@ _CHANCE: Final = 0.05
 
 _NEAR: Final = 0.6
 """Factor of Student's t from which a delay is worse than the best. The excess residual grows with
-the square of the distance, and its scatter with the distance, so half of t is sufficient near the
-best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
+the square of the distance, its scatter with the distance. Therefore half of t is sufficient near
+the best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
 
 
 def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | None, str]:
@@ -316,7 +317,8 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
     Commands are averaged over each step between poses, so that nothing is resampled.
 
     Returns:
-        None, and a sentence with the reason, if the correlation shows no delay.
+        The delay and an empty text. If the correlation shows no delay, None and a sentence with the
+        reason.
     """
     motions = [motion for motion in motions if len(motion.moved)]
     most = _MOST_STEPS // max(len(motions), 1)
@@ -367,9 +369,9 @@ def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) 
 
 
 class _Misfit:
-    """Residual of the rates of steps for delayed commands, each with the best gain and offset.
+    """Residual of the steps' rates for delayed commands, each with the best gain and offset.
 
-    The largest correlation gives the smallest residual.
+    The residual is smallest at the delay with the largest correlation.
     """
 
     def __init__(self, motions: Sequence[AxisMotion]) -> None:
@@ -395,7 +397,7 @@ class _Misfit:
         return float(self._list_squares(delay_s).sum())
 
     def is_worse(self, delay_s: float | None, best_s: float) -> bool:
-        """Return whether a delay, or None without commands, is significantly worse.
+        """Return whether a delay is significantly worse; None stands for no commands.
 
         The excess is summed over parts of the log, whose scatter shows its uncertainty.
         """

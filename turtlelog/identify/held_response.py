@@ -1,8 +1,8 @@
-"""The displacement of a robot in response to held commands, and nonlinearities of the response.
+"""The displacement of a robot in response to held commands, with nonlinearities.
 
-rate = exp(-dead_time s) / (c s^2 + b s + 1) of the commands under zero-order hold. Between two
-commands the response is a sum of exponentials, so its integral is known at any time: no time grid
-is needed, however irregular commands and poses are.
+The transfer function from held commands to the rate is exp(-dead_time s) / (c s^2 + b s + 1).
+Between two commands the response is a sum of exponentials, so its integral is known at any time. No
+time grid is needed, however irregular commands and poses are.
 """
 
 import cmath
@@ -18,28 +18,29 @@ from numpy.typing import NDArray
 Values = NDArray[np.float64]
 
 _FADED: Final = 1e-18
-"""Share of an earlier transient below the resolution of doubles."""
+"""Share of an earlier transient that is below the resolution of doubles."""
 
 _LEAST_LAG_S: Final = 1e-9
-"""Time constant that stands for none [s]: it fades within the resolution of any clock."""
+"""Time constant that represents no time constant [s]: it decays within the resolution of any
+clock."""
 
 _LEAST_TIGHTNESS: Final = 1e-6
-"""Reciprocal of what stands for no limit of an axis without the other [s/m or s/rad]."""
+"""Reciprocal of a limit that represents no limit of an axis without the other [s/m or s/rad]."""
 
 _APART: Final = 1e-3
-"""Relative difference below which two time constants are separated, because their parts would
-cancel. This changes the response by less than a millionth."""
+"""Smallest relative difference of two time constants; smaller differences are enlarged to it,
+because the two parts would cancel. The response changes by less than a millionth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
-    """Times with the held command at each of them.
+    """Times, with the command held at each time.
 
     Attributes:
-        held: Row of that command, shape (m,).
-        since_s: Time since its start [s].
-        value: Its value at the time [m/s or rad/s].
-        slope: Its rate of change [m/s^2 or rad/s^2]; 0 for a constant command.
+        held: Row of the held command, shape (m,).
+        since_s: Time since the start of the held command [s].
+        value: Value of the command at the time [m/s or rad/s].
+        slope: Rate of change of the command [m/s^2 or rad/s^2]; 0 for a constant command.
         way: Integral of the commands up to the time [m or rad].
     """
 
@@ -58,9 +59,9 @@ class HeldInput:
         time_s: Time of each change [s], shape (n,), not decreasing; the first is the value before
             any recorded command.
         value: Commanded rate [m/s or rad/s], shape (n,).
-        slope: Rate of change until the next one, if a limit turns changes into ramps [m/s^2 or
-            rad/s^2], shape (n,); otherwise 0.
-        way: Integral of the commands up to each of them [m or rad], shape (n,).
+        slope: Rate of change until the next change [m/s^2 or rad/s^2], shape (n,), if a limit turns
+            changes into ramps; otherwise 0.
+        way: Integral of the commands up to each change [m or rad], shape (n,).
     """
 
     time_s: Values
@@ -80,7 +81,7 @@ class HeldInput:
 
 
 def hold_commands(time_s: Values, value: Values, before: float) -> HeldInput:
-    """Return held commands without repeated ones.
+    """Return held commands without repeated values.
 
     Args:
         time_s: Time of each command [s].
@@ -102,7 +103,7 @@ def _integrate_commands(time_s: Values, value: Values, slope: Values) -> HeldInp
 
 
 def _limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
-    """Return commands with limited slope: a ramp for each, followed by its final value.
+    """Return commands with limited slope: a ramp to each command, followed by its final value.
 
     Args:
         commands: Commands to follow.
@@ -132,13 +133,13 @@ def limit_within(
     """Return the input of a lag for which its rate and acceleration are limited.
 
     rate' = clip((command - rate) / lag, +-limit) is a lag with the input clip(command, rate +-
-    limit lag): a ramp ahead of the rate, until it reaches the command. At the largest rate the
-    input rises no further.
+    limit lag). This input is a ramp ahead of the rate, until the ramp reaches the command. At the
+    largest rate the input rises no further.
 
     Args:
         commands: Commands to follow.
         slowness: Time for a unit change [s^2/m or s^2/rad]; 0 for no limit.
-        lag_s: The time constant [s].
+        lag_s: Time constant [s].
         most: Largest rate for a gain of 1 [m/s or rad/s].
     """
     lag_s = max(lag_s, _LEAST_LAG_S)
@@ -179,8 +180,8 @@ def _shape_commands(
 
     Args:
         commands: Commands to follow.
-        structure: Which nonlinearities there are.
-        values: Its further parameters by name.
+        structure: Nonlinearities of the robot.
+        values: Further parameters of the structure by name.
         beside: Commands of the other axis; None if they are 0.
     """
     coupling: Any = 0.0
@@ -201,7 +202,7 @@ def _shape_commands(
 
 
 def _bound_wheels(bound: "Bound", value: Values, beside: Any) -> Values:
-    """Return bounded commands, each divided by the largest one without the other axis."""
+    """Return bounded commands, each divided by the largest command without the other axis."""
     if bound in {"scaled", "reduced"}:
         return np.asarray(value / np.maximum(np.abs(value) + beside, 1.0))
     if bound == "clipped":
@@ -213,7 +214,7 @@ def _bound_wheels(bound: "Bound", value: Values, beside: Any) -> Values:
 
 
 def _join_times(commands: HeldInput, beside: HeldInput) -> HeldInput:
-    """Return commands of one axis that also change, to the same value, where the other does."""
+    """Return commands of one axis, with repeated values wherever the other axis changes."""
     time_s = np.union1d(commands.time_s, beside.time_s)
     value = commands.place(time_s).value
     return _integrate_commands(time_s, value, np.zeros(len(value)))
@@ -227,8 +228,8 @@ class LaggedResponse:
 
         Args:
             commands: Commands to follow.
-            lag_s: Sum of its time constants, b [s].
-            product_s2: Product of its time constants, c [s^2]; 0 for first order.
+            lag_s: Sum b of the time constants [s].
+            product_s2: Product c of the time constants [s^2]; 0 for first order.
         """
         self._product_s2 = product_s2
         self._commands, self._lag_s = commands, lag_s
@@ -269,8 +270,8 @@ def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
 def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
     """Return the initial difference between the rate of a first-order lag and each command.
 
-    Each difference decays by a factor until the next command, which adds its own. This is a linear
-    recurrence, solved by doubling.
+    Each difference decays by a factor until the next command, which adds a new difference. This
+    linear recurrence is solved by doubling.
     """
     fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
     fading[0] = 0.0
@@ -288,23 +289,24 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
 Order = Literal["first_order", "second_order", "limited_before", "limited_within"]
 """Order of a robot model.
 
-`first_order`: one time constant. `second_order`: two, with their product as a further parameter
-[s^2]. `limited_before` and `limited_within`: one time constant and a limit of the change of rate,
-before the lag (the command becomes a ramp) or within its loop (the rate does). Their further
-parameter is the time per unit of the command [s^2/m] or [s^2/rad]."""
+`first_order`: one time constant. `second_order`: two time constants, with their product as a
+further parameter [s^2]. `limited_before` and `limited_within`: one time constant and an
+acceleration limit. The limit acts before the lag (the command becomes a ramp), or within its loop
+(the rate becomes a ramp). The further parameter is then the time per unit of the command [s^2/m] or
+[s^2/rad]."""
 
 Bound = Literal["", "command", "rate", "scaled", "clipped", "yielding", "reduced"]
 
 COUPLED: Final[tuple[Bound, ...]] = ("reduced", "scaled", "clipped", "yielding")
-"""Bounds of the wheels, which both axes share: a command beyond scales both axes, clips each wheel,
-or leaves this axis what the other does not need; or the other axis alone decides by how much this
-one is reduced: all that commands of one size show."""
+"""Bounds of the wheels, which both axes share. A command beyond the bound scales both axes, clips
+each wheel, or leaves this axis the rest that the other axis does not need. For commands of one
+size, the other axis alone may decide how much this axis is reduced."""
 
 _STEPS: Final = MappingProxyType(
     {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}
     | {"friction": 1e-5}
 )
-"""Steps for derivatives with respect to the further parameters, in their units."""
+"""Differences for derivatives with respect to the further parameters, in their units."""
 
 _OF_ORDER: Final = MappingProxyType(
     {
@@ -321,11 +323,13 @@ class Structure:
     """The further parameters of a model.
 
     Attributes:
-        order: Order of its lag, and the place of its acceleration limit.
-        bound: Limited quantity: the command, the wheels, or the rate, which follows larger commands
-            as without the limit until it reaches it. The parameter is the reciprocal of the command
-            that leads there [s/m or s/rad]; for the wheels also that of the other axis.
-        has_reverse: Whether the gain of negative commands differs; the parameter is the ratio.
+        order: Order of the lag, and place of the acceleration limit.
+        bound: Limited quantity: the command, the wheels, or the rate. With a limited rate, the
+            robot follows larger commands as without the limit until it reaches the limit. The
+            parameter is the reciprocal of the command that leads to the limit [s/m or s/rad]; the
+            wheels have one more for the other axis.
+        has_reverse: Whether negative commands have another gain; the parameter is the ratio of the
+            gains.
         has_friction: Whether the magnitude of every command is reduced; the parameter is the
             reduction [m/s or rad/s].
         deadband: Magnitude up to which commands cause no motion [m/s or rad/s].
@@ -344,7 +348,7 @@ class Structure:
 
     @property
     def is_possible(self) -> bool:
-        """Whether its parts are compatible: a rate limit needs a first-order lag without ramps."""
+        """Whether the parts are compatible: a rate limit needs a first-order lag without ramps."""
         return self.bound != "rate" or self.order in {"first_order", "limited_within"}
 
     @property
@@ -365,7 +369,7 @@ class Structure:
 
     @property
     def steps(self) -> list[float]:
-        """Step sizes for differences with respect to the further parameters."""
+        """Differences for derivatives with respect to the further parameters."""
         return [_STEPS[name] for name in self.names]
 
     @property

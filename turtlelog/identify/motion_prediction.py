@@ -1,4 +1,4 @@
-"""The rates of a robot's model for recorded commands, compared with those of the robot."""
+"""The rates of a robot's model for recorded commands, compared with the robot's own rates."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -17,14 +17,14 @@ _JOINED_S: Final = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AxisTraces:
-    """Rates of an axis over time, each the mean over some steps between poses.
+    """Rates of an axis over time; each is the mean over several steps between poses.
 
     Attributes:
         axis: Name of the axis.
-        time_s: Middle of these steps [s], shape (n,).
-        commanded: Mean commanded rate in these steps [m/s or rad/s], without delay.
-        measured: Measured rate.
-        modelled: Rate of the model.
+        time_s: Middle of the steps of each mean [s], shape (n,).
+        commanded: Mean commanded rate in these steps, without delay [m/s or rad/s].
+        measured: Measured rate in these steps.
+        modelled: Rate of the model in these steps.
     """
 
     axis: Axis
@@ -57,14 +57,14 @@ def join_rates(
 ) -> AxisTraces:
     """Return the rates of an axis from displacements in steps between times [s], shape (n,).
 
-    Steps are joined up to a tenth of a second: in shorter ones the noise of poses hides the rate.
+    Steps are joined up to a tenth of a second; in shorter steps the noise of poses hides the rate.
 
     Args:
         axis: Name of the axis.
         motion: Motion whose commands are shown.
         time_s: Time of the poses [s], shape (n + 1,).
         moved: Distance or turn of the robot in each step [m] or [rad], shape (n,).
-        modelled: Distance or turn of its model, likewise.
+        modelled: Distance or turn of the model in each step [m] or [rad].
     """
     rows = np.flatnonzero(np.diff(np.floor(time_s / _JOINED_S), prepend=-np.inf))
     rows = rows if len(rows) > 1 else np.array([0, len(time_s) - 1])
@@ -96,7 +96,7 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
 def predict_response(
     model: AxisModel, commands: HeldInput, time_s: Values, beside: HeldInput | None
 ) -> tuple[Values, Values]:
-    """Return displacement or turn, and rate, of a model for commands, and those of the other axis.
+    """Return displacement or turn, and rate, of a model for commands of both axes.
 
     Raises:
         IdentifyError: If the axis of the model is unknown.

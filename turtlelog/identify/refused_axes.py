@@ -1,4 +1,4 @@
-"""Reasons why commands and motion do not identify an axis, such as periodic commands; advice."""
+"""Reasons why commands and motion do not identify an axis, and advice."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -29,27 +29,27 @@ from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
 
 _OPPOSITE_EXPLAINS: Final = 0.5
-"""Smallest explained share of the variance for a negative gain to be reported, and below which a
+"""Smallest explained share of the variance for which a negative gain is reported; below it, a
 positive gain may be wrong. A robot that turns the wrong way explains nearly all; another robot's
-commands or an echo of a period explain little."""
+commands, or an echo of a period, explain little."""
 
 _OPPOSITE_CLEARLY: Final = 30.0
-"""Smallest advantage of the negative gain in twice the negative log-likelihood: by chance in 1 of a
-million robots, if both signs were equally likely."""
+"""Smallest advantage of the negative gain in twice the negative log-likelihood. If both signs were
+equally likely, chance would reach it in 1 of a million robots."""
 
 _SUDDEN_S: Final = 0.1
 """Time within which a change of the command counts as one step [s]: a usual robot's delay."""
 
 _SUDDEN_SHARE: Final = 0.05
-"""Share of the range of commands that must change within that time; otherwise they are ramps. A
+"""Share of the range of commands that must change within this time; slower changes are ramps. A
 ramp over the range then takes more than 2 s, and shows no start."""
 
 _ABSURD: Final = 1e9
-"""Value above which commands and steps are not a robot's [m/s], [rad/s], [m] or [rad]: light needs
-3 s for it. Such values come from bytes that are not numbers."""
+"""Largest plausible command or step of a robot [m/s], [rad/s], [m] or [rad]: light needs 3 s for
+it. Larger values come from bytes that are not numbers."""
 
 _NEGLIGIBLE: Final = 1e-9
-"""Value below which commands move no robot [m/s] or [rad/s]: a millimetre in twelve days."""
+"""Value below which commands do not move a robot [m/s] or [rad/s]: a millimetre in twelve days."""
 
 _OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
     {
@@ -132,7 +132,7 @@ def refuse_fit(
 def find_opposite(
     axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit | None
 ) -> AxisModel | None:
-    """Return an axis without values if it moves in the opposite direction; otherwise None."""
+    """Return an axis without values if the robot moves in the opposite direction; else None."""
     try:
         other = fit_axis([replace(motion, moved=-motion.moved) for motion in motions])
     except NoGainError:
@@ -159,7 +159,7 @@ def find_opposite(
 
 
 def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
-    """Return the reason why fitted values are invalid; a delay within a step is well known."""
+    """Return why fitted values are invalid. A delay within one step is well known."""
     if fit.parameters[DEAD_TIME] >= LARGEST_DEAD_TIME_S:
         return (
             f"the best dead time is the largest that is tried, {LARGEST_DEAD_TIME_S:g} s:"
@@ -191,27 +191,27 @@ _MOST_S: Final = 120.0
 """Length of each run that is compared [s]."""
 
 _ALIKE: Final = 0.8
-"""Correlation from which commands repeat: a switch that is 5 % of a period early or late reduces it
-to this value. The motion decides whether another delay explains as much."""
+"""Correlation from which commands repeat: a switch that is 5 % of a period early or late reduces
+the correlation to this value. The motion decides whether another delay explains as much."""
 
 _DIPS: Final = 0.5
-"""Correlation that must be undercut before commands repeat, because slow commands resemble those
-shortly before."""
+"""Correlation below which commands must fall before they count as repeated, because slow commands
+resemble the commands shortly before."""
 
 _DIFFERS: Final = 0.25
 """Smallest difference of two models in a decisive step, as a share of the largest step."""
 
 _FEWEST: Final = 3
-"""Smallest number of decisive steps: fewer may be jumps."""
+"""Smallest number of decisive steps; fewer steps may be jumps."""
 
 _BETTER: Final = 0.5
-"""Largest error of the right model in these steps, as a share of the other's."""
+"""Largest error of the right model in these steps, as a share of the other model's error."""
 
 
 def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
-    """Return the time [s] after which commands repeat, and with which sign; None if they do not.
+    """Return the time after which commands repeat [s], and their sign; None if they do not repeat.
 
-    Only times up to the largest dead time count: a later repetition causes no ambiguity.
+    Only times up to the largest dead time count, because a later repetition causes no ambiguity.
     """
     moving = [motion for motion in motions if len(motion.moved) and motion.commands.value.any()]
     commands = [_sample(motion) for motion in moving]
@@ -233,10 +233,10 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
 
 
 def _list_twins(fit: AxisFit, shift_s: float, sign: int) -> list[tuple[float, int, float | None]]:
-    """Return the alternative dead times [s] of periodic commands, each with the sign of its gain.
+    """Return the alternative dead times of periodic commands [s], each with the sign of its gain.
 
-    The last value of each is the residual of the fit divided by that of the alternative; None if
-    they hardly differ.
+    The last value of each alternative is the ratio of the fit's residual to the alternative's
+    residual; None if the models hardly differ.
     """
     gain, dead_time_s, lag_s, *extra = fit.parameters.tolist()
     twins = []
@@ -250,7 +250,7 @@ def _list_twins(fit: AxisFit, shift_s: float, sign: int) -> list[tuple[float, in
 
 
 def _tell_twin(fit: AxisFit, shift_s: float, sign: int) -> tuple[str, bool]:
-    """Return why a dead time is ambiguous, and whether the other sign explains more.
+    """Return why a dead time is ambiguous, and whether the other sign explains the motion better.
 
     The reason is empty if the motion resolves the ambiguity.
     """

@@ -41,19 +41,19 @@ _DIFFERENT: Final = 3.0
 """Standard deviations by which two runs must differ: by chance in 0.3 % of pairs."""
 
 _ALIKE: Final = 0.05
-"""Largest relative difference of commands of one size: a smaller one does not show whether the gain
-varies."""
+"""Largest relative difference of commands of equal size. A smaller difference does not show whether
+the gain varies."""
 
 _MOSTLY: Final = 0.95
-"""Share of the commands of an axis beside one command of the other axis that leave none to compare:
-what a log shows in less than a twentieth of its commands is no interval of its own."""
+"""Share of an axis's commands beside one command of the other axis, above which no commands are
+left to compare: less than a twentieth of the commands gives no interval of its own."""
 
 _FEWEST_STEPS: Final = 50
 """Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
 
 MOST_STEPS: Final = 100_000
-"""Largest number of steps that are used of each axis: half an hour at 50 Hz, in about 5 s. Of a
-longer log, the first part of each run is used; the robot would change over a longer time."""
+"""Largest number of steps of each axis that are used: half an hour at 50 Hz, in about 5 s. Of a
+longer log, the first part of each run is used, because the robot may change over a longer time."""
 
 
 def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
@@ -153,9 +153,10 @@ def _note_one_size(model: AxisModel) -> str:
 
 
 def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    """Yield a note if a known axis is commanded only beside one command of the other axis.
+    """Yield a note if a known axis is only commanded beside one command of the other axis.
 
-    Wheels that reach their limit together show one gain there, which others may exceed.
+    Wheels that reach their limit together show only this one gain; other commands may have a larger
+    gain.
     """
     other: Axis = "turn_rate" if model.axis == "speed" else "speed"
     own, beside = (
@@ -194,7 +195,7 @@ def _count_changes(run: Run, axis: Axis) -> int:
 
 
 def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEvent]:
-    """Return the outliers of a fit, as events of their runs."""
+    """Return the outliers of a fit as events of the runs."""
     events, begin = [], 0
     for name, motion in zip(names, fit.model.motions, strict=True):
         end = begin + len(motion.moved)
@@ -207,7 +208,7 @@ def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEv
 
 
 def _compare_runs(runs: Sequence[Run], together: AxisModel) -> list[str]:
-    """Return the differences of single runs from all runs together, in sentences."""
+    """Return how single runs differ from all runs together, in sentences."""
     if len(runs) < 2 or not together.is_known:
         return []
     notes = []
@@ -240,7 +241,7 @@ def _tell(value: Estimate) -> str:
 
 
 _MOST_UNEXPLAINED: Final = 0.05
-"""Largest share of moving ticks without an explaining command; if it is exceeded, poses or commands
+"""Largest share of moving ticks without an explaining command. Above this share, poses or commands
 are not turtlesim's. A recorder that starts late misses only the first command."""
 
 _HERE: Final = "turtlesim moves by the command of a tick, whole and at once"
@@ -290,7 +291,7 @@ class _Shown:
 
 
 def _list_delays(run: Run) -> _Shown | None:
-    """Return the commands visible in poses, and their delays; None if ticks are unknown."""
+    """Return the commands visible in poses, with their delays; None if ticks are unknown."""
     if find_plant(run) is not TURTLESIM:
         return None
     try:
@@ -308,7 +309,7 @@ def _list_delays(run: Run) -> _Shown | None:
 
 
 def _list_dead_times(run: Run, axis: Axis, shown: _Shown) -> Values:
-    """Return the dead times of commands that change an axis [s]: a tick less than to the pose.
+    """Return the dead times of commands that change an axis [s]: one tick less than the delay.
 
     A real turtlesim takes a command at the end of a tick, and uses it for the whole tick.
     """

@@ -16,13 +16,13 @@ from turtlelog.theory.process import Process, build_delayed
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A value and its 95 % interval; it compares with a number as its value does.
+    """A value and its 95 % interval. Comparisons with numbers use the value.
 
     Attributes:
-        value: Likeliest value.
+        value: Most likely value.
         low: Lower end of the interval.
         high: Upper end of the interval.
-        unit: Unit of all three.
+        unit: Unit of the value and the interval.
     """
 
     value: float
@@ -55,11 +55,12 @@ class TickDelays:
     """Delays of turtlesim: from a command's time to the pose that shows it.
 
     Attributes:
-        shown: Number of commands visible in a pose: those taken that changed the plant's command.
+        shown: Number of commands visible in a pose: taken commands that changed the plant's
+            command.
         commands: Number of all commands.
-        least_s: The smallest delay [s].
-        median_s: The median [s].
-        largest_s: The largest [s].
+        least_s: Smallest delay [s].
+        median_s: Median delay [s].
+        largest_s: Largest delay [s].
     """
 
     shown: int
@@ -75,46 +76,49 @@ class AxisModel:
 
     Attributes:
         axis: `speed` or `turn_rate`.
-        status: Whether its values are known.
-        reason: Reason why they are unknown, in a sentence; empty if they are known.
-        advice: Test drive that would identify them; empty if they are known.
-        model: `second_order`: rate = gain exp(-dead_time s) / (product s^2 + lag s + 1).
+        status: Whether the values of the axis are known.
+        reason: Reason why the values are unknown, in a sentence; empty if they are known.
+        advice: Test drive that would identify the values; empty if they are known.
+        model: Model of the response; `second_order`: rate = gain exp(-dead_time s) / (product s^2 +
+            lag s + 1).
         gain: Steady-state rate per command [1].
         dead_time_s: Time from a command until the rate begins to follow [s].
-        lag_s: Time constant of the response [s]; for second order the sum of both [s].
+        lag_s: Time constant of the response [s]; for second order, the sum of both time constants.
         total_delay_s: Sum of dead time and time constant, which is known better than either [s].
         lag_product_s2: Product of both time constants for second order [s^2].
-        rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], if the motion shows one.
-        limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
-            its loop, so that the rate itself is a ramp; empty if there is none.
+        rate_limit: Largest acceleration [m/s^2] or [rad/s^2], if the motion shows a limit.
+        limit_acts: Place of the acceleration limit: before the low-pass, which then follows a ramp,
+            or within the loop of the low-pass, so that the rate itself is a ramp. Empty without a
+            limit.
         bound: Largest rate [m/s] or [rad/s], if commands exceed it.
-        bound_acts: Limited quantity: the command, which the low-pass then follows; the rate, which
-            follows larger commands until it reaches the limit; or the wheels, which both axes
-            share, so that a larger command is `scaled` on both axes, `clipped` at each wheel,
-            `yielding` to the other axis, or `reduced` by the other axis alone. Empty if there is
-            none.
+        bound_acts: Limited quantity. `command`: the low-pass follows the limited command. `rate`:
+            the robot follows larger commands until the rate reaches the limit. The wheels, which
+            both axes share: a larger command is `scaled` on both axes, `clipped` at each wheel,
+            `yielding` to the other axis, or `reduced` by the other axis alone. Empty without a
+            bound.
         bound_beside: Command of the other axis that alone reaches the limit of the wheels [m/s] or
-            [rad/s]; `bound` then is the largest rate without a command of the other axis.
-        deadband: Command up to which nothing moves [m/s] or [rad/s], if the motion shows one.
+            [rad/s]. `bound` is then the largest rate without a command of the other axis.
+        deadband: Largest command that moves nothing [m/s] or [rad/s], if the motion shows a
+            deadband.
         reverse_gain: Gain of negative commands, if it differs [1].
-        friction: Part of the magnitude of every command that has no effect [m/s] or [rad/s], if the
-            motion shows it; the gain is that of the rest.
+        friction: Part of every command's magnitude that has no effect [m/s] or [rad/s], if the
+            motion shows it. The gain applies to the rest.
         explained: Fraction of the variance of the steps about one constant speed that the model
             explains.
-        whiteness: Mean square of the changes of the residuals divided by twice their mean square, 1
-            for noise, near 0 for a curve; without the noise of poses.
+        whiteness: Mean square of the changes of the residuals divided by twice their mean square,
+            without the noise of poses: 1 for noise, near 0 for a curve.
         outliers: Number of steps left out because their residual exceeds the noise.
-        correlation_delay_s: The delay with the largest correlation of commands and motion, and the
-            range of delays that the correlation cannot distinguish from it [s]: a second estimate
-            without a time constant.
+        correlation_delay_s: Delay with the largest correlation of commands and motion [s], with the
+            range of delays that the correlation cannot distinguish: a second estimate without a
+            time constant.
         correlation_reason: Reason why the correlation shows no delay; empty if it does.
         steps: Number of steps between poses that were used.
         steps_in_all: Number of steps between poses in which commands act.
         changes: Number of changes of the command.
         doubts: Reasons other than noise for wider intervals, in sentences: structures that the log
             cannot distinguish, and parts of the motion that differ.
-        silent_stops_s: Time after the last command at which the rate is down to half, if the robot
-            stops by itself without commands [s].
+        silent_stops_s: Time from the last command until the rate is down to half [s], if the robot
+            stops by itself without commands.
     """
 
     axis: Axis
@@ -167,7 +171,8 @@ class AxisModel:
     def to_process(self) -> Process:
         """Return the axis as a process of `theory`: a delayed rate, integrated.
 
-        For second order, its time constant is the sum of both. Limits and a deadband are left out.
+        For second order, the time constant is the sum of both time constants. Limits and a deadband
+        are left out.
 
         Raises:
             IdentifyError: If the axis is unknown.
@@ -184,7 +189,7 @@ class AxisModel:
 
     @property
     def advised_delay_s(self) -> float | None:
-        """Total delay for the design of a controller [s]; if in doubt, the longest."""
+        """Total delay for the design of a controller [s]; if in doubt, the longest delay."""
         total = self.total_delay_s
         if total is None:
             return None
@@ -194,9 +199,9 @@ class AxisModel:
     def oscillation_delay_s(self) -> float:
         """Delay that stands for the oscillation of a second-order model in a first-order one [s].
 
-        P control with 5 % overshoot then has the gain that the second-order model allows, or up to
-        a tenth less: 0.5 product^1.5 / lag^2 fits damping ratios from 0.3 to 1. A dead time makes
-        the gain smaller anyway, so it needs less.
+        With this delay, P control with 5 % overshoot gets the gain that the second-order model
+        allows, or up to a tenth less: 0.5 product^1.5 / lag^2 fits damping ratios from 0.3 to 1. A
+        dead time reduces the gain anyway, so that a smaller delay is enough.
         """
         product, lag = self.lag_product_s2, self.lag_s
         if product is None or lag is None or product.value <= 0.25 * lag.value**2:
@@ -205,12 +210,12 @@ class AxisModel:
 
     @property
     def advised_gain(self) -> float | None:
-        """Gain for the design of a controller [1]; if in doubt, the largest."""
+        """Gain for the design of a controller [1]; if in doubt, the largest gain."""
         return self._take_advised(self.gain)
 
     @property
     def advised_reverse_gain(self) -> float | None:
-        """The same for the gain of negative commands, if it differs [1]."""
+        """Gain of negative commands for the design of a controller, if it differs [1]."""
         return self._take_advised(self.reverse_gain)
 
     def _take_advised(self, gain: Estimate | None) -> float | None:
@@ -220,7 +225,7 @@ class AxisModel:
 
     @property
     def structure(self) -> Structure:
-        """Names of its further parameters."""
+        """Names of the axis's further parameters."""
         order: Order = "second_order" if self.model == "second_order" else "first_order"
         if self.limit_acts:
             order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
@@ -234,7 +239,7 @@ class AxisModel:
 
     @property
     def extras(self) -> list[float]:
-        """Values of these further parameters, as fractions of its gain."""
+        """Values of the further parameters, as fractions of the gain."""
         gain = math.nan if self.gain is None else self.gain.value
         values = {
             "product": self.lag_product_s2,
@@ -254,7 +259,7 @@ class AxisModel:
 
     @property
     def is_idle(self) -> bool:
-        """Whether it is never commanded, so that its values are not needed."""
+        """Whether the axis is never commanded, so that its values are not needed."""
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
 
 
@@ -274,7 +279,7 @@ class RobotEvent:
     Attributes:
         file: Name of the run.
         axis: `speed` or `turn_rate`.
-        time_s: Time of the pose after it [s].
+        time_s: Time of the pose after the event [s].
         size: Error of the step [m] or [rad].
     """
 
@@ -319,7 +324,7 @@ class RobotModel:
 
     @property
     def axes(self) -> tuple[AxisModel, AxisModel]:
-        """Both axes."""
+        """Both axes of the robot."""
         return self.speed, self.turn_rate
 
     @property
@@ -346,11 +351,11 @@ _WHOLE_MS: Final = 10.0
 
 
 def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
-    """Return the gain and the delay with which each axis follows its commands.
+    """Return how each axis follows its commands: gain and delay, as text.
 
     Args:
         axes: Axes of the robot.
-        name: Name of the run from which it was identified.
+        name: Name of the run from which the robot was identified.
     """
     axes = [*axes]
     said = [
@@ -363,13 +368,21 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
     if not said:
         return f"{name}: no axis could be identified."
     rest = f" The {unknown[0]} could not be identified." if unknown else ""
-    doubted = [NAMES[axis.axis] for axis in axes if axis.is_known and axis.doubts]
+    doubted = [_write_doubted(axis) for axis in axes if axis.is_known and axis.doubts]
     if doubted:
         rest += f" In doubt: {join_words(doubted)}."
     words = ", ".join(
         [said[0].format("follows its commands with "), *(one.format("with ") for one in said[1:])]
     )
     return f"{name}: {words}.{rest}"
+
+
+def _write_doubted(axis: AxisModel) -> str:
+    """Return a doubtful axis with the delay for the design of a controller, if it is known."""
+    delay_s = axis.advised_delay_s
+    if delay_s is None or not math.isfinite(delay_s):
+        return NAMES[axis.axis]
+    return f"{NAMES[axis.axis]} (plan with {1e3 * delay_s:.0f} ms)"
 
 
 def _write_gain(found: Estimate | None) -> str:
@@ -382,12 +395,12 @@ def _write_delay(found: Estimate) -> str:
 
 
 def format_gain(found: Estimate | None) -> str:
-    """Return a gain with its interval; `-` if there is none."""
+    """Return a gain with its interval as text; `-` if there is no gain."""
     return "-" if found is None else f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
 
 
 def format_delay(found: Estimate | None) -> str:
-    """Return a delay with its interval in ms; `-` if there is none."""
+    """Return a delay with its interval in ms as text; `-` if there is no delay."""
     if found is None:
         return "-"
     value, low, high = (1e3 * number for number in (found.value, found.low, found.high))

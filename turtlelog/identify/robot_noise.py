@@ -1,11 +1,12 @@
 """The noise of poses, of steps between them, and of rates.
 
-Errors of poses do not grow with time, errors of rates do: the mean square error of the displacement
-in a time t is `still` + noise^2 t. The noise of poses is measured while the robot is at rest: in
-motion, errors of time stamps look the same.
+Errors of poses do not grow with time; errors of rates grow. The mean square error of the
+displacement in a time t is `still` + noise^2 t. The noise of poses is measured while the robot is
+at rest, because in motion errors of time stamps look the same.
 
-An error of a pose makes one step too long and the next too short; slip remains. Therefore the
-variance of a step is `slip` + 2 `sensing`, and the covariance of neighbours is -`sensing`.
+An error of a pose makes one step too long and the next too short. Slip, in contrast, remains.
+Therefore the variance of a step is `slip` + 2 `sensing`, and the covariance of neighbours is
+-`sensing`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,33 +37,34 @@ _MOST_RATE: Final = 0.05
 """Mean rate above which a robot is not at rest, as a share of the largest command."""
 
 _SHORTEST_S, _LONGEST_S = 0.1, 5.0
-"""Range of times over which the model's error is evaluated [s]: shorter ones show the noise of
-poses and stamps, longer ones occur too rarely in a log."""
+"""Range of times over which the model's error is evaluated [s]. Shorter times show the noise of
+poses and stamps; longer times occur too rarely in a log."""
 
 _FEWEST_WAYS: Final = 10.0
-"""Number of times that a time must fit into a log: the mean square is then accurate to a half."""
+"""Smallest number of times that a time must fit into a log; the mean square is then accurate to a
+half."""
 
 _SURE: Final = 3.0
-"""Standard deviations above chance from which noise is reported: it is reported for 1 in 700 robots
-without noise."""
+"""Standard deviations above chance from which noise is reported: in 1 of 700 robots without
+noise."""
 
 _MATTERS: Final = 0.3
 """Smallest growth of the error over the longest time, as a share of the constant part. A smaller
 growth changes no prediction, and looks like small errors of dead times and time constants."""
 
 _HIDES: Final = 2.0
-"""Growth that would have been reported, as a multiple of the reported one: with few intervals of
-the longest time, it is accurate to a half."""
+"""Growth that would have been reported, as a multiple of the reported growth: with few intervals of
+the longest time, the growth is accurate to a half."""
 
 _STILL_HIDES: Final = 4.0
-"""Square of the poses' noise that would have been seen in 39 of 40 robots, as a multiple of
-chance."""
+"""Square of the poses' noise that would be visible in 39 of 40 robots, as a multiple of chance."""
 
 _LEAST: Final = 1e-6
-"""Smallest noise that is reported [m] or [rad]: a tenth of the step of the finest odometry."""
+"""Smallest reported noise [m] or [rad]: a tenth of the step of the finest odometry."""
 
 _FEWEST_HORIZONS: Final = 3
-"""Smallest number of times, each twice the previous one: with two, a curve looks like growth."""
+"""Smallest number of times, each twice the previous time; with two times, a curve looks like
+growth."""
 
 Stretch = NDArray[np.float64]
 """Times and sums of some quantities from pose to pose, shape (n, 1 + k)."""
@@ -73,8 +75,8 @@ class Noise:
     """A measured noise.
 
     Attributes:
-        size: Standard deviation [m or rad], for rates per root of a second; 0: none is visible.
-        hidden: Upper bound of the noise if none is visible.
+        size: Standard deviation [m or rad], for rates per root of a second; 0: no noise is visible.
+        hidden: Upper bound of the noise if no noise is visible.
     """
 
     size: float
@@ -86,7 +88,7 @@ class SensingNoise:
     """Noise of a pose.
 
     Attributes:
-        position: Noise of x and of y [m].
+        position: Noise of both x and y [m].
         heading: Noise of the heading [rad].
         standing_s: Total time for which the robot is at rest [s].
     """
@@ -97,7 +99,7 @@ class SensingNoise:
 
 
 def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNoise | None:
-    """Return the noise of poses while a robot is at rest; None if it never is."""
+    """Return the noise of poses while a robot is at rest; None if the robot is never at rest."""
     places, headings, standing_s = [], [], 0.0
     for run in runs:
         for rows in _list_standing(model, run):
@@ -122,7 +124,7 @@ def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> No
     """Return the growth of a model's error [m or rad per root of a second].
 
     Returns:
-        None if the axis has no model, or no run is long enough.
+        The noise; None if the axis has no model, or no run is long enough.
     """
     if not getattr(model, axis).is_known:
         return None
@@ -183,7 +185,7 @@ def _stands(run: Run, rows: slice) -> bool:
 
 
 def _measure_still(stretches: Sequence[Stretch]) -> Noise:
-    """Return the standard deviation of the constant part; 0 if it is not significant.
+    """Return the standard deviation of the constant part; 0 if the part is not significant.
 
     If nothing grows, the changes of neighbours are correlated with -1/2.
     """
@@ -216,9 +218,9 @@ def _list_errors(model: RobotModel, axis: Axis, run: Run) -> Iterator[Stretch]:
 
 
 def _measure_growth(stretches: Sequence[Stretch]) -> tuple[Values, Values, Values, Values]:
-    """Return times, the mean square error of the model after them, and its uncertainty.
+    """Return times, the model's mean square error after each time, and its uncertainty.
 
-    The last two are the number of successive intervals, and of intervals from any pose.
+    The last two values are the numbers of successive intervals and of intervals from any pose.
     """
     total_s = sum(float(stretch[-1, 0] - stretch[0, 0]) for stretch in stretches)
     steps = sum(len(stretch) - 1 for stretch in stretches)
@@ -248,10 +250,10 @@ _LONGEST: Final = 32
 
 LEAST_STEP: Final = 1e-12
 """Smallest deviation of a step [m] or [rad]: the resolution of doubles some kilometres from the
-origin. A robot without noise may have a deviation of exactly 0, which gives no weight."""
+origin. A robot without noise may have a deviation of exactly 0, which has no weight."""
 
 _EXCLUDED: Final = 1e6
-"""Factor of an outlier's variance, so that it no longer counts."""
+"""Factor on the variance of an outlier, large enough that the outlier does not count."""
 
 NORMAL_MAD: Final = 1.4826
 """Standard deviation of normal noise divided by the median of its magnitude."""
@@ -296,7 +298,7 @@ def estimate_noise(
 
 
 class Whitening:
-    """A transform of the residuals of steps to independent values with a variance of 1.
+    """A transform of the residuals of steps into independent values with a variance of 1.
 
     Attributes:
         noise: Noise of the steps.
@@ -321,6 +323,6 @@ class Whitening:
         self.log_size = 2.0 * float(np.log(self._factor[0]).sum())
 
     def apply(self, values: Values) -> Values:
-        """Return values of each step, shape (n,) or (n, k), whitened."""
+        """Whiten the values of each step and return them, shape (n,) or (n, k)."""
         solve = scipy.linalg.solve_banded
         return np.asarray(solve((1, 0), self._factor, values, check_finite=False))

@@ -20,11 +20,11 @@ from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.scenario import Scenario, format_scenario, get_preset, override_scenario
 
 _DIGITS: Final = 6
-"""Significant digits of written numbers: a hundredth of the narrowest interval."""
+"""Number of significant digits of written numbers: a hundredth of the narrowest interval."""
 
 _REGULAR: Final = 0.2
-"""Largest relative difference of a timer's intervals from their median: a busy computer shifts a
-message at 10 Hz by some milliseconds, manual input by tenths of a second."""
+"""Largest relative difference of a timer's intervals from their median. A busy computer shifts a
+message at 10 Hz by some milliseconds; manual input shifts messages by tenths of a second."""
 
 _MOSTLY: Final = 0.8
 """Share of the intervals that must be regular; the others are lost messages and pauses."""
@@ -34,36 +34,38 @@ _FEWEST: Final = 10
 
 _DOUBT: Final = "Doubt: "
 _NOTE: Final = "Note: "
-"""Prefix of sentences that later answers repeat: notes of the identification."""
+"""Prefix of sentences that later answers repeat: the notes of the identification."""
 
 _WHOLE: Final = 0.05
-"""Largest relative difference of the timer's period from a multiple of the poses', for using the
-multiple. Two clocks of one robot agree to less than a tenth of it; a scheduler shifts a period by
-some percent."""
+"""Largest relative difference of the timer's period from a multiple of the poses' period, for which
+the multiple is used. Two clocks of one robot agree to less than a tenth of it; a scheduler shifts a
+period by some percent."""
 
 _FEWEST_ARRIVALS: Final = 3
-"""Number of commands at exactly the largest value from which it is a limit: two may be two steps of
-one drive."""
+"""Number of commands at exactly the largest value from which this value is a limit: two commands
+may be two steps of one drive."""
 
 _EXACT: Final = 1e-6
-"""Relative difference of equal commands: single precision, and sums of steps."""
+"""Relative difference of equal commands: single precision, or sums of steps."""
 
 _TOLERANCE: Final = 0.01
 """Tolerance of the goal [m] and [rad], usual for wheeled robots."""
 
 _ABOVE_NOISE: Final = 5.0
-"""Smallest tolerance in standard deviations of the poses' noise: a smaller one is never met."""
+"""Smallest tolerance in standard deviations of the poses' noise; a smaller tolerance is never
+met."""
 
 _DRIVE_S: Final = 5.0
 """Duration of a drive towards the goal, in which the heading drifts [s]."""
 
 _ABOVE_DRIFT: Final = 2.0
-"""Standard deviations of that drift within the tolerance: 1 drive of 20 drifts further."""
+"""Number of standard deviations of this drift within the tolerance: 1 drive of 20 drifts
+further."""
 
 _PLACE: Final = ("x_m", "y_m")
 
 _AHEAD_M: Final = 1.0
-"""Distance of the goal ahead and to the left, if the bag has none [m]."""
+"""Distance of the goal ahead and to the left, if the bag has no goal [m]."""
 
 _LONGEST_PERIOD_S: Final = 1.0
 _SHORTEST_PERIOD_S: Final = 0.001
@@ -76,7 +78,7 @@ class RobotScenario:
 
     Attributes:
         scenario: Scenario with the plant `lagged`.
-        notes: Sources of its numbers, and unknown values, in sentences.
+        notes: Sources of the scenario's numbers, and unknown values, in sentences.
     """
 
     scenario: Scenario
@@ -108,19 +110,19 @@ def read_robot_notes(text: str) -> list[str]:
 
 
 def _wrap(note: str) -> list[str]:
-    """Return the lines of a note, marked so that its end can be found again."""
+    """Return the lines of a note with a mark, so that the end of the note can be found again."""
     indent = "  " if note.startswith((_DOUBT, _NOTE)) else ""
     return textwrap.wrap(note, 97, subsequent_indent=indent)
 
 
 def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotScenario:
-    """Return a scenario whose plant follows commands as the robot does.
+    """Return a scenario whose plant follows commands like the robot.
 
     An axis that is never commanded is assumed to follow at once, with a note.
 
     Args:
         model: Model of the robot.
-        runs: Runs from which it was identified; start and goal are those of the first.
+        runs: Runs from which the robot was identified; start and goal come from the first run.
 
     Raises:
         IdentifyError: If a commanded axis is unknown, no axis is known, or the robot is turtlesim.
@@ -227,7 +229,7 @@ def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
 
 
 def _tell_plant(axis: AxisModel) -> Iterator[str]:
-    """Yield the limits of the plant, and its differences from the identified robot."""
+    """Yield the limits of the plant, and how it differs from the identified robot."""
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
@@ -290,7 +292,7 @@ def _list_periods(runs: Sequence[Run]) -> Part:
 
 
 def _find_period(times_ns: Sequence[Any], *, regular: bool = False) -> float | None:
-    """Return the period of messages [s]; None if they are not periodic."""
+    """Return the period of messages [s]; None if messages are not periodic."""
     apart_s = np.concatenate([np.diff(time_ns) / 1e9 for time_ns in times_ns])
     if len(apart_s) < (_FEWEST if regular else 1):
         return None
@@ -355,7 +357,7 @@ def _find_bound(axis: AxisModel) -> float | None:
 
 
 def _find_largest(runs: Sequence[Run], axis: Axis) -> tuple[float, int]:
-    """Return the largest magnitude of a command, and how often commands reach it."""
+    """Return the largest magnitude of a command, and the number of commands that reach it."""
     commands = [get_commands(run, axis) for run in runs]
     largest = max((float(np.abs(value).max()) for value in commands if len(value)), default=0.0)
     if not largest:

@@ -1,8 +1,9 @@
 """Structures beyond one time constant: a second one, limits of acceleration or speed, a deadband.
 
-More parameters always reduce the residual. Therefore another structure must reduce it clearly, and
-change the robot's response noticeably. Fitted to the first part of the log only, it must predict
-the rest better than the simpler one. Structures that the log cannot distinguish are rivals.
+More parameters always reduce the residual. Therefore another structure must reduce the residual
+clearly, and change the robot's response noticeably. After a fit to only the first part of the log,
+it must also predict the rest better than the simpler structure. Structures that the log cannot
+distinguish are called rivals.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,25 +30,27 @@ from turtlelog.identify.held_response import COUPLED, Order, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FITTED: Final = 2 / 3
-"""Share of each log that is fitted; the rest is predicted."""
+"""Share of each log that is fitted; the rest of the log is predicted."""
 
 _ASKS: Final = 8.0
-"""Possible decrease of the sum of squares from which a further parameter is tried, in variances: by
-chance in 0.5 % of robots."""
+"""Possible decrease of the sum of squares from which a further parameter is tried, in variances;
+chance reaches it in 0.5 % of robots."""
 
 _CLEARLY: Final = 15.0
-"""Required decrease of twice the negative log-likelihood: by chance in 1 of 10,000 robots."""
+"""Required decrease of twice the negative log-likelihood; chance reaches it in 1 of 10,000
+robots."""
 
 _MATTERS: Final = 0.02
 """Required change of some step between poses, as a share of the largest rate: 2 % counts as
 settled. A smaller change is invisible, even if a log without noise shows it."""
 
 _SEEN: Final = 1.96
-"""Standard deviations by which a further parameter must differ from 0, so that its 95 % interval
-excludes 0."""
+"""Number of standard deviations by which a further parameter must differ from 0, so that its 95 %
+interval excludes 0."""
 
 _PREDICTED: Final = 2.0
-"""Required decrease of the same for the rest of the log: noise alone increases it on average."""
+"""Required decrease of the same measure for the rest of the log; noise alone increases this measure
+on average."""
 
 _STARTS_S: Final = (0.1, 0.5)
 """Durations of the largest change of the command at which the search for a limit starts [s]."""
@@ -56,45 +59,46 @@ _BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
 """Shares of the largest command at which the search for a bound starts."""
 
 _ALONE: Final = (0.3, 0.6, 0.9, 1.5, 3.0)
-"""The same for a limit of the wheels, which commands may reach only beside those of the other axis.
-"""
+"""The same shares for a limit of the wheels, which commands may reach only together with commands
+of the other axis."""
 
 _BESIDE: Final = (0.25, 0.4, 0.6, 0.8, 0.95)
-"""Shares of the largest command of the other axis that the limit of the wheels is looked for from.
-"""
+"""Shares of the largest command of the other axis at which the search for the limit of the wheels
+starts."""
 
 _BELOW: Final = 0.02
-"""Share of the time with commands in which they must stay below a bound: two messages of a robot
-that otherwise drives at its bound make a gain of four. Of random steps more than a tenth do."""
+"""Share of the time with commands in which commands must stay below a bound. A robot that otherwise
+drives at its bound gets a gain of four from two messages. Of random steps, more than a tenth stay
+below."""
 
 _FRICTIONS: Final = (0.05, 0.15)
 """Shares of the largest command at which the search for friction starts."""
 
 _DEADBANDS: Final = 12
 """Magnitudes of commands that are tried as deadband, up to half of the largest. As many are then
-tried between the neighbours of the best one, until these are adjacent magnitudes."""
+tried between the neighbours of the best magnitude, until they are adjacent."""
 
 _REFINED: Final = 2
 """Number of the most promising starts that are refined."""
 
 _RIVAL: Final = 10.0
-"""Difference of twice the negative log-likelihood up to which a log does not decide between two
+"""Difference of twice the negative log-likelihood up to which a log cannot decide between two
 structures with equally many parameters: odds of 150 to 1."""
 
 _DOUBTFUL: Final = 6.0
-"""Decrease from which a rejected structure with a further parameter is a rival nevertheless: by
-chance in 1.5 % of robots."""
+"""Decrease from which a rejected structure with a further parameter is still a rival; chance
+reaches it in 1.5 % of robots."""
 
 _MOST_CHANGES: Final = 20_000
-"""Largest number of changes of the command for the search of a limit, which follows them one by
-one."""
+"""Largest number of changes of the command for the search of a limit, which processes the changes
+one by one."""
 
 _LEAST_LAG_S: Final = 0.02
 """Time constant at which the search for a second one starts, if the first is nearly 0 [s]."""
 
 
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
-    """Return the fit of the best structure for the motion, and those of its rivals."""
+    """Return the fit of the best structure for the motion, and the fits of its rivals."""
     first, rest = _split(fit.model.motions)
     if not first or not rest:
         return fit, []
@@ -110,7 +114,7 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
 
 
 def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
-    """Fit the neighbouring structures of one; return its own fit, possibly improved."""
+    """Fit the neighbouring structures of a structure; return its own fit, possibly improved."""
     tried[fit.model.structure] = fit
     for structure, starts in _list_neighbours(fit):
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
@@ -162,7 +166,7 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
 
 
 def shows_gain(fit: AxisFit) -> bool:
-    """Return whether enough commands stay below the bound of a fit: its gain is theirs."""
+    """Return whether enough commands stay below the bound of a fit to determine its gain."""
     names = fit.model.structure.names
     if "tightness" not in names:
         return True
@@ -243,7 +247,7 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
 def _list_coupled(
     fit: AxisFit, known: dict[str, float], largest: float
 ) -> Iterator[tuple[Structure, Starts]]:
-    """Yield limits of the wheels; none if the other axis rests, or the first does not promise."""
+    """Yield limits of the wheels; none if the other axis rests, or the first is not promising."""
     others = [motion.beside.value for motion in fit.model.motions if motion.beside is not None]
     beside = float(np.abs(np.concatenate([np.zeros(1), *others])).max())
     if not beside:
@@ -265,7 +269,7 @@ def _list_coupled(
 
 
 def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
-    """Return the likeliest magnitude up to which commands cause no motion, and its neighbours."""
+    """Return the most likely magnitude up to which commands cause no motion, and its neighbours."""
     structure, extras = fit.model.structure, fit.parameters[EXTRA:].tolist()
     left: dict[int, float] = {}
     low, high = 0, len(levels) - 1
@@ -284,12 +288,12 @@ def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
 
 
 def _is_open(structure: Structure, commands: Values) -> bool:
-    """Return whether a structure may be tried: commands evaluated one by one must be few."""
+    """Return whether a structure may be tried; if it needs each command, commands must be few."""
     return structure.is_possible and (not structure.is_slow or len(commands) <= _MOST_CHANGES)
 
 
 def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts:
-    """Return the most promising start values; empty if no further parameter is worth a try."""
+    """Return the most promising start values; empty if no further parameter is worth trying."""
     if structure.size <= fit.model.structure.size:
         return starts
     asks = {"reverse": 1.1}
@@ -306,7 +310,7 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
 
 
 def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:
-    """Return the first part of the steps of each run, and the rest."""
+    """Return the first part of the steps of each run, and the remaining steps."""
     cuts = [int(_FITTED * len(motion.moved)) for motion in motions]
     parts = [
         (motion.take(slice(cut)), motion.take(slice(cut, None)))

@@ -1,6 +1,6 @@
 """Control laws, one per file.
 
-The names stand in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -1,4 +1,4 @@
-"""Run a law that is a part pose by pose, as a law that is a class."""
+"""Adapter that answers pose by pose: a law that is a part, used like a law that is a class."""
 
 import math
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class _Settings:
 
 @dataclass(slots=True)
 class _Row:
-    """Values that a step enters."""
+    """Values that the step of a law writes for one sample."""
 
     phase: int = 0
     blocks_ticks: int = 0
@@ -57,7 +57,7 @@ _NO_PATH: Final = PathNumbers()
 
 
 class AskedLaw:
-    """A law with its parameters; of each part there is a class of its own.
+    """A law with its parameters. Each part has a subclass of its own.
 
     Attributes:
         parameters: Parameters of the law.
@@ -67,7 +67,7 @@ class AskedLaw:
     _part: ClassVar[LawPart]
 
     def __init__(self, parameters: Any) -> None:
-        """Take the parameters; until `take_limits` nothing is clipped."""
+        """Store the parameters. Commands are not clipped before `take_limits` is called."""
         part, self.parameters = self._part, parameters
         numbers = parameters if part.prepare is None else part.prepare(parameters)
         self._settings = _Settings(numbers, _Goal(), _Limits(), _NO_PATH)
@@ -75,14 +75,14 @@ class AskedLaw:
         self._names = [*signature(part.step).parameters]
 
     def take_limits(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
-        """Take the limits at which the loop clips the commands."""
+        """Set the limits at which the loop clips the commands."""
         self._settings.limits = _Limits(speed_m_s, turn_rate_rad_s)
 
     def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         """Begin a run.
 
         Raises:
-            LawError: If it needs a goal or a path, and there is none.
+            LawError: If the law needs a goal or a path that is missing.
         """
         del start
         declaration = self._part.declare(self.parameters, goal, path)
@@ -130,13 +130,13 @@ class AskedLaw:
 
 
 def _read_error(value: float) -> float | None:
-    """Return what a step entered, None if it left it out."""
+    """Return a value that a step wrote, or None if the step did not write it."""
     return None if math.isnan(value) else value
 
 
 @cache
 def build_class(part: LawPart) -> type[AskedLaw]:
-    """Return a part as a class, which declares what a law that is a class declares."""
+    """Return a class for a part, with the same declarations as a law that is a class."""
     members = {
         "__doc__": part.meaning,
         "__module__": part.step.__module__,

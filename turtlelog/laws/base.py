@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from turtlelog.laws.asked import AskedLaw
 
 _NO_TOLERANCE: Final = 1e-6
-"""A pose in 32 bits comes no nearer: one step is 9.5e-7 m near 10 m, and 2.4e-7 rad near pi."""
+"""Smallest useful tolerance: one step of a 32-bit pose is 9.5e-7 m near 10 m, 2.4e-7 rad near
+pi."""
 
 TOLERANCE: Final = Cause(
     name="tolerance",
@@ -29,7 +30,7 @@ TOLERANCE: Final = Cause(
     },
     meaning=f"tolerances of {_NO_TOLERANCE:g}",
 )
-"""Names of the two parameters within which a law ends at its goal."""
+"""Names of the two parameters for the tolerances within which a law ends at its goal."""
 
 # msgspec structs instead of dataclasses: the loop makes several per sample, and a frozen
 # dataclass costs ten times as much to build.
@@ -55,7 +56,7 @@ class Goal(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         x_m: Position along x, world frame [m].
         y_m: Position along y, world frame [m].
-        heading_rad: Heading, counter-clockwise from +x [rad], None if any will do.
+        heading_rad: Heading, counter-clockwise from +x [rad]; None: any heading.
     """
 
     x_m: float
@@ -64,27 +65,29 @@ class Goal(msgspec.Struct, frozen=True, gc=False):
 
 
 class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
-    """The answer to one pose, with what it was computed from.
+    """The answer to one pose, with the values from which it was computed.
 
-    A speed and a turn rate are enough; the loop fills in what is None.
+    Only the speed and the turn rate are required. The loop computes fields that are None.
 
     Attributes:
         speed_m_s: Wanted speed along the heading, before clipping [m/s].
         turn_rate_rad_s: Wanted turn rate, before clipping, counter-clockwise [rad/s].
-        phase: Phase in which the command was computed; None for the first that is declared.
-        bearing_rad: Goal bearing [rad]; None for that from the present position.
-        heading_error_rad: Reference heading minus heading [rad]; None for the bearing from the
-            present position minus the heading, wrapped.
-        error_x_m: Goal minus position, world frame [m]; None for just that.
-        error_y_m: Goal minus position, world frame [m]; None for just that.
-        world_v_x_m_s: Gain times error before projection [m/s]; NaN if there is no such thing.
-        world_v_y_m_s: Gain times error before projection [m/s]; likewise.
-        states: The law's own numbers, in the order in which it declares them.
-        reference: Reference pose, for a law whose reference is `recorded`.
+        phase: Phase in which the command was computed; None: the first declared phase.
+        bearing_rad: Goal bearing [rad]; None: the bearing from the present position.
+        heading_error_rad: Reference heading minus heading [rad]. None: the bearing from the present
+            position minus the heading, wrapped.
+        error_x_m: Error along x, world frame [m]; None: goal minus position.
+        error_y_m: Error along y, world frame [m]; None: goal minus position.
+        world_v_x_m_s: Gain times error along x, before projection [m/s]; NaN if the law has no such
+            value.
+        world_v_y_m_s: Gain times error along y, before projection [m/s]; NaN if the law has no such
+            value.
+        states: The law's own numbers, in the declared order.
+        reference: Reference pose of a law whose reference is `recorded`.
         blocks_ticks: Ticks for which the law blocks before its command is published.
-        ends_phase: Whether the next sample is of another phase. A law that blocks says so here, so
-            that a live recording shows the pause while it lasts.
-        stop_reason: Reason why this is the last sample, in one word; None if it is not.
+        ends_phase: Whether the next sample belongs to another phase. A law that blocks sets this
+            field, so that a live recording shows the pause while the pause lasts.
+        stop_reason: Reason why this sample is the last, in one word; None if it is not the last.
     """
 
     speed_m_s: float
@@ -104,21 +107,21 @@ class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 
 
 class Law(Protocol):
-    """A control law. Clipping, queues and delays are the loop's.
+    """A control law. The loop, not the law, clips, queues and delays commands.
 
-    `Parameters`, `__init__`, `reset` and `step` are enough. What else a law may have:
+    `Parameters`, `__init__`, `reset` and `step` are enough. Optional members:
 
-    - `declare(cls, parameters, goal, path) -> Declaration`, a class method: its loops, phases and
-      states. Otherwise it has the one phase `control` and no loops.
-    - `causes: tuple[Cause, ...]`: what it adds to the ideal loop; `explain` takes each out.
-    - `counts_samples: tuple[str, ...]`: its parameters that count samples, which grow with a finer
-      clock; otherwise `explain` leaves the clock as it is.
+    - `declare(cls, parameters, goal, path) -> Declaration`, a class method: the loops, phases and
+      states of the law. Default: the one phase `control` and no loops.
+    - `causes: tuple[Cause, ...]`: what the law adds to the ideal loop. `explain` removes each
+      cause.
+    - `counts_samples: tuple[str, ...]`: the parameters that count samples; with a finer clock their
+      values are scaled up. Without this attribute `explain` does not refine the clock.
     - `list_unused(cls, parameters) -> tuple[str, ...]`, a class method: tables and keys of a
-      scenario that it does not use with these parameters, as in `("path", "goal.heading_rad")`;
-      `run` prints a note where one of them is set. Otherwise there is no note.
+      scenario that the law does not use with these parameters, for example `("path",
+      "goal.heading_rad")`. `run` prints a note for each of them that is set.
     - `take_limits(self, speed_m_s, turn_rate_rad_s)`: receives the limits at which the loop clips
-      its commands, once, before `reset`; inf: no limit. An integral that must not wind up needs
-      them.
+      commands, once, before `reset`; inf: no limit. Anti-windup of an integral needs these limits.
 
     Attributes:
         Parameters: A frozen dataclass whose fields are the keys of a scenario's `[law]` table
@@ -136,13 +139,13 @@ class Law(Protocol):
 
         Args:
             start: The first pose that the controller reads.
-            goal: Goal of the run; None if the law declares that it uses none.
-            path: Path of the scenario's table `[path]`; None if it has none.
+            goal: Goal of the run; None if the law declares that it uses no goal.
+            path: Path from the scenario's table `[path]`; None if the scenario has no path.
         """
         ...
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
-        """Answer one pose. `time_ns` is the controller's clock [ns], not decreasing."""
+        """Answer one pose. `time_ns` is the controller's clock [ns], which never decreases."""
         ...
 
 
@@ -151,34 +154,37 @@ Row = Sequence[float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LawPart:
-    """A control law as a function of numbers, which runs plain and compiled.
+    """A control law as a function of numbers, which runs in plain Python and compiled.
 
-    Its `step` answers one pose: it enters into `row` what it computed, and returns the wanted speed
-    [m/s] and turn rate [rad/s]. The names of its parameters say what it gets, in any order:
+    `step` answers one pose: it writes computed values into `row` and returns the wanted speed [m/s]
+    and turn rate [rad/s]. The parameters of `step`, in any order, are chosen by name:
 
-    - `settings`: the scenario as numbers: `settings.law` as `prepare` made it, `settings.goal`
-      (`x_m`, `y_m`, `heading_rad`, NaN without one), `settings.limits`, `settings.path`;
-    - `state`: what it remembers, a `State` at the begin of a run; `row`: of `SampleRow`;
+    - `settings`: the scenario as numbers: `settings.law` from `prepare`, `settings.goal` (`x_m`,
+      `y_m`, `heading_rad`; NaN without a goal), `settings.limits`, `settings.path`;
+    - `state`: memory of the law, a new `State` for each run; `row`: a `SampleRow`;
     - `time_ns`: the controller's clock [ns]; `pose`: x [m], y [m], heading [rad];
-    - `table`: as `build_table` made it; `pieces`: of the path, for the functions of `path_pieces`.
+    - `table`: rows from `build_table`; `pieces`: pieces of the path, for functions of
+      `path_pieces`.
 
     Attributes:
         name: Value of `kind` in a scenario.
         meaning: Description in one line.
-        Parameters: A frozen dataclass of its keys, as for a law that is a class.
+        Parameters: A frozen dataclass of the law's keys, as for a law that is a class.
         step: Function that answers one pose.
-        declare: Function of parameters, goal and path that returns its loops, phases and states.
-        State: A dataclass with slots and defaults. The states that it declares are fields of it.
-        stops: Reasons why it ends a run, in words: `row.stop` is the place in this list, from 1.
-        causes: Causes that it adds to the ideal loop; `explain` removes each.
-        counts_samples: Names of its parameters that count samples.
-        list_unused: Function of the parameters that returns tables and keys of a scenario that it
-            does not use.
-        prepare: Function of the parameters that returns the numbers that `step` reads, an object of
-            `Numbers`. By default the parameters themselves.
+        declare: Function of parameters, goal and path that returns the loops, phases and states.
+        State: A dataclass with slots and defaults. The declared states are among its fields.
+        stops: Reasons why the law ends a run, in words. `row.stop` is the position in this list,
+            from 1.
+        causes: Causes that the law adds to the ideal loop; `explain` removes each.
+        counts_samples: Names of the parameters that count samples.
+        list_unused: Function of the parameters that returns the tables and keys of a scenario that
+            the law does not use.
+        prepare: Function of the parameters that returns the numbers that `step` reads, as a
+            `Numbers` object. Default: the parameters themselves.
         Numbers: A dataclass with slots and defaults; None: `Parameters`.
-        build_table: Function of the parameters that returns rows of numbers, all of one length.
-        needs_path: Whether it runs only on a path.
+        build_table: Function of the parameters that returns rows of numbers, all rows of one
+            length.
+        needs_path: Whether the law runs only on a path.
     """
 
     name: str
@@ -197,13 +203,13 @@ class LawPart:
     needs_path: bool = False
 
     def __call__(self, parameters: Any) -> "AskedLaw":
-        """Return the law with its parameters, to be asked pose by pose like one that is a class."""
+        """Return the law with its parameters, with a method `step` like a law that is a class."""
         from turtlelog.laws.asked import build_class  # only who asks it so needs that
 
         return build_class(self)(parameters)
 
     def __mro_entries__(self, bases: tuple[object, ...]) -> tuple[type["AskedLaw"]]:
-        """Let a law that is a class inherit from it: `class Mine(SequentialP)`."""
+        """Let a law that is a class inherit from this part: `class Mine(SequentialP)`."""
         from turtlelog.laws.asked import build_class
 
         del bases

@@ -1,8 +1,8 @@
-"""Laws that are objects of this Python session, and laws of few lines made complete.
+"""Names of laws that are objects of this Python session, and the defaults of laws of a few lines.
 
-A scenario holds laws by name. Such a law gets one, `session:NAME`, by which this process and those
-that it forks find it. Others get it with their work (`WorkWithLaws`).
-A recording has its source as text, which nothing runs.
+A scenario contains the name of a law. A law of this session gets the name `session:NAME`, by which
+this process and its forks find the law. Other processes get the law with their work
+(`WorkWithLaws`). A recording contains the law's source as text, which is never run.
 """
 
 import copy
@@ -26,20 +26,20 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _SESSION: Final = "session:"
-"""Begins the kind of such a law."""
+"""Beginning of the kind of a law of a session."""
 
 _GIVEN: Final[dict[str, Any]] = {}
 _GIVING: Final = Lock()
 
 
 def name_given_law(law: Any) -> str:
-    """Return the kind of a law: its own of a built-in one, `module:NAME` where a module has it.
+    """Return the kind of a law: the built-in kind, `module:NAME` if importable, or `session:NAME`.
 
     Args:
         law: A class, a function of `(time_ns, pose, goal)`, a `LawPart`, or an object with `step`.
 
     Raises:
-        LawError: If it is none of these.
+        LawError: If `law` is none of these.
     """
     if isinstance(law, LawPart) and LAWS.get(law.name) is law:
         return law.name
@@ -55,7 +55,7 @@ def name_given_law(law: Any) -> str:
 
 
 def is_given(kind: object) -> bool:
-    """Return whether a kind is that of a law of some session, which spawned processes lack."""
+    """Return whether a kind names a law of a session, which spawned processes do not have."""
     return isinstance(kind, str) and kind.startswith(_SESSION)
 
 
@@ -63,7 +63,7 @@ def find_given_law(kind: str) -> Any:
     """Return a law of this session.
 
     Raises:
-        LawError: If it is that of another one.
+        LawError: If the law belongs to another session.
     """
     if kind not in _GIVEN:
         raise LawError(
@@ -76,7 +76,7 @@ def find_given_law(kind: str) -> Any:
 
 
 def read_law_source(kind: str) -> str | None:
-    """Return the text of a law of this session; None if it is unknown, or it is another law's."""
+    """Return the source text of a law of this session; None if unknown or another session's law."""
     if kind not in _GIVEN:
         return None
     law = _GIVEN[kind]
@@ -94,7 +94,7 @@ def _get_name(law: Any) -> str:
 
 
 def _is_importable(module: str | None, name: str, law: Any) -> bool:
-    """Return whether another process finds the law by its module, too."""
+    """Return whether another process can import the law from its module."""
     loaded = sys.modules.get(module or "")
     spec = getattr(loaded, "__spec__", None)
     is_main = module in {None, "__main__", "__mp_main__"}
@@ -102,7 +102,7 @@ def _is_importable(module: str | None, name: str, law: Any) -> bool:
 
 
 def _keep(law: Any, name: str) -> str:
-    """Return the kind of a law, the same whenever that law is given."""
+    """Return the kind of a law of this session; the same law always has the same kind."""
     with _GIVING:
         known = [kind for kind, one in _GIVEN.items() if one is law]
         if known:
@@ -116,17 +116,17 @@ def _keep(law: Any, name: str) -> str:
 
 
 _OWN: Final = token_hex(8)
-"""Names this session; processes that it forks have its laws, and its name."""
+"""Name of this session. Forked processes have the laws and the name of the session."""
 
 _LENT: Final[dict[str, tuple[bytes, int]]] = {}
-"""Laws of other sessions by kind, as they were packed, with the number of tasks that use them."""
+"""Laws of other sessions by kind, in packed form, with the number of tasks that use each."""
 
 
 class WorkWithLaws(Generic[T, R]):
-    """Work for other processes, with the laws of this session that it needs.
+    """Work for other processes, together with the laws of this session that the work needs.
 
     Attributes:
-        work: Work on one item. It can be pickled.
+        work: Function of one item, which can be pickled.
     """
 
     def __init__(self, work: Callable[[T], R], kinds: Iterable[str]) -> None:
@@ -140,10 +140,11 @@ class WorkWithLaws(Generic[T, R]):
         self._packed = {kind: _pack(kind) for kind in kinds if is_given(kind)}
 
     def __call__(self, item: T) -> R:
-        """Return what the work makes of an item.
+        """Return the result of the work for an item.
 
         Raises:
-            LawError: If a law cannot be unpacked, or this process uses another law of its name.
+            LawError: If a law cannot be unpacked, or this process uses another law of the same
+                name.
         """
         with ExitStack() as stack:
             if self._session != _OWN:
@@ -166,7 +167,7 @@ def _pack(kind: str) -> bytes:
 
 @contextmanager
 def _borrow(kind: str, packed: bytes) -> Iterator[None]:
-    """Let this process find a law of another session meanwhile."""
+    """Let this process find a law of another session during a task."""
     with _GIVING:
         known, users = _LENT.get(kind, (b"", 0))
         if (kind in _GIVEN and kind not in _LENT) or (users and known != packed):
@@ -191,7 +192,7 @@ def _unpack(kind: str, packed: bytes) -> Any:
 
 @cache
 def _complete_object(law: Any) -> type[Any]:
-    """Return the class of runs that a copy of an object drives, each of them as it is now."""
+    """Return a class of laws; each instance drives one run with its own copy of the object."""
 
     class Given:
         Parameters = NoParameters
@@ -229,7 +230,7 @@ Answer = Callable[[int, Pose, Goal | None], Any]
 
 @cache
 def complete_short_law(found: Any) -> type[Law]:
-    """Return a law with what it leaves out: parameters, `__init__`, `reset`.
+    """Return a short law completed by what it lacks: parameters, `__init__`, `reset`.
 
     Args:
         found: A function of `(time_ns, pose, goal)`, or a class with `step`.
@@ -281,6 +282,6 @@ def _complete_class(law: type[Any]) -> type[Law]:
 
 
 def _take_name(made: type[Any], found: Any) -> None:
-    """Let errors call a completed law as its file does."""
+    """Give a completed law the name of the original, so that errors show this name."""
     made.__name__, made.__qualname__ = found.__name__, found.__qualname__
     made.__module__ = found.__module__

@@ -1,8 +1,8 @@
-"""Kanayama's tracking law: the error in the robot's frame, added to the reference's own motion.
+"""Kanayama's tracking law: the reference's motion plus feedback of the error in the robot's frame.
 
 Y. Kanayama, Y. Kimura, F. Miyazaki, T. Noguchi, "A stable tracking control method for an autonomous
 mobile robot", Proc. IEEE International Conference on Robotics and Automation, 1990, equation 8. The
-default gains are those of its experiments: 10 1/s, 6.4e-3 1/cm^2, 0.16 1/cm.
+default gains are the gains of the article's experiments: 10 1/s, 6.4e-3 1/cm^2, 0.16 1/cm.
 """
 
 import math
@@ -25,8 +25,8 @@ class KanayamaParameters:
         ky: Gain of the lateral error [1/m^2], > 0.
         ktheta: Gain of the heading error [1/m], > 0. ktheta^2 = 4 ky damps small errors critically.
         speed_m_s: Speed along a path without a speed of its own [m/s], > 0.
-        end_tolerance_m: Distance from the end at which a path without a speed of its own is
-            finished [m], > 0.
+        end_tolerance_m: Distance from the end of a path within which the path is finished [m], > 0.
+            Only for a path without a speed of its own.
     """
 
     kx: Annotated[float, Meta(gt=0, le=1e6)] = 10.0
@@ -44,7 +44,7 @@ def step(
     time_ns: int,
     pose: tuple[float, float, float],
 ) -> tuple[float, float]:
-    """Answer one pose, with the error in the robot's frame."""
+    """Answer one pose, using the error in the robot's frame."""
     gains = settings.law
     point, speed_m_s, _, _ = find_target(settings, state, pieces, row, time_ns, pose)
     if row.stop != 0:

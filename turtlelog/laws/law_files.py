@@ -1,9 +1,9 @@
-"""The module of a law's file; what it imports from beside the file is private to its folder.
+"""Load the file of a law as a module. Modules imported from its folder are private to the folder.
 
-Neither `sys.path` nor the names of other modules change: two laws in two folders that each
-`import helper` get their own, whenever they do, in `step` as well. The import statements of these
-modules look beside them first, except for the standard library and turtlelog. Functions such as
-`importlib.import_module` know nothing of that.
+`sys.path` and the names of other modules do not change. If two laws in two folders each `import
+helper`, each law gets its own `helper`, also if the import is in `step`. Import statements of these
+modules search the folder first, except for the standard library and turtlelog. Functions such as
+`importlib.import_module` do not search the folder.
 """
 
 import builtins
@@ -28,15 +28,15 @@ from typing import Any, Final, NoReturn
 _PREFIX: Final = "turtlelog_law_folder_"
 
 _NEVER_BESIDE: Final = sys.stdlib_module_names | {"__main__", "turtlelog"}
-"""A file beside a law does not replace these: a `random.py` there may be anything."""
+"""Modules that a file beside a law cannot replace: a `random.py` in the folder may be unrelated."""
 
 
 def load_law_file(path: Path) -> ModuleType:
-    """Return the module of a file; a file that has not changed gives the same module.
+    """Return the module of a file. An unchanged file gives the same module.
 
     Raises:
         OSError: If the file cannot be read.
-        BaseException: Whatever the file raises.
+        BaseException: Any exception that the file raises.
     """
     source, place = path.read_bytes(), path.resolve()
     key = sha256(str(place).encode() + source).hexdigest()[:16]
@@ -60,7 +60,7 @@ def load_law_file(path: Path) -> ModuleType:
 
 
 def list_law_files(path: Path) -> list[Path]:
-    """Return the file of a law, and those beside it that were imported so far."""
+    """Return the file of a law, and the files beside it that have been imported so far."""
     beside = f"{_name_folder(path.resolve().parent)}."
     modules = [module for name, module in [*sys.modules.items()] if name.startswith(beside)]
     files = [getattr(module, "__file__", None) for module in modules]
@@ -68,13 +68,12 @@ def list_law_files(path: Path) -> list[Path]:
 
 
 class _LawFolder:
-    """A folder of laws: a package of a name that no other has.
+    """A folder of laws: a package with a unique name.
 
     Attributes:
-        name: Name of the package, which begins the names of the modules in the folder.
-        builtins: Builtins of these modules: Python's, with an import that looks into the folder
-            first.
-        elsewhere: Names that were not in the folder.
+        name: Name of the package; the names of the modules in the folder begin with it.
+        builtins: Python's builtins, with an import that searches the folder first.
+        elsewhere: Names that the folder does not contain.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -90,7 +89,7 @@ class _LawFolder:
         sys.modules[name] = self._package = package
 
     def find_spec(self, name: str, path: Sequence[str]) -> ModuleSpec | None:
-        """Return the place of a module of the package, below the folders of its parent."""
+        """Return the spec of a module of the package, found below the parent module's folders."""
         specs = (FileFinder(one, *self._loaders).find_spec(name) for one in path)
         return next((spec for spec in specs if spec is not None), None)
 
@@ -102,7 +101,7 @@ class _LawFolder:
         fromlist: Sequence[str] | None = (),
         level: int = 0,
     ) -> ModuleType:
-        """Import as Python does; a module of the folder by its name in the package."""
+        """Import like Python; a module of the folder is imported by its name in the package."""
         first = name.partition(".")[0]
         if level or not self._has(first):
             return builtins.__import__(name, globals, locals, fromlist, level)
@@ -124,7 +123,7 @@ class _LawFolder:
 
 
 class _Loader(SourceFileLoader):
-    """Runs a module of a folder of laws; knows no cache, which would overlook a quick edit."""
+    """Loader of a module of a folder of laws, without a cache, which would miss quick edits."""
 
     def __init__(self, inner: dict[str, Any], name: str, path: str) -> None:
         super().__init__(name, path)
@@ -139,7 +138,7 @@ class _Loader(SourceFileLoader):
 
 
 class _Finder(MetaPathFinder):
-    """Finds the modules of folders of laws, by their names."""
+    """Finder of the modules in folders of laws, by their names."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None

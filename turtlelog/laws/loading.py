@@ -23,7 +23,7 @@ from turtlelog.run.paths import Path as TrackedPath
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
 
 _SCENARIO_KEY: Final = re.compile(r"(?!law\b)[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
-"""A table, or a key in it; parameters of the law itself are left to the law."""
+"""A table of the scenario, or a key in it. Parameters of the law are checked by the law."""
 
 _FILES: Final = (
     "sequential_p",
@@ -37,17 +37,17 @@ _FILES: Final = (
 LAWS: Final[Mapping[str, LawPart]] = NamedValues(
     "law", {part.name: part for part in load_parts("turtlelog.laws", _FILES)}
 )
-"""The `PART` of each file, by kind."""
+"""The `PART` of each file of laws, by kind."""
 
 
 def find_law(kind: str) -> AnyLaw:
-    """Return a law: a built-in kind, `path.py:Name` or `package.module:Name`.
+    """Return a law by its name: a built-in kind, `path.py:Name` or `package.module:Name`.
 
-    The last two run the code that they name. A file that has not changed gives the same law.
-    Name is a class, or a `LawPart`.
+    The last two forms run the named code. An unchanged file gives the same law. Name is a class, or
+    a `LawPart`.
 
     Raises:
-        LawError: If there is no such law, or the class is not one.
+        LawError: If no law has this name, or the object of this name is not a control law.
     """
     if kind in LAWS:
         return LAWS[kind]
@@ -79,7 +79,7 @@ def _find_session_law(kind: str) -> Any:
 
 
 def name_law(law: AnyLaw) -> str:
-    """Return the name of a law in errors."""
+    """Return the name of a law for errors."""
     return law.name if isinstance(law, LawPart) else law.__name__
 
 
@@ -91,10 +91,11 @@ def find_module(law: AnyLaw) -> str:
 def declare_law(
     law: AnyLaw, parameters: object, goal: Goal | None, path: TrackedPath | None = None
 ) -> Declaration:
-    """Return the declaration of a law; a law that declares nothing has one phase and no loop.
+    """Return the declaration of a law. Without a declaration, a law has one phase and no loop.
 
     Raises:
-        LawError: If it fails, returns something else, or has a loop or state of such a name.
+        LawError: If `declare` fails, returns no declaration, or uses a forbidden name of a loop or
+            state.
     """
     declare = getattr(law, "declare", None)
     if declare is None:
@@ -120,7 +121,10 @@ def declare_law(
 
 
 def _require_nameable(declared: Declaration, place: str) -> None:
-    """Refuse names that formulas cannot name; recordings of laws that had such are still read."""
+    """Refuse names that formulas cannot contain.
+
+    Recordings of laws with such names can still be read.
+    """
     for loop in declared.loops:
         if "-" in loop.name:
             expected = "a name of letters, digits and _, as - is minus in formulas"
@@ -135,7 +139,7 @@ def list_causes(law: AnyLaw) -> tuple[Cause, ...]:
     """Return the causes that a law adds to the ideal loop.
 
     Raises:
-        LawError: If it names something else.
+        LawError: If the law lists anything that is not a cause.
     """
     causes = getattr(law, "causes", ())
     if isinstance(causes, tuple) and all(isinstance(one, Cause) for one in causes):
@@ -145,10 +149,10 @@ def list_causes(law: AnyLaw) -> tuple[Cause, ...]:
 
 
 def list_sample_counters(law: AnyLaw) -> tuple[str, ...] | None:
-    """Return the parameters of a law that count samples; None if it does not say.
+    """Return the parameters of a law that count samples; None if the law does not list them.
 
     Raises:
-        LawError: If it names something that is no parameter.
+        LawError: If the law lists a name that is not a parameter.
     """
     counters = getattr(law, "counts_samples", None)
     if counters is None:
@@ -161,10 +165,10 @@ def list_sample_counters(law: AnyLaw) -> tuple[str, ...] | None:
 
 
 def list_unused_keys(law: AnyLaw, parameters: object) -> tuple[str, ...]:
-    """Return the tables and keys of a scenario that a law does not use; () if it does not say.
+    """Return the tables and keys of a scenario that a law does not use; () if the law lists none.
 
     Raises:
-        LawError: If it fails, or names something that is neither.
+        LawError: If `list_unused` fails, or returns anything that is neither a table nor a key.
     """
     ask = getattr(law, "list_unused", None)
     if ask is None:
@@ -186,12 +190,12 @@ def list_unused_keys(law: AnyLaw, parameters: object) -> tuple[str, ...]:
 
 
 def print_to_stderr() -> AbstractContextManager[object]:
-    """Let what a law prints in the block go to stderr: stdout is for results."""
+    """Send text that a law prints in the block to stderr, because stdout is for results."""
     return redirect_stdout(sys.stderr)
 
 
 def describe_law_error(err: BaseException, law: AnyLaw) -> str:
-    """Return an error that a law raised in one line, with its place in the law's own file."""
+    """Return an error raised by a law in one line, with its place in the file of the law."""
     file = getattr(sys.modules.get(find_module(law)), "__file__", None)
     frames = [] if file is None else traceback.extract_tb(err.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == file]
@@ -200,10 +204,10 @@ def describe_law_error(err: BaseException, law: AnyLaw) -> str:
 
 
 def require_law_name(kind: str) -> None:
-    """Refuse what can name no law. Loads nothing.
+    """Refuse a name that cannot be the name of a law, without loading any code.
 
     Raises:
-        LawError: If it is neither built in nor `place:Class`.
+        LawError: If the name is neither a built-in kind nor `place:Class`.
     """
     place, colon, name = kind.rpartition(":")
     if kind not in LAWS and not (colon and place and name):
@@ -233,7 +237,7 @@ def _load_module(place: str) -> ModuleType:
 
 
 def _find_file(place: str) -> str | None:
-    """Return the file, seen from here, that the name of a module was meant for."""
+    """Return the file that a module name was probably meant for, relative to the working folder."""
     file = f"{place.replace('.', '/')}.py"
     return file if Path(file).is_file() else None
 
@@ -259,7 +263,7 @@ def _require_law(law: Any, kind: str) -> None:
 
 
 def _require_call(method: object, names: tuple[str, ...], place: str) -> None:
-    """Refuse a method that cannot take the arguments that it is called with."""
+    """Refuse a method that does not accept the arguments of its call."""
     if not callable(method):
         raise LawError(f"{place}: expected a method, found {method!r:.60}")
     try:

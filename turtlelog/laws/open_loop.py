@@ -1,4 +1,4 @@
-"""Command a signal over time, without feedback: an excitation, or a recorded sequence."""
+"""Open loop: commands over time without feedback, as an excitation or a recorded sequence."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -15,21 +15,21 @@ from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path
 
 _TICK_S: Final = 0.016
-"""One tick of turtlesim [s], which is the usual period of the controller."""
+"""One tick of turtlesim [s], the usual sampling period of the controller."""
 
 END_OF_SIGNAL: Final = "end_of_signal"
-"""Stop reason of every run of this law."""
+"""Stop reason of every run of an open loop."""
 
 _END_OF_SIGNAL: Final = 1
 
 MOST_ROWS: Final = 2500
-"""Largest number of rows of a sequence. Its three lists are part of the scenario's text, at most 82
-bytes a row: 200 KiB of the 256 KiB that a recording's scenario may have. At a row each tick of 16
-ms it lasts 40 s."""
+"""Largest number of rows of a sequence. The three lists of a sequence are part of the scenario's
+text. At most 82 bytes a row, they take 200 KiB of the 256 KiB allowed for a recording's scenario.
+With one row per tick of 16 ms, this sequence lasts 40 s."""
 
 LARGEST: Final = 1e6
-"""Magnitude of amplitudes and commands [in their units] and of times [s]: as long as a run may be,
-and far from where turtlesim's 32-bit floats end."""
+"""Largest magnitude of amplitudes and commands [in their units] and of times [s]: the longest run,
+and far below the limits of turtlesim's 32-bit floats."""
 
 _COMMON: Final = {"axis": "turn_rate", "amplitude": 1.0, "start_s": 0.0, "duration_s": 2.4}
 _MAXIMUM_LENGTH: Final = {"bit_s": 0.192, "order": 7, "register": 1}
@@ -43,48 +43,49 @@ USED_KEYS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         "sequence": {"time_s": (), "speed_m_s": (), "turn_rate_rad_s": ()},
     }
 )
-"""The keys of each signal, with the value of one that is left out. In 2.4 s, 150 ticks, a step of
-1 rad/s stays below half a turn. The usual PRBS lasts one period: 127 bits of 12 ticks."""
+"""Keys of each signal with their defaults. In 2.4 s, 150 ticks, a step of 1 rad/s turns less than
+half a turn. The default PRBS lasts one period: 127 bits of 12 ticks."""
 
 TAPS: Final[Mapping[int, tuple[int, int]]] = MappingProxyType(
     {2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 9: (9, 5), 10: (10, 7)}
     | {11: (11, 9), 15: (15, 14)}
 )
-"""Feedback of shift registers by their order: x^n + x^m + 1 is primitive, so each runs through all
-2^n - 1 states but 0 (S. W. Golomb, "Shift Register Sequences", 1967). Orders 8, 12, 13 and 14 have
-no such polynomial of three terms."""
+"""Feedback of shift registers by their order: x^n + x^m + 1 is primitive, so each register runs
+through all 2^n - 1 states except 0 (S. W. Golomb, "Shift Register Sequences", 1967). Orders 8, 12,
+13 and 14 have no such polynomial of three terms."""
 
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Duration = Annotated[float, Meta(ge=1e-9, le=LARGEST)]
-"""No shorter than the nanosecond in which the clocks count [s]."""
+"""A duration of at least one nanosecond, the resolution of the clocks [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpenLoopParameters:
-    """Parameters of the open loop. A key that the signal does not use is refused.
+    """Parameters of an open loop. Keys that the signal does not use are refused.
 
-    Times count from the first sample. A command is held until the next sample.
+    Times are relative to the first sample. A command is held until the next sample.
 
     Attributes:
         signal: `impulse`, `step`, `ramp`, `prbs` (a pseudo-random binary sequence of maximum
             length), or `sequence`: the rows of `time_s`, `speed_m_s` and `turn_rate_rad_s`.
-        axis: `turn_rate`, `speed` or `both`, with the same amplitude in rad/s and m/s. On `both` a
-            PRBS drives the speed half a period later, where the two hardly correlate.
-        amplitude: Amplitude of a step, and of a PRBS, which is plus or minus that, the height
-            [rad/s or m/s]; of an impulse the area [rad or m], of a ramp the slope [rad/s^2 or
-            m/s^2].
-        start_s: Time at which the signal begins; before that the command is 0 [s].
-        duration_s: Time after `start_s` at which the run ends, with the command 0 [s].
-        width_s: Width of the pulse that is the impulse, of the height amplitude / width [s]. It has
-            its area where the controller's period is as long.
+        axis: `turn_rate`, `speed` or `both`; `both` have the same amplitude in rad/s and m/s. On
+            `both`, a PRBS drives the speed half a period later, so that the two signals hardly
+            correlate.
+        amplitude: Height of a step; half the height of a PRBS, which alternates between plus and
+            minus the amplitude [rad/s or m/s]. Area of an impulse [rad or m]. Slope of a ramp
+            [rad/s^2 or m/s^2].
+        start_s: Time at which the signal begins [s]. Before this time the command is 0.
+        duration_s: Time after `start_s` at which the run ends [s], with the command 0.
+        width_s: Width of the impulse, a pulse of the height amplitude / width [s]. The area is
+            right if the controller's period is as long.
         bit_s: Time for which a PRBS holds each bit [s].
         order: Bits of the shift register of a PRBS, whose period is 2^order - 1 bits.
         register: State of the shift register at the beginning, 1 to 2^order - 1: it shifts the
             sequence in time.
-        time_s: Time at which each row of a sequence begins, rising, from 0 or later [s]. A row
-            holds until the next; with the last one the run ends.
-        speed_m_s: Speed of each row of a sequence; none: 0 [m/s].
-        turn_rate_rad_s: Turn rate of each row of a sequence; none: 0 [rad/s].
+        time_s: Time at which each row of a sequence begins [s], rising, from 0 or later. A row is
+            held until the next row; the run ends with the last row.
+        speed_m_s: Speed of each row of a sequence [m/s]. Default: 0.
+        turn_rate_rad_s: Turn rate of each row of a sequence [rad/s]. Default: 0.
     """
 
     signal: Literal["impulse", "step", "ramp", "prbs", "sequence"] = "step"
@@ -113,14 +114,14 @@ class OpenLoopParameters:
             self._require_rows()
 
     def complete(self) -> dict[str, Any]:
-        """Return the value of every key that the signal uses, whether given or usual."""
+        """Return the value of every key that the signal uses, given or default."""
         usual = USED_KEYS[self.signal]
         given = {name: getattr(self, name) for name in usual}
         return {name: usual[name] if value is None else value for name, value in given.items()}
 
     @property
     def begins_s(self) -> float:
-        """Time at which the signal begins; before that the command is 0 [s]."""
+        """Time at which the signal begins [s]. Before this time the command is 0."""
         values = self.complete()
         begins_s: float = values["time_s"][0] if "time_s" in values else values["start_s"]
         return begins_s
@@ -165,27 +166,27 @@ def _require_numbers(name: str, values: Iterable[float]) -> None:
 
 
 SEQUENCE, IMPULSE, STEP, RAMP, PRBS = range(5)
-"""Signals by number."""
+"""Numbers of the signals."""
 
 _SIGNALS: Final = ("sequence", "impulse", "step", "ramp", "prbs")
 
 
 @dataclass(slots=True, kw_only=True)
 class CommandSignal:
-    """Signal of an open loop, with times in nanoseconds.
+    """Signal of an open loop, with all times in nanoseconds.
 
     Attributes:
         kind: `SEQUENCE`, `IMPULSE`, `STEP`, `RAMP` or `PRBS`.
-        rows: Rows of a sequence, or bits of a PRBS: rows of the table.
-        moves_speed: Whether it drives the speed.
-        moves_turn: Whether it drives the turn rate.
-        shift: Bits by which the speed of a PRBS is later.
-        excite_phase: Number of the phase in which it acts.
+        rows: Number of rows of the table: rows of a sequence, or bits of a PRBS.
+        moves_speed: Whether the signal drives the speed.
+        moves_turn: Whether the signal drives the turn rate.
+        shift: Number of bits by which the speed of a PRBS is delayed.
+        excite_phase: Number of the phase in which the signal acts.
         amplitude: Amplitude of the scenario; 0 for a sequence.
-        height: Height of an impulse.
-        start_ns: Time at which it begins [ns]; 0 for a sequence.
-        duration_ns: Duration from then on [ns]; 0 for a sequence.
-        width_ns: Duration of an impulse [ns].
+        height: Height of the impulse's pulse [m/s or rad/s].
+        start_ns: Time at which the signal begins [ns]; 0 for a sequence.
+        duration_ns: Duration from `start_ns` to the end [ns]; 0 for a sequence.
+        width_ns: Width of the impulse's pulse [ns].
         bit_ns: Duration of a bit of a PRBS [ns].
     """
 
@@ -205,7 +206,7 @@ class CommandSignal:
 
 @dataclass(slots=True)
 class OpenLoopState:
-    """State of an open loop: time of the first sample [ns], -1 before it."""
+    """State of an open loop: the time of the first sample [ns]; -1 before this sample."""
 
     first_ns: int = -1
 
@@ -247,7 +248,7 @@ def build_table(parameters: OpenLoopParameters) -> Sequence[Row]:
 
 
 def step(settings: Any, state: Any, table: Any, row: Any, time_ns: int) -> tuple[float, float]:
-    """Answer one pose with the command for its time."""
+    """Answer one pose with the command for the time of the sample."""
     signal = settings.law
     if state.first_ns < 0:
         state.first_ns = time_ns
@@ -271,7 +272,7 @@ def step(settings: Any, state: Any, table: Any, row: Any, time_ns: int) -> tuple
 
 
 def _send_row(signal: Any, table: Any, row: Any, since_ns: int) -> tuple[float, float]:
-    """Return speed and turn rate of the last row that has begun."""
+    """Return the speed and turn rate of the last row that has begun."""
     begun = count_begun(table, signal.rows, since_ns)
     if begun == 0:
         row.phase = 0
@@ -282,7 +283,7 @@ def _send_row(signal: Any, table: Any, row: Any, since_ns: int) -> tuple[float, 
 
 
 def _compute_value(signal: Any, table: Any, since_ns: int, shift: int) -> float:
-    """Return the signal at a time since its start."""
+    """Return the value of the signal at a time since its start."""
     amplitude: float = signal.amplitude
     if signal.kind == IMPULSE:
         return signal.height if since_ns < signal.width_ns else 0.0
@@ -295,7 +296,10 @@ def _compute_value(signal: Any, table: Any, since_ns: int, shift: int) -> float:
 
 
 def declare(parameters: OpenLoopParameters, goal: Goal | None, path: Path | None) -> Declaration:
-    """Return its phases, `wait` where the signal begins later: it has no loop and no goal."""
+    """Return the phases, with `wait` if the signal begins later.
+
+    An open loop has no loops and no goal.
+    """
     del goal, path
     phases = ("wait", "excite") if parameters.begins_s > 0.0 else ("excite",)
     return Declaration(phases=dict.fromkeys(phases, ()), uses_goal=False)
@@ -306,10 +310,10 @@ def _count_ns(time_s: float) -> int:
 
 
 def generate_bits(order: int, register: int) -> tuple[int, ...]:
-    """Return one period of a maximum-length sequence: 2^order - 1 bits, one more of them 1 than 0.
+    """Return one period of a maximum-length sequence: 2^order - 1 bits, with one more 1 than 0.
 
     Args:
-        order: A key of `TAPS`.
+        order: Length of the shift register, a key of `TAPS`.
         register: State of the shift register at the beginning, 1 to 2^order - 1.
     """
     first, second = TAPS[order]

@@ -1,8 +1,8 @@
 """Common parts of laws that track a path: loops and reference pose.
 
-If the path has a speed, the reference leaves its beginning with the first sample and moves at that
-speed; the run ends when it reaches the end. Otherwise the reference is the point of the path
-nearest to the robot, and the run ends within a tolerance of the end.
+If the path has a speed, the reference starts at the first sample and moves along the path at this
+speed. The run ends when the reference reaches the end. Without a speed, the reference is the point
+of the path nearest to the robot. The run ends when the robot is within a tolerance of the end.
 """
 
 import math
@@ -20,8 +20,9 @@ STOPS: Final = ("path_end",)
 PATH_END: Final = 1
 
 Target = tuple[Point, float, float, float]
-"""The point where the robot should be; how fast it moves along the path [m/s]; how far the robot is
-behind it [m], 0 where no time belongs to it; arc length of the point nearest to the robot [m]."""
+"""The point where the robot should be, and its speed along the path [m/s]. Lag of the robot behind
+this point [m]; 0 if the path has no times. Arc length of the path point nearest to the robot
+[m]."""
 
 
 @dataclass(slots=True)
@@ -29,9 +30,10 @@ class TrackingState:
     """State of a law that tracks a path.
 
     Attributes:
-        first_ns: Time of the first sample [ns]; -1 before it.
-        arc_m: Arc length of the point nearest to the robot [m], NaN until it came to the path.
-        begin_m: Arc length at which it came to the path [m], NaN likewise.
+        first_ns: Time of the first sample [ns]; -1 before this sample.
+        arc_m: Arc length of the path point nearest to the robot [m]; NaN until the robot reaches
+            the path.
+        begin_m: Arc length at which the robot reached the path [m]; NaN before that.
     """
 
     first_ns: int = -1
@@ -68,7 +70,7 @@ def declare(name: str, along_gain: str, path: Path | None) -> Declaration:
 
 
 def declares(name: str, along_gain: str) -> Any:
-    """Return what declares the loops of a law."""
+    """Return the function that declares the loops of a law."""
 
     def declare_law(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
         del parameters, goal
@@ -86,7 +88,7 @@ def find_target(
     time_ns: int,
     pose: tuple[float, float, float],
 ) -> Target:
-    """Return the reference at one pose, and enter it into the row."""
+    """Return the reference for one pose, and write the reference into the row."""
     path, law = settings.path, settings.law
     if state.first_ns < 0:
         state.first_ns = time_ns

@@ -1,4 +1,4 @@
-"""Drive to a pose, position and heading at once, so that a Lyapunov function decreases.
+"""Posture law: drive to a position and a heading at once, so that a Lyapunov function decreases.
 
 M. Aicardi, G. Casalino, A. Bicchi, A. Balestrino, "Closed loop steering of unicycle-like vehicles
 via Lyapunov techniques", IEEE Robotics & Automation Magazine 2(1), 1995.
@@ -17,16 +17,18 @@ from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.run.paths import Path
 
 _DRIVE, _TURN = 0, 1
-"""Phases by their number in the declaration."""
+"""Numbers of the phases in the declaration."""
 
 _STOPS: Final = ("within_tolerance", "timeout")
 _WITHIN_TOLERANCE, _TIMEOUT = 1, 2
 
 SERIES_BELOW: Final = 1e-4
-"""Below this angle [rad] sin(a) / a is 1 - a^2 / 6: the next term, a^4 / 120, is under 1e-18."""
+"""Angle below which sin(a) / a is computed as 1 - a^2 / 6 [rad]: the next term, a^4 / 120, is under
+1e-18."""
 
 Gain = Annotated[float, Meta(gt=0, le=1e6)]
-"""A million is far beyond every sampled loop, and keeps all products finite."""
+"""A gain of at most one million, which is far beyond every sampled loop and keeps all products
+finite."""
 
 DECLARATION: Final = Declaration(
     loops=(
@@ -52,26 +54,27 @@ DECLARATION: Final = Declaration(
     states=("lyapunov",),
     state_units={"lyapunov": "1"},  # squared metres and squared radians, added as numbers
 )
-"""Declaration of the posture law, for all parameters."""
+"""Declaration of the posture law, the same for all parameters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PostureParameters:
     """Parameters of the posture law.
 
-    With rho the distance to the goal, alpha the bearing of the goal minus the heading and phi that
-    bearing minus the goal's heading: speed = gamma cos(alpha) rho, turn rate = k alpha
-    + gamma cos(alpha) sin(alpha) / alpha (alpha + h phi).
+    Let rho be the distance to the goal, alpha the bearing of the goal minus the heading, and phi
+    the bearing minus the goal's heading. Then speed = gamma cos(alpha) rho, turn rate = k alpha +
+    gamma cos(alpha) sin(alpha) / alpha (alpha + h phi).
 
-    Near the goal the angles have the poles of s^2 + k s + gamma^2 h, and rho has -gamma. The angles
-    vanish faster than rho where 2 < k / gamma < h + 1. The defaults are the double pole -2 gamma,
-    and gamma is below twice the usual limit of 1 rad/s: above that a clipped turn rate loses
-    against the motion around the goal, and the robot may spiral.
+    Near the goal, the poles of the angles are the roots of s^2 + k s + gamma^2 h, and the pole of
+    rho is -gamma. The angles vanish faster than rho if 2 < k / gamma < h + 1. The defaults give a
+    double pole at -2 gamma. The default gamma is below twice the usual limit of 1 rad/s. With a
+    larger gamma, a clipped turn rate cannot follow the motion around the goal, and the robot may
+    spiral.
 
     Attributes:
         gamma: Gain of the distance [1/s].
-        k: Gain of the angle between heading and goal [1/s].
-        h: Weight of the angle between the way to the goal and the goal's heading.
+        k: Gain of the angle between the heading and the direction to the goal [1/s].
+        h: Weight of the angle between the direction to the goal and the goal's heading.
         position_tolerance_m: Largest error of a coordinate at which the position is reached [m].
         heading_tolerance_rad: Largest heading error at which the heading is reached [rad].
         timeout_s: Time after the first sample at which the run ends [s]; inf: never.
@@ -87,13 +90,14 @@ class PostureParameters:
 
 @dataclass(slots=True)
 class PostureState:
-    """State of the law.
+    """State of the posture law.
 
     Attributes:
         phase: Number of the phase; -1 before the first sample.
         first_ns: Time of the first sample [ns].
-        arrival_rad: Heading at arrival: the goal's, otherwise the bearing from the start [rad].
-        lyapunov: Lyapunov function, which decreases.
+        arrival_rad: Heading at arrival [rad]: the goal's heading, or the bearing from the start if
+            the goal has none.
+        lyapunov: Value of the Lyapunov function, which decreases.
     """
 
     phase: int = -1
@@ -140,7 +144,7 @@ def step(
 
 
 def _steer(law: Any, alpha: float, phi: float) -> float:
-    """Return the turn rate; sin(a) / a is 1 at 0."""
+    """Return the turn rate, with sin(a) / a = 1 at a = 0."""
     ratio = 1.0 - alpha * alpha / 6.0
     if abs(alpha) >= SERIES_BELOW:
         ratio = math.sin(alpha) / alpha
@@ -150,7 +154,7 @@ def _steer(law: Any, alpha: float, phi: float) -> float:
 
 
 def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
-    """Return its two loops, which act together."""
+    """Return the two loops of the posture law, which act at the same time."""
     del parameters, goal, path
     return DECLARATION
 

@@ -1,8 +1,8 @@
-"""Pure pursuit: drive on the arc that leads to a point of the path a lookahead away.
+"""Pure pursuit: drive on the arc to the path point that is one lookahead distance away.
 
 R. C. Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm", CMU-RI-TR-92-01,
-Carnegie Mellon University, 1992: the circle that is tangent to the heading and passes through a
-point at the distance L, which lies y to the left, has the curvature 2 y / L^2.
+Carnegie Mellon University, 1992: a circle is tangent to the heading and passes through a point at
+the distance L. If the point lies y to the left, the curvature of the circle is 2 y / L^2.
 """
 
 import math
@@ -21,12 +21,12 @@ class PurePursuitParameters:
     """Parameters of pure pursuit.
 
     Attributes:
-        lookahead_m: Distance from the robot to the point of the path that it steers for [m], > 0.
+        lookahead_m: Distance from the robot to the path point for which it steers [m], > 0.
         speed_m_s: Speed along a path without a speed of its own [m/s], > 0.
         kp_along: Gain of the error along the path [1/s], >= 0. The product is added to the speed of
             the path, if it has one.
-        end_tolerance_m: Distance from the end at which a path without a speed of its own is
-            finished [m], > 0.
+        end_tolerance_m: Distance from the end of a path within which the path is finished [m], > 0.
+            Only for a path without a speed of its own.
     """
 
     lookahead_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.3

@@ -1,4 +1,4 @@
-"""Gains as a table over the distance to the goal, or over the heading error."""
+"""Gain schedule: gains from a table over the distance to the goal, or over the heading error."""
 
 import math
 from bisect import bisect_right
@@ -11,18 +11,20 @@ from turtlelog.errors import ParameterError
 DISTANCE: Final = "distance"
 
 MOST_ENTRIES: Final = 1000
-"""Every recording and scenario text carries the table: 1,000 entries are one for each 16 mm of the
-longest way in turtlesim's world, and 10 KB of text for each gain."""
+"""Largest number of entries of a schedule, whose table is part of every recording and scenario
+text. 1,000 entries are one per 16 mm of the longest path in turtlesim's world, and 10 KB of text
+for each gain."""
 
 _POSITIVE: Final = ("kp_angular", "kp_linear")
-"""Gains that are above 0, as the constant ones are; the others may be 0."""
+"""Gains that must be above 0, like the constant ones; other gains may be 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainSchedule:
-    """Gains of the sequential laws that change on the way. One that is left out is constant.
+    """Gain schedule of a sequential law. Gains that are left out stay constant.
 
-    Between entries a gain is linear; before the first and beyond the last it is held.
+    Gains are linearly interpolated between entries. Outside the table, the first or last entry
+    holds.
 
     Attributes:
         over: Variable of the gains: the `distance` from the pose to the goal [m], or the magnitude
@@ -67,7 +69,7 @@ class GainSchedule:
         return tuple(name for name in _list_gains(self) if getattr(self, name) is not None)
 
     def compute_gains(self, place: float) -> Iterator[tuple[str, float]]:
-        """Yield the gains by name at a distance [m] or heading error [rad], whatever its sign."""
+        """Yield the scheduled gains by name, at a distance [m] or a heading error [rad]."""
         place, at = abs(place), self.at
         after = bisect_right(at, place)
         for name in self.gains:
@@ -76,7 +78,7 @@ class GainSchedule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PIDGainSchedule(GainSchedule):
-    """Gains of `sequential-pid` that change on the way. One that is left out is constant.
+    """Gain schedule of `sequential-pid`. Gains that are left out stay constant.
 
     Attributes:
         ki_angular: Integral gain of the heading loops at each entry of `at`, >= 0 [1/s^2].
@@ -92,7 +94,7 @@ class PIDGainSchedule(GainSchedule):
 
 
 def _interpolate(at: Sequence[float], values: Sequence[float], place: float, after: int) -> float:
-    """Return the value at a place; `after` is the first entry beyond it."""
+    """Return the interpolated value at a place; `after` is the first entry beyond this place."""
     if after == 0 or after == len(at):
         return values[min(after, len(at) - 1)]
     before = after - 1
@@ -105,7 +107,7 @@ def _list_gains(schedule: GainSchedule) -> list[str]:
 
 
 def _read_numbers(name: str, values: Any) -> tuple[float, ...]:
-    """Return numbers as floats; refuse negative ones, and proportional gains of 0."""
+    """Return numbers as floats. Refuse negative numbers, and proportional gains of 0."""
     if isinstance(values, str) or not isinstance(values, Sequence):
         _refuse(name, "a list of numbers", values)
     least = "> 0" if name in _POSITIVE else ">= 0"

@@ -1,8 +1,8 @@
-"""Rotate on the spot, then translate, each with u = P + I + D: the step of the sequential laws.
+"""Step of the sequential laws: rotate on the spot, then translate, each with u = P + I + D.
 
-P is Kp e. I and D as in Astrom and Wittenmark, Computer-Controlled Systems, chapter 8: I by forward
-Euler, D of the measurement by backward Euler. In every phase both begin at 0. The first sample only
-computes the goal bearing.
+The P term is Kp e. The I and D terms follow Astrom and Wittenmark, Computer-Controlled Systems,
+chapter 8: I by forward Euler, D of the measurement by backward Euler. Both terms begin every phase
+at 0. The first sample only computes the goal bearing.
 """
 
 import math
@@ -22,26 +22,29 @@ from turtlelog.arithmetic import (
 )
 
 ROTATE, TRANSLATE, REORIENT = 0, 2, 3
-"""Phases by their number in the declaration; 1 is the pause."""
+"""Numbers of the phases in the declaration; 1 is the pause."""
 
 STOPS: Final = ("within_tolerance", "standstill", "settled", "timeout")
 WITHIN_TOLERANCE, STANDSTILL, SETTLED, TIMEOUT = 1, 2, 3, 4
 
 ON_HEADING: Final = 1
-"""The second of `projection`."""
+"""Number of `heading`, the second value of `projection`."""
 
 CLAMPING, BACK_CALCULATION = 1, 2
-"""The second and third of `anti_windup`."""
+"""Numbers of the second and third value of `anti_windup`."""
 
 SCHEDULED: Final = (
     *("kp_linear", "kp_angular", "ki_linear", "ki_angular", "kd_linear", "kd_angular"),
 )
-"""Gains that a schedule may have, in the order of its table."""
+"""Gains that a schedule may contain, in the order of its table."""
 
 
 @dataclass(slots=True, kw_only=True)
 class SequentialNumbers:
-    """Keys of both sequential laws; `has_distances` and `entries` are of the schedule."""
+    """Keys of both sequential laws as numbers.
+
+    `has_distances` and `entries` describe the schedule.
+    """
 
     kp_angular: float = 1.0
     kp_linear: float = 1.0
@@ -69,16 +72,17 @@ class SequentialNumbers:
 
 @dataclass(slots=True)
 class Terms:
-    """Gains, integral and derivative of one loop, and their contributions to its command.
+    """Gains, integral and derivative of one loop, and the contributions of both to the command.
 
     Attributes:
-        kp: Proportional gain, which a schedule changes; so ki and kd.
-        has_terms: Whether there is an integral or a derivative: + 0.0 would make 0.0 of -0.0.
-        has_integral: Whether there is an integral.
+        kp: Proportional gain. A schedule changes kp, ki and kd.
+        has_terms: Whether the loop has an integral or a derivative. Without integral and derivative
+            nothing is added, because -0.0 + 0.0 is 0.0.
+        has_integral: Whether the loop has an integral.
         integral: Contribution of the integral to the command of this sample.
         derivative: Contribution of the derivative to the command of this sample.
-        error_rate: Rate at which the integral continues.
-        excess: Excess of the command over its limit, if the integral tracks it.
+        error_rate: Rate at which the integral grows until the next sample.
+        excess: Excess of the command over its limit, if the integral tracks the clipped command.
         last_ns: Time of the last sample [ns].
     """
 
@@ -96,7 +100,7 @@ class Terms:
 
 @dataclass(slots=True)
 class SequentialState:
-    """State of the law; the numbers that it records come last."""
+    """State of a sequential law. The recorded numbers are the last fields."""
 
     phase: int = -1
     begun: int = -1
@@ -179,7 +183,7 @@ def _begin(settings: Any, state: Any, table: Any, time_ns: int, bearing_rad: flo
 def _follow_schedule(
     law: Any, state: Any, table: Any, distance_m: float, heading_rad: float
 ) -> None:
-    """Take the gains of a distance, or of the error of the heading loop that acts or acted last."""
+    """Set the scheduled gains, by the distance or by the error of the last active heading loop."""
     place = distance_m if law.has_distances else _find_error(law, state, heading_rad)
     after, last = count_begun(table, law.entries, place), law.entries - 1
     low, high = min(max(after - 1, 0), last), min(after, last)
@@ -195,7 +199,7 @@ def _follow_schedule(
 
 
 def _find_error(law: Any, state: Any, heading_rad: float) -> float:
-    """Return the magnitude of the error of the heading loop that acts or acted last [rad]."""
+    """Return the magnitude of the error of the last active heading loop [rad]."""
     wanted_rad = state.goal_heading_rad if state.phase == REORIENT else state.bearing_rad
     error_rad: float = wanted_rad - heading_rad
     return abs(wrap_angle(error_rad) if law.wrap_error else error_rad)
@@ -211,7 +215,7 @@ def _enter_gain(terms: Any, column: int, gain: float) -> None:
 
 
 def _rotate(settings: Any, state: Any, row: Any, time_ns: int, heading_rad: float) -> float:
-    """Return the turn rate; the phase is the next one where the rotation ends."""
+    """Return the turn rate. If the rotation ends, switch to the next phase."""
     law = settings.law
     error_rad = state.bearing_rad - heading_rad
     if law.wrap_error:
@@ -238,7 +242,7 @@ def _reorient(settings: Any, state: Any, row: Any, time_ns: int, heading_rad: fl
 
 
 def _turn(settings: Any, state: Any, time_ns: int, heading_rad: float) -> float:
-    """Return the turn rate of a heading error, with integral and derivative where there are."""
+    """Return the turn rate for a heading error, including integral and derivative terms."""
     terms, error_rad = state.turn, state.heading_error_rad
     turn_rate: float = terms.kp * error_rad
     if not terms.has_terms:
@@ -252,7 +256,10 @@ def _turn(settings: Any, state: Any, time_ns: int, heading_rad: float) -> float:
 
 
 def _translate(settings: Any, state: Any, row: Any, time_ns: int, heading_rad: float) -> float:
-    """Return the speed; the stop reason where the translation ends, or the next phase."""
+    """Return the speed.
+
+    If the translation ends, set the stop reason or switch to the next phase.
+    """
     law, terms = settings.law, state.speed
     x_m, y_m = row.error_x_m, row.error_y_m
     stop, speed = WITHIN_TOLERANCE, 0.0
@@ -291,10 +298,9 @@ def _find_stop(law: Any, state: Any, time_ns: int, speed: float, error_m: float)
 
 
 def _advance_terms(law: Any, state: Any, terms: Any, time_ns: int, moved: float) -> None:
-    """Begin integral and derivative with a phase, or continue them to a sample.
+    """Start the integral and derivative of a phase, or continue them to a sample.
 
-    Before it the measurement has moved. Samples of a burst share one time: nothing is integrated,
-    and the derivative holds.
+    The samples of a burst have the same time: the integral and the derivative do not change.
     """
     if state.begun != state.phase:
         state.begun = state.phase
@@ -313,7 +319,7 @@ def _advance_terms(law: Any, state: Any, terms: Any, time_ns: int, moved: float)
 
 
 def _add_terms(law: Any, terms: Any, proportional: float, error: float, limit: float) -> float:
-    """Return the command, and keep the rate of the integral."""
+    """Return the command, and store the rate of the integral."""
     command: float = proportional + terms.integral + terms.derivative
     if not terms.has_integral:
         return command

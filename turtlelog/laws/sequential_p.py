@@ -40,23 +40,24 @@ DECLARATION: Final = Declaration(
     # The pause stands second, as in recordings of format 1.
     phases={ROTATE: (ROTATE,), PAUSE: (), TRANSLATE: (TRANSLATE,)},
 )
-"""Declaration of the sequential law, with constant gains and without reorientation."""
+"""Declaration of a sequential law with constant gains and without reorientation."""
 
 
 def declare_loops(
     base: Declaration, goal: Goal | None, schedule: GainSchedule | None, *, reorient: bool
 ) -> Declaration:
-    """Return a sequential law's declaration, with what a schedule hides and `reorient` adds.
+    """Return a sequential law's declaration, changed for a schedule and for `reorient`.
 
     Args:
         base: Declaration with constant gains and without reorientation.
-        goal: Goal of the run; None: not known.
+        goal: Goal of the run; None: unknown.
         schedule: Table of gains over distance or heading error. A loop with a scheduled gain
-            declares no gain, as no number is its gain.
-        reorient: Whether a third loop turns to the goal's heading, as the first to its bearing.
+            declares no gain, because its gain is not one number.
+        reorient: Whether a third loop turns to the goal's heading, as the first loop turns to the
+            bearing.
 
     Raises:
-        LawError: If the law is to reorient, and the goal has no heading.
+        LawError: If the law must reorient and the goal has no heading.
     """
     if schedule is None and not reorient:
         return base  # What it says has been judged once.
@@ -109,7 +110,7 @@ _CAUSES: Final = (
 )
 
 _RULE: Final = {**ABSENT_BY_DEFAULT, **MAY_BE_INFINITE}
-"""A time in the rules that end a run; inf: the rule never ends it."""
+"""A time in a rule that ends a run; inf: the rule never ends the run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,19 +122,20 @@ class SequentialPParameters:
         kp_linear: Gain of the position loop [1/s].
         heading_tolerance_rad: Largest heading error at which the rotation ends [rad].
         position_tolerance_m: Largest error of a coordinate at which the translation ends [m].
-        projection: Direction on which the world velocity is projected: the goal `bearing`, as the
-            paper's program does, or the current `heading`, as its equation 16 says.
+        projection: Direction on which the world velocity is projected: the goal `bearing`, as in
+            the paper's program, or the current `heading`, as in the paper's equation 16.
         wrap_error: Whether the heading error is wrapped to [-pi, pi).
         pause_ticks: Ticks for which the controller sleeps after the rotation [16 ms each].
         timeout_s: Time after the first sample at which the translation ends [s]; inf: never.
-        settled_within_m: Error of a coordinate below which it counts as settled [m].
-        settled_for_s: Time of settled coordinates after which the translation ends [s]; inf: never.
+        settled_within_m: Error of a coordinate below which the coordinate counts as settled [m].
+        settled_for_s: Time for which coordinates must be settled before the translation ends [s];
+            inf: never.
         standstill_samples: Number of consecutive samples at a standstill after which the
             translation ends.
-        standstill_below: Unclipped speed below which a sample is at a standstill [m/s].
-        reorient: Whether a translation that does not end by the timeout is followed by a turn on
-            the spot to the goal's heading, which it must have.
-        schedule: Gains that change on the way and take the place of the constant ones; None: none.
+        standstill_below: Unclipped speed below which a sample counts as a standstill [m/s].
+        reorient: Whether the robot turns to the goal's heading after the translation, unless the
+            timeout ends the translation. The goal must have a heading.
+        schedule: Gain schedule, which replaces the constant gains; None: no schedule.
     """
 
     kp_angular: Annotated[float, Meta(gt=0)] = 1.0
@@ -157,17 +159,17 @@ class SequentialPParameters:
 
 
 def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
-    """Return its loops, one after the other: two, or with `reorient` three.
+    """Return the loops, which act one after the other: two, or three with `reorient`.
 
     Raises:
-        LawError: If it is to reorient, and the goal has no heading.
+        LawError: If the law must reorient and the goal has no heading.
     """
     del path
     return declare_loops(DECLARATION, goal, parameters.schedule, reorient=parameters.reorient)
 
 
 def list_unused(parameters: Any) -> tuple[str, ...]:
-    """Return the path, and the goal's heading where it does not turn to it at the end."""
+    """Return `path`, and the goal's heading if the law does not turn to this heading at the end."""
     return ("path",) if parameters.reorient else ("path", "goal.heading_rad")
 
 
@@ -187,7 +189,7 @@ def prepare(parameters: Any) -> SequentialNumbers:
 
 @cache
 def _list_numbers(keys: Any) -> tuple[tuple[str, tuple[str, ...] | None], ...]:
-    """Return the keys of a law that are numbers of both, each with its words where it has such."""
+    """Return the keys that are numbers in both laws, each with its words if it has any."""
     hints = get_type_hints(keys)
     names = [one.name for one in fields(SequentialNumbers) if one.name in hints]
     return tuple(
@@ -197,9 +199,9 @@ def _list_numbers(keys: Any) -> tuple[tuple[str, tuple[str, ...] | None], ...]:
 
 
 def build_table(parameters: Any) -> Sequence[Row]:
-    """Return the entries of a schedule: distance or heading error, then the gains of `SCHEDULED`.
+    """Return the rows of a schedule: distance or heading error, then the gains of `SCHEDULED`.
 
-    A gain that is constant is NaN.
+    Constant gains are NaN.
     """
     schedule = parameters.schedule
     if schedule is None:
@@ -227,4 +229,4 @@ PART: Final = LawPart(
 )
 
 SequentialP: Final = PART
-"""The law as a Python class: `SequentialP(SequentialPParameters(...))` answers pose by pose."""
+"""The sequential law as a Python class: `SequentialP(SequentialPParameters(...))` answers poses."""

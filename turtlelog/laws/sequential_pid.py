@@ -1,4 +1,4 @@
-"""The sequential law with P, PI, PD or PID control in each of its loops."""
+"""The sequential law with P, PI, PD or PID control in each loop."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -31,30 +31,32 @@ _STATES: Final[Mapping[str, str]] = MappingProxyType(
         "derivative_linear": "m/s",
     }
 )
-"""States of the terms: what they add to the commands, with the unit."""
+"""States of the integral and derivative terms: their contributions to the commands, with units."""
 
 NonNegative = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SequentialPIDParameters(SequentialPParameters):
-    """Parameters of the sequential PID law, beside those of `sequential-p`.
+    """Parameters of the sequential PID law, in addition to those of `sequential-p`.
 
-    `clamping` is the default: limits clip most commands of these runs, so an integral that is left
-    alone winds up, and of the two cures this one has no time constant to choose.
+    The default is `clamping`: limits clip most commands of these runs, so an integral without
+    anti-windup winds up. Unlike `back-calculation`, `clamping` needs no time constant.
 
     Attributes:
         ki_angular: Integral gain of the heading loops [1/s^2]; 0: no integral.
-        kd_angular: Derivative gain of the heading loops, on the measured turn rate [1]; 0: none.
+        kd_angular: Derivative gain of the heading loops, on the measured turn rate [1]; 0: no
+            derivative.
         ki_linear: Integral gain of the position loop [1/s^2]; 0: no integral.
-        kd_linear: Derivative gain of the position loop, on the measured speed [1]; 0: none.
-        derivative_filter_s: Time constant of the derivative's first-order filter [s]; 0: a plain
-            difference of two samples.
-        anti_windup: Behaviour of the integral while its command is clipped. `none`: it goes on.
-            `clamping`: it holds where the error would drive the command further beyond the limit.
-            `back-calculation`: it tracks the clipped command.
+        kd_linear: Derivative gain of the position loop, on the measured speed [1]; 0: no
+            derivative.
+        derivative_filter_s: Time constant of the derivative's first-order filter [s]; 0: the
+            difference of two samples without a filter.
+        anti_windup: Behaviour of the integral while the command is clipped. `none`: the integral
+            continues. `clamping`: the integral stops if the error would drive the command further
+            beyond the limit. `back-calculation`: the integral tracks the clipped command.
         tracking_time_s: Time constant of `back-calculation` [s].
-        schedule: Gains that change on the way and take the place of the constant ones; None: none.
+        schedule: Gain schedule, which replaces the constant gains; None: no schedule.
     """
 
     ki_angular: NonNegative = 0.0
@@ -68,10 +70,10 @@ class SequentialPIDParameters(SequentialPParameters):
 
 
 def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
-    """Return the loops of `sequential-p` with the gains of this law, and its states.
+    """Return the loops of `sequential-p` with the gains of this law, and the law's states.
 
     Raises:
-        LawError: If it is to reorient, and the goal has no heading.
+        LawError: If the law must reorient and the goal has no heading.
     """
     del path
     rotate, translate = DECLARATION.loops
@@ -84,7 +86,7 @@ def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaratio
 
 
 def _add_keys(loop: ControlLoop, axis: str, *gains: float) -> ControlLoop:
-    """Return a loop of `sequential-p` with the keys of this law's gains."""
+    """Return a loop of `sequential-p` with the keys of the PID gains."""
     return replace(
         loop,
         integral_gain=f"law.ki_{axis}",
@@ -111,4 +113,5 @@ PART: Final = LawPart(
 )
 
 SequentialPID: Final = PART
-"""The law as a Python class: `SequentialPID(SequentialPIDParameters(...))` answers pose by pose."""
+"""The sequential PID law as a Python class; `SequentialPID(SequentialPIDParameters(...))` is a
+law."""

@@ -1,6 +1,6 @@
 """Reading and writing of runs: formats, columns of any file, importers, recovery, recording.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

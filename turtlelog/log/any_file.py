@@ -1,4 +1,4 @@
-"""Reading of any file as a run; the file's content determines its kind."""
+"""Reading of any file as a run. The file's content determines its kind."""
 
 import warnings
 from dataclasses import replace
@@ -39,9 +39,9 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
 
     Args:
         path: A file or a bag's folder; a folder with a recording by turtlelog is read as that
-            recording. FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of that topic, which is
-            appended to the run's name.
-        options: Fields of a `ReadChoice`: which topics of third-party files to read, and whether an
+            recording. FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of this topic, and the
+            run's name includes the topic.
+        options: Fields of a `ReadChoice`: topics to read from third-party files, and whether an
             unfinished recording may be read, with a `PartialRecordingWarning`.
 
     Raises:
@@ -102,7 +102,9 @@ _OWN_ROBOT: Final = POSE.name.split("/")[1]
 
 
 def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
-    """Return a run with the requested goal; refuse if the run has samples and so a goal of its own.
+    """Return a run with the requested goal.
+
+    A run with samples is refused, because it has its own goal.
 
     Raises:
         LogError: If the run has samples.
@@ -118,7 +120,7 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
 
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
-    """Return the run in a file as `read_run` does, or of a preset; notes describe lost data."""
+    """Return the run in a file, as `read_run` does, or of a preset. Notes describe lost data."""
     if not make_path(path).exists() and (run := _simulate_preset(str(path))) is not None:
         return run
     with warnings.catch_warnings():
@@ -152,7 +154,7 @@ def read_file_info(
     """Return the contents of any file that `read_run` reads.
 
     Args:
-        path: Path of the file. Logs are read completely; others as by `read_info` and
+        path: Path of the file. Logs are read completely; other files as by `read_info` and
             `read_bag_info`.
         choice: Selection as for `read_run`; only the columns of tables are used.
         allow_partial: See `read_info`.
@@ -227,7 +229,7 @@ def is_bag_file(path: Path) -> bool:
 
 
 def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
-    """Return the run in a file or bag by turtlelog, None for third-party files.
+    """Return the run in a file or bag by turtlelog; None for third-party files.
 
     Raises:
         LogError: If the file cannot be read, or is too damaged to show its writer.

@@ -18,7 +18,7 @@ from turtlelog.log.error_boundary import name_file
 
 @contextmanager
 def replace_when_complete(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary name next to `path` for writing; it is renamed when the block succeeds.
+    """Yield a temporary file name next to `path`; the file is renamed when the block succeeds.
 
     If the block fails, the temporary file is removed and an existing file stays. A replaced file
     keeps its permissions and, if the system allows it, its owner. If `path` is a symbolic link, the
@@ -64,7 +64,8 @@ def _name_beside(target: Path) -> Path:
 def remove_leftovers(folder: Path) -> None:
     """Remove the temporary files of killed processes from a folder.
 
-    Use it only if no other process writes to the folder: its temporary files are removed, too.
+    Use this only if no other process writes to the folder, because that process would lose its
+    temporary files.
     """
     for leftover in folder.glob(".turtlelog-" + "[0-9a-f]" * 12 + ".part"):
         with suppress(OSError):  # a folder, or a file that is being renamed
@@ -73,7 +74,7 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextmanager
 def _put_when_complete(path: RemotePath) -> Iterator[Path]:
-    """Yield a local temporary name; the file is uploaded to the URL at the end."""
+    """Yield a local temporary name; at the end the file is uploaded to the URL."""
     with name_file(path, expected="a place that can be written"):
         from turtlelog.files.requests import require_writable
 
@@ -147,7 +148,7 @@ if sys.platform == "win32":
         """Do nothing."""
 
     def is_live(path: Path) -> bool:  # noqa: ARG001
-        """Return False: the system itself refuses to replace an open file."""
+        """Return False, because the system itself refuses to replace an open file."""
         return False
 
 else:

@@ -13,7 +13,7 @@ from turtlelog.files.urls import RemotePath, make_path
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
 
 _POINTER_BYTES: Final = 1024
-"""Size from which on a file is not a pointer, by the specification of Git LFS [bytes]."""
+"""Size from which a file is not a pointer, by the specification of Git LFS [bytes]."""
 
 
 class DamageError(LogError):
@@ -21,7 +21,7 @@ class DamageError(LogError):
 
 
 class LimitError(DamageError):
-    """A file that exceeds the limits for its size; the rest would be refused as well."""
+    """A file that exceeds the limits for its size, so that the rest would be refused as well."""
 
 
 class UnfinishedError(DamageError):
@@ -53,11 +53,11 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
 
 
 def open_file(path: str | Path) -> BinaryIO:
-    """Open a file for reading; refuse pipes, which may block, and devices, which may not end.
+    """Open a file for reading. Pipes, which may block, and devices, which may not end, are refused.
 
     Raises:
-        LogError: If it is a pipe, a device or a Git LFS pointer.
-        OSError: If it cannot be read.
+        LogError: If the path is a pipe, a device or a Git LFS pointer.
+        OSError: If the file cannot be read.
     """
     path = make_path(path)
     found = path.stat()
@@ -71,7 +71,7 @@ def open_file(path: str | Path) -> BinaryIO:
 
 
 def _refuse_pointer(stream: BinaryIO) -> None:
-    """Refuse and close a Git LFS pointer; the position of other files is unchanged."""
+    """Refuse and close a Git LFS pointer. The position in other files does not change."""
     start = stream.read(len(LFS_POINTER))
     if start == LFS_POINTER:
         stream.close()

@@ -44,7 +44,7 @@ class TopicInfo:
 
     Attributes:
         topic: Name of the topic.
-        type: Type of its messages, as its schema calls it.
+        type: Message type, as named in the schema.
         count: Number of messages.
         reason: Why the messages cannot become columns; empty if they can.
     """
@@ -66,20 +66,24 @@ class RecordingInfo:
     Attributes:
         file: Path of the file, as given.
         format_version: Format version of the recording; None for third-party files.
-        source: See `Run`; for third-party files `mcap`, `sqlite3` or, for ROS 1 messages, `ros1`.
-        name: See `Run`; otherwise the file's name.
-        complete: Whether the file was finished; for other files, the readable contents are listed.
-        stop_reason: See `Run`.
-        duration_s: Time from first to last message of any topic, or row of a table [s]; None if
-            there is no message. The duration of its run is `Run.duration_s`, the metric
+        source: Source, as in `Run`; for third-party files `mcap`, `sqlite3` or, for ROS 1 messages,
+            `ros1`.
+        name: Name, as in `Run`, or else the file's name.
+        complete: Whether the file was finished. For an unfinished file, the readable contents are
+            listed.
+        stop_reason: Stop reason, as in `Run`.
+        duration_s: Time from first to last message of any topic, or row of a table [s]; None
+            without messages. The duration of the run is `Run.duration_s`, the metric
             `run.duration`.
-        span_ns: Earliest and latest log time [ns]; None if there is no message.
+        span_ns: Earliest and latest log time [ns]; None without messages.
         scenario: The tables of the complete scenario; None if unknown.
         parameters: Known values of the scenario, by dotted key.
         topics: Topics by name.
-        simulated_by: See `Run`.
-        absent: See `Run`; for third-party files, the fields that no topic contains.
-        notes: See `Run`; also `recovered` for a recovered file and `partial` for a damaged one.
+        simulated_by: Software, as in `Run`.
+        absent: Missing fields, as in `Run`; for third-party files, the fields that no topic
+            contains.
+        notes: Notes, as in `Run`; also `recovered` for a recovered file and `partial` for a damaged
+            one.
         not_understood: Topics whose messages cannot become columns, with the reason.
     """
 
@@ -115,7 +119,7 @@ class Survey:
         is_finished: Whether the file was finished and is not damaged.
         records: Metadata, attachments and similar records.
         counts: Number of messages by channel.
-        span_ns: Earliest and latest log time [ns]; None if there is no message.
+        span_ns: Earliest and latest log time [ns]; None without messages.
         damages: Segments that could not be read, if a damaged file was read.
     """
 
@@ -128,12 +132,12 @@ class Survey:
 
     @property
     def is_own(self) -> bool:
-        """Whether its records show that turtlelog wrote it."""
+        """Whether the records show that turtlelog wrote the file."""
         return any(isinstance(found, Metadata) and found.name == HEAD for found in self.records)
 
     @property
     def is_ros1(self) -> bool:
-        """Whether its messages are in the ROS 1 format."""
+        """Whether the messages are in the ROS 1 format."""
         kinds = self.catalogue.schemas.values()
         return any(schema.encoding == SchemaEncoding.ROS1 for schema in kinds)
 
@@ -152,8 +156,8 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
 
     Args:
         path: The file.
-        allow_partial: Whether to describe the readable part of a damaged file; unfinished files are
-            described in any case. The note `partial` lists the losses.
+        allow_partial: Whether to describe the readable part of a damaged file, with the losses in
+            the note `partial`. Unfinished files are described in any case.
 
     Raises:
         LogError: If the file cannot be read, is neither MCAP nor SQLite, or is damaged.
@@ -211,14 +215,14 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
 
 
 _PLACES: Final = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_xy_m": GOAL}
-"""Topics of a turtlelog recording, by the names of `Run`."""
+"""Topics of a turtlelog recording, by the fields of `Run`."""
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
-    """Return the fields of `Run` that third-party files lack.
+    """Return the fields of `Run` that third-party files do not have.
 
-    Only turtlelog's metadata contain the scenario and the stop reason. Which topics are poses and
-    commands is known only after reading; if no message can be decoded, there are none.
+    Only turtlelog's metadata contain the scenario and the stop reason. The topics of poses and
+    commands are known only after reading; if no message can be decoded, there are none.
     """
     present = [found for found in topics if found.count]
     held = {found.topic for found in present}
@@ -270,15 +274,15 @@ def sort_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
 
 
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
-    """Return the contents of an MCAP file; an unfinished file is read as far as possible.
+    """Return the contents of an MCAP file. An unfinished file is read as far as possible.
 
     Args:
         stream: The file.
-        allow_partial: Whether to read a damaged file, too.
+        allow_partial: Whether to read a damaged file too.
 
     Raises:
         LogError: If the file is not MCAP.
-        DamageError: If the file is finished but the part that is read is damaged.
+        DamageError: If the file is finished, but the part that is read is damaged.
     """
     try:
         return _survey_source(stream)

@@ -13,7 +13,7 @@ Handler = Callable[[int, FrameType | None], object]
 
 
 def _find_signals(*names: str) -> tuple[signal.Signals, ...]:
-    """Return the signals with these names that exist; Windows lacks some."""
+    """Return the signals with these names that exist, because Windows lacks some."""
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
@@ -35,10 +35,10 @@ class StopRequest:
 
 @contextmanager
 def catch_stop() -> Iterator[StopRequest]:
-    """Record SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending; a second one interrupts.
+    """Record SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending; a second signal interrupts.
 
     The block checks the yielded request at suitable times. If SIGTERM or SIGHUP was ignored before,
-    as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled even so, because a shell
+    as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled in any case, because a shell
     ignores them for every background job of a script. Outside the main thread, where Python
     delivers no signals, nothing changes.
     """
@@ -70,8 +70,8 @@ def hold_stop() -> Iterator[None]:
 def exit_on_terminate() -> Iterator[None]:
     """Make SIGTERM, SIGHUP and SIGQUIT raise an exception in the block, so that files are finished.
 
-    Ctrl-C does so by default. Existing settings, by `nohup` or a handler, stay. On Windows only a
-    console sends SIGTERM; ending a task kills the process.
+    Ctrl-C raises an exception by default. Existing settings by `nohup` or a handler stay. On
+    Windows, only a console sends SIGTERM; ending a task kills the process.
     """
 
     def leave(number: int, _frame: FrameType | None) -> None:
@@ -83,7 +83,7 @@ def exit_on_terminate() -> Iterator[None]:
 
 @contextmanager
 def interrupt_on_quit() -> Iterator[None]:
-    """Make SIGQUIT act like Ctrl-C if its default action is set."""
+    """Make SIGQUIT act like Ctrl-C if the default action of SIGQUIT is set."""
     with _handle(signal.default_int_handler, _find_defaults(_find_signals("SIGQUIT"))):
         yield
 
@@ -94,7 +94,7 @@ def _find_defaults(numbers: Iterable[signal.Signals]) -> list[signal.Signals]:
 
 @contextmanager
 def _handle(handler: Handler, numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Set a handler for a while; in the main thread only, since Python allows no other."""
+    """Set a handler during the block, only in the main thread, because Python allows no other."""
     before = {}
     try:
         if threading.current_thread() is threading.main_thread():

@@ -1,4 +1,4 @@
-"""Live simulation: every tick goes to sinks at once, optionally in real time."""
+"""Live simulation: every tick goes to sinks at once, in real time if requested."""
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,19 +21,19 @@ class Sink(Protocol):
     """A receiver of live ticks, such as a recorder or a viewer."""
 
     def receive(self, tick: Tick) -> None:
-        """Receive one tick; the last tick contains the stop reason."""
+        """Receive one tick. The last tick contains the stop reason."""
         ...
 
     def close(self, notes: Mapping[str, str]) -> None:
-        """Finish, also after a failed run; `notes` are those of its `Run`."""
+        """Finish, also after a failed run; `notes` are the notes of the run."""
         ...
 
 
 class Pacer(Protocol):
-    """A clock that paces a run."""
+    """A clock for pacing a run."""
 
     def now(self) -> float:
-        """Return the time since a fixed instant [s]; it never decreases."""
+        """Return the time since a fixed instant [s], which never decreases."""
         ...
 
     def sleep(self, duration_s: float) -> None:
@@ -52,7 +52,7 @@ WALL_CLOCK: Final = WallClock()
 
 
 class Pace:
-    """Pacing of ticks: each tick waits for its time on the clock, counted from the first.
+    """Pacing of ticks: each tick waits for its time on the clock, relative to the first tick.
 
     A late loop continues without waiting until it has caught up, so that the end of a run does not
     drift. Ticks that are more than one period late are counted, because the recording does not show
@@ -99,20 +99,20 @@ def run_live(
     """Simulate a scenario, pass every tick to the sinks at once, and return the run.
 
     Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the run with the stop reason `interrupted` at the next
-    tick; a second signal ends it at once. The sinks are closed in any case.
+    tick; a second signal ends the run at once. The sinks are closed in any case.
 
     Args:
         scenario: Scenario to simulate.
-        sinks: Receivers of the ticks, in this order.
-        realtime: Whether ticks wait for their time on the clock.
-        clock: Clock for `realtime`.
+        sinks: Receivers of the ticks. Each tick goes to them in the order of the list.
+        realtime: Whether each tick waits for its time on the clock.
+        clock: Clock used with `realtime`.
         step_budget_s: Longest computing time of the law per step [s]; None: no limit.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
-        SimulationError: If the law fails; `run` is the run so far. The sinks have received the tick
-            of the failure, with the stop reason `law_failed`, or `step_budget` if the law exceeded
-            its time, and are closed.
+        SimulationError: If the law fails; the error's `run` is the run so far. The sinks have
+            received the tick of the failure, with the stop reason `law_failed`, or `step_budget` if
+            the law exceeded its time. The sinks are closed.
         KeyboardInterrupt: If the run was interrupted before the first sample.
         LogError: If a recorder cannot write.
     """

@@ -1,4 +1,4 @@
-"""Projection of 3D poses to x, y and heading, and a description of the loss."""
+"""Projection of 3D poses to x, y and heading, with a description of the loss."""
 
 import math
 from typing import Final
@@ -22,7 +22,7 @@ At 85 deg of pitch, 1 deg of noise turns the heading by 11 deg."""
 
 
 def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
-    """Return a sentence on a robot that leaves the plane, None if it stays in the plane.
+    """Return a sentence on a robot that leaves the plane; None if it stays in the plane.
 
     Args:
         z_m: Heights [m], shape (n,); None if unknown. Values that are not finite are ignored.
@@ -80,7 +80,7 @@ def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]
 def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
     """Return the heading of the forward axis projected onto the plane, for any tilt [rad].
 
-    NaN if that axis points up or down (`LEAST_LEVEL`).
+    The result is NaN if the axis points up or down (`LEAST_LEVEL`).
 
     Args:
         x: x of quaternions of any length except 0, shape (n,), like the others.

@@ -11,7 +11,8 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 
 TimeSource = Literal["auto", "log", "stamp"]
-"""Source of pose times: recorder's clock, stamps mapped to it, or chosen from the bag (`auto`)."""
+"""Source of pose times: the recorder's clock, stamps mapped to this clock, or chosen from the bag
+(`auto`)."""
 
 
 class ReadOptions(TypedDict, total=False):
@@ -38,21 +39,21 @@ class ReadChoice:
     """Topics, frames and times to read from third-party files; options for incomplete files.
 
     Attributes:
-        pose_topic: Topic of the poses; None: chosen by topic types and names, as for the other
-            topics.
+        pose_topic: Topic of the poses. Default of this and the other topics: chosen by types and
+            names.
         command_topic: Topic of the commands.
         path_topic: Topic of the path to follow.
         pose_frame: The robot's frame, for poses from transforms.
         world_frame: Reference frame, for poses from transforms.
-        goal: Goal x, y [m] and optionally heading [rad]; None: the goal in the file.
+        goal: Goal x, y [m] and optionally heading [rad]. Default: the goal in the file.
         time: Clock that times the poses.
-        robot: Name of one of several robots in a bag, such as `robot2` of `/robot2/odom`.
+        robot: Name of one of several robots in a bag, such as `robot2` in `/robot2/odom`.
         wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
             `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
         wheels: Radius of the wheels and track between them [m].
         wheelbase: Distance between the axles [m], for converting Ackermann commands to turn rates.
-        columns: Columns of a plain table, by quantity (`t`, `x`, `y`, `heading` ...): the column
-            name, with a unit in brackets if the name has no unit (`yaw [deg]`).
+        columns: Columns of a plain table, by quantity (`t`, `x`, `y`, `heading` ...). Each value is
+            the column name, with a unit in brackets if the name has no unit (`yaw [deg]`).
         allow_partial: Whether to read the intact part of an unfinished or damaged recording.
         allow_no_poses: Whether to read a bag that contains only commands as a run without poses.
     """
@@ -84,10 +85,10 @@ class ReadChoice:
 
 
 CHOSEN: Final = "chosen"
-"""Name of a note, in one line, on the chosen topics; shown on request and never recorded."""
+"""Name of a one-line note on the chosen topics. The note is shown on request and never recorded."""
 
 UNUSED: Final = "unused"
-"""Note in one line on options that a file does not use; it goes into no recording either."""
+"""Name of a one-line note on options that a file does not use. The note is never recorded."""
 
 FileKind = Literal["table", "recording", "bag"]
 
@@ -99,12 +100,13 @@ _OF_BAGS: Final = (
 
 
 def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:
-    """Return one line on the options that a file does not use, and why; empty without any.
+    """Return one line on the options that a file does not use, and why; empty without such options.
 
     Args:
-        choice: The options that were given.
-        kind: What the file is; turtlelog's recordings have one clock, and turn rates as commands.
-        commands: Topic and type of the commands that were read from a bag; empty without any.
+        choice: The given options.
+        kind: Description of the file. turtlelog's recordings have one clock, and turn rates as
+            commands.
+        commands: Topic and type of the commands that were read from a bag; empty without commands.
     """
     usual = ReadChoice()
     given = [
@@ -160,7 +162,7 @@ def split_topic(path: str | Path) -> tuple[Path, str | None]:
 
 
 def match_topic(asked: str, names: Collection[str]) -> str:
-    """Return the topic with a name, with or without leading slash; otherwise the name itself."""
+    """Return the topic with a name, with or without leading slash; or else the name itself."""
     other = asked.removeprefix("/") if asked.startswith("/") else f"/{asked}"
     return other if asked not in names and other in names else asked
 

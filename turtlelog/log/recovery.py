@@ -36,12 +36,12 @@ class RecoveryReport:
     """Recovered and lost parts of a recording.
 
     Attributes:
-        file: The source, as given.
+        file: Source, as given.
         complete: Whether the source was complete and undamaged, so that nothing is lost.
         recovered: Number of recovered messages by topic.
-        unchecked: Number of recovered messages without a checksum, by topic; these may be corrupted
-            unnoticed.
-        missing: Number of lost messages by topic, according to the source's summary; empty also if
+        unchecked: Number of recovered messages without a checksum, by topic. Such messages may be
+            corrupted unnoticed.
+        missing: Number of lost messages by topic, according to the source's summary. Empty also if
             the summary is lost but the checksum of all data is correct; None if unknown.
         from_s: Log time of the earliest message recovered [s].
         to_s: Log time of the latest message recovered [s].
@@ -67,14 +67,14 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     """Write the readable contents of an unfinished or damaged MCAP or SQLite file as a new file.
 
     Profile, schemas, channels, metadata, attachments and messages are kept, in the order of the
-    file. Damaged chunks are omitted as a whole, and so are messages of unknown channels. The
+    file. Damaged chunks are omitted as a whole. Messages of unknown channels are omitted too. The
     metadata record `turtlelog_recovery` lists the losses.
 
     Args:
-        source: The file, or the folder of a bag: a bag that was never closed has no
+        source: The file, or the folder of a bag. A bag that was never closed has no
             `metadata.yaml`.
-        target: The MCAP file to write. For a folder, a name that does not end in .mcap is a new
-            folder, for a bag of all its files.
+        target: The MCAP file to write. If the source is a folder, a name that does not end in .mcap
+            is a new folder for a bag of all files.
 
     Raises:
         LogError: If the source cannot be read or has no recoverable message, or if the target is
@@ -228,7 +228,7 @@ class _Copied:
     summary: Loss | None = None
 
     def lose(self, loss: Loss) -> None:
-        """Note a loss; if it continues the previous loss for the same reason, they are merged."""
+        """Note a loss, or merge it into the previous loss that it continues for the same reason."""
         last = self.lost[-1] if self.lost else None
         is_place = loss.start == loss.end
         if last and last.reason == loss.reason and (is_place or last.end == loss.start):

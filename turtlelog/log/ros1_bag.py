@@ -40,22 +40,25 @@ _LONGEST_HEADER: Final = 2**20
 """Longest header of a record [bytes]: a few names, or a definition with all its types."""
 
 _MESSAGES: Final = (2**18, 1 / 20)
-"""Largest number of messages in any bag, and further messages per byte.
+"""Largest number of messages in any bag, plus messages per byte.
 
 Each message takes 5 us; those of a bag of 10 MB take about 4 s. A message has 45 bytes before
-compression."""
+compression.
+"""
 
 _BZ2_BYTES: Final = (48 * 2**20, 8.0)
-"""Largest number of bytes that bz2 may unpack, and further bytes per byte of the bag.
+"""Largest number of bytes that bz2 may unpack, plus bytes per byte of the bag.
 
 Unpacking 30 MB takes 1 s; a bag of 10 MB takes about 4 s. Messages of robots pack to a fifth or a
-tenth."""
+tenth.
+"""
 
 _LARGEST_CHUNK: Final = (2**25, 1.0)
-"""Largest size of a chunk in any bag [bytes], and further bytes per byte of the bag.
+"""Largest size of a chunk in any bag [bytes], plus bytes per byte of the bag.
 
 A message of this size is in memory four times. The recorder closes a chunk at 768 kB, so a larger
-chunk contains one large message."""
+chunk contains one large message.
+"""
 
 _MOST_CONNECTIONS: Final = 2**16 - 1
 
@@ -66,7 +69,7 @@ class _EndError(Exception):
 
 @dataclass(slots=True)
 class _Copy:
-    """The copy so far, with the chunk that is being filled."""
+    """The copy so far, including the chunk that is being filled."""
 
     file: McapFile
     allowance: Allowance
@@ -135,7 +138,7 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
 
 
 def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
-    """Copy all records; return whether the bag was finished and is complete."""
+    """Copy all records, and return whether the bag was finished and is complete."""
     index_byte = 0
     while True:
         byte = stream.tell()
@@ -274,11 +277,11 @@ def _take_message(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> None
 
 
 _RECORD_HEAD: Final = 9
-"""Size of opcode and length, which the length does not count [bytes]."""
+"""Size of opcode and length, which the length does not include [bytes]."""
 
 
 def _read_header(data: bytes) -> dict[str, bytes]:
-    """Return the fields of a header; each has a length, a name, `=` and a value."""
+    """Return the fields of a header. Each field has a length, a name, `=` and a value."""
     found, place = {}, 0
     while place < len(data):
         start = place + _LENGTH.size
@@ -309,7 +312,7 @@ def _unpack_length(data: bytes, most: int | None) -> int:
 
 
 def _read(stream: BinaryIO, size: int) -> bytes:
-    """Return `size` bytes, read in steps: a damaged length may claim any size."""
+    """Return `size` bytes, read in steps, because a damaged length may claim any size."""
     found = bytearray()
     while len(found) < size:
         part = stream.read(min(_STEP, size - len(found)))

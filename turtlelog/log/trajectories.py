@@ -52,19 +52,19 @@ _LONGEST_TIMES: Final = 64 * 2**20
 def read_trajectory(
     path: str | Path, choice: ReadChoice | None = None, *, times: Path | None = None
 ) -> Trajectory:
-    """Return the poses of a file, with heights and rotations if it has them.
+    """Return the poses of a file, with heights and rotations if the file has them.
 
-    Rows with nan are dropped, rows are sorted by time, and only the first of rows with equal times
-    is kept; the notes give the counts. Poses of bags are timed by usable stamps in their headers.
+    Rows with NaN are dropped. Rows are sorted by time, and of rows with equal times only the first
+    is kept. The notes give the counts. Poses of bags are timed by usable stamps in their headers.
 
     Args:
         path: A trajectory in TUM, KITTI or EuRoC format, or any file that `read_run` reads;
             FILE:TOPIC for one topic of a bag.
         choice: Selection as for `read_run`.
-        times: File with the time of each pose [s] for a KITTI trajectory, which has none.
+        times: File with the time of each pose [s] for a KITTI trajectory, which has no times.
 
     Raises:
-        LogError: If the file cannot be read; one line with the file and the place.
+        LogError: If the file cannot be read. One line with the file and the place.
     """
     choice = choice or ReadChoice()
     file, topic = split_topic(path)
@@ -91,7 +91,7 @@ def read_trajectory(
 
 
 def _open_bag(path: Path) -> Bag | None:
-    """Return a bag; None for other or unreadable files, whose reader gives the error."""
+    """Return a bag; None for other or unreadable files, whose own reader gives the error."""
     if not path.exists() or not (path.is_dir() or is_bag_file(path)):
         return None
     try:
@@ -205,7 +205,7 @@ class _Rows:
 
 
 def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory | None:
-    """Return the poses of a bag, with all their fields; None if it has no such poses."""
+    """Return the poses of a bag with all their fields; None if it has no such poses."""
     with name_file(bag.path, expected="a bag"):
         is_asked = choice.pose_topic is not None and choice.robot is None
         topics = bag.topics if is_asked else select_robot(bag.topics, choice.robot)[0]
@@ -281,7 +281,7 @@ def _collect(rows: _Rows, fields: Mapping[str, NDArray[np.generic]], shape: Pose
 def _build(
     name: str, time_ns: Times, xyz_m: Values, turns: Values, *, notes: Mapping[str, str]
 ) -> Trajectory:
-    """Return a trajectory of the finite rows in order of time, one for each time."""
+    """Return a trajectory of the finite rows in order of time, one row for each time."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
     is_pose = np.isfinite(xyz_m).all(axis=1) & np.isfinite(turns).all(axis=1)

@@ -1,9 +1,9 @@
 """Breaks in the poses of any robot: segments without poses, and steps that it cannot have made.
 
-For turtlesim, whose poses contain the applied command, a replay through its plant shows more.
+For turtlesim, whose poses contain the applied command, a replay through the plant shows more.
 
 Between two poses a robot moves about as far as just before and just after. A correction of its pose
-adds a step that neither neighbour has: the excess. This is true at any speed.
+adds a step that neither neighbouring step has: the excess. This holds at any speed.
 """
 
 from collections.abc import Sequence
@@ -54,9 +54,9 @@ class PoseGap:
     """A segment of time whose poses are missing: after start_ns, before end_ns.
 
     Attributes:
-        row: Row of the first pose after it.
-        start_ns: Time of the last pose before it [ns].
-        end_ns: Time of the first pose after it [ns].
+        row: Row of the first pose after the gap.
+        start_ns: Time of the last pose before the gap [ns].
+        end_ns: Time of the first pose after the gap [ns].
         usual_ns: Usual time between two poses [ns].
     """
 
@@ -71,8 +71,8 @@ class PoseJump:
     """A step between two poses that the robot cannot have driven.
 
     Attributes:
-        row: Row of the first pose after it.
-        time_ns: Time of that pose [ns].
+        row: Row of the first pose after the jump.
+        time_ns: Time of the first pose after the jump [ns].
         moved_m: Displacement along the heading, backward negative [m]; to the east if headings are
             courses.
         aside_m: Displacement to the left [m]; to the north if headings are courses.
@@ -165,7 +165,7 @@ def _has_courses(run: Run) -> bool:
 def _face_before(
     steps: tuple[Values, Values, Values], beyond_rad: Values
 ) -> tuple[Values, Values, Values]:
-    """Return jumps that turn, with their displacement along the heading before them."""
+    """Return jumps that include a turn, with the displacement along the heading before the jump."""
     off_rad = np.where(np.abs(beyond_rad) > _TURNED_RAD, 0.5 * beyond_rad, 0.0)
     cos, sin = np.cos(off_rad), np.sin(off_rad)
     ahead_m, aside_m, turned_rad = steps
@@ -251,7 +251,7 @@ _LATE: Final = 1.5
 
 
 def _find_excess_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
-    """Return by how much steps exceed the neighbouring ones, ahead and aside [m], turned [rad]."""
+    """Return the excess of steps over their neighbours: ahead and aside [m], turned [rad]."""
     steps = measure_steps(poses)
     step_ns = np.diff(poses.time_ns)
     if len(step_ns) <= 2 * NEIGHBOURS:
@@ -265,8 +265,8 @@ def _find_excess_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
 def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
     """Return the rows of poses that differ from the previous pose, if most poses repeat it.
 
-    Some programs publish each pose several times. Otherwise a repeated pose means that the robot is
-    at rest, and counts.
+    Some programs publish each pose several times. In other recordings, a repeated pose shows that
+    the robot is at rest, and it counts.
     """
     every = np.arange(len(poses))
     moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1) | (np.diff(poses.heading_rad) != 0.0)
@@ -279,7 +279,8 @@ def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
 def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]) -> Values:
     """Return by how much each step exceeds the median rate of its neighbours; 0 at both ends.
 
-    Steps with lost poses exceed only what no rate of their neighbours, nor a stop, explains.
+    For steps with lost poses, the excess is the part that neither a rate of the neighbours nor a
+    stop explains.
     """
     windows = sliding_window_view(step / step_ns, 2 * NEIGHBOURS + 1)
     near = np.delete(windows, NEIGHBOURS, axis=1)

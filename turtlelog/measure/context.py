@@ -28,7 +28,8 @@ _MOST_SAMPLES: Final = 20_000
 """Largest number of samples of a loop in which its dead time is searched: five minutes of ticks."""
 
 _WHITE: Final = 0.5
-"""Smallest whiteness of noise, whose own is 1: a time constant leaves a curve, below 0.1."""
+"""Smallest whiteness that counts as noise; pure noise has 1. A time constant leaves a curve with
+less than 0.1."""
 
 
 class RunContext:
@@ -45,7 +46,7 @@ class RunContext:
         self._known: dict[Hashable, object] = {}
 
     def recall(self, key: Hashable, compute: Callable[[], _Value]) -> _Value:
-        """Return the value stored under a key; compute it at the first call."""
+        """Return the value stored under a key; the first call computes the value."""
         if key not in self._known:
             self._known[key] = compute()
         return cast("_Value", self._known[key])
@@ -66,7 +67,7 @@ class RunContext:
         return self.recall(("commands", axis), lambda: read_held_commands(self.run, axis, rates))
 
     def get_response(self, loop: ControlLoop) -> Response | Missing:
-        """Return the response of a loop to its reference, or the reason why there is none."""
+        """Return the response of a loop to its reference, or the reason why it has no response."""
         return self.recall(
             loop, lambda: find_response(self.run, loop, self.get_signal(loop.signal), self.settings)
         )

@@ -1,14 +1,15 @@
 """Corrections of a pose: single steps that neither the motion around them nor noise explains.
 
-A localisation that corrects itself moves all later poses. The size of a correction is the mean of
-the poses after a step minus the mean of those before, less the motion in between, whose rate is
-that of the poses further out. It is a correction if
+A localisation that corrects itself moves all later poses. The size of a step is the mean of the
+poses after it minus the mean of the poses before it, minus the motion in between. The rate of this
+motion comes from poses further away. A step is a correction under four conditions:
 
-- it is beyond both of these rates, so that speeding up or braking does not explain it;
-- it is many times the noise of this estimate. The noise has two parts, told apart by its variance
-  over one step and over two: noise of each pose (a filter), and noise of each step (a wheel);
-- it is more than a robot adds that speeds up and brakes between these poses;
-- it is in one step alone, and all poses on either side agree. A pose that strays returns.
+- The step is beyond the rates on both sides, so that speeding up or braking does not explain it.
+- Its size is many times the noise of this estimate. The noise has two parts, which the variances
+  over one step and over two steps separate: noise of each pose (a filter), and noise of each step
+  (a wheel).
+- It is larger than the motion of a robot that speeds up and brakes between these poses.
+- It is in one step alone, and the poses on either side agree. A stray pose, in contrast, returns.
 """
 
 from dataclasses import dataclass
@@ -25,48 +26,53 @@ from turtlelog.run.angles import subtract_headings
 Values = NDArray[np.float64]
 
 ACCELERATION: Final = (2.0, 10.0)
-"""What a robot reaches from rest [m/s2, rad/s2]."""
+"""Largest acceleration of a robot from rest [m/s2, rad/s2]."""
 
 _AVERAGED: Final = (2, 4)
-"""Poses on either side that are averaged: two, and four of a fast sensor."""
+"""Number of poses that are averaged on either side: two, or four of a fast sensor."""
 
 _LONGEST_S: Final = 0.1
-"""Time [s] of the poses that are averaged on one side, where these are more than two: in a longer
-time the robot speeds up by as much as a correction adds."""
+"""Longest time of more than two averaged poses on one side [s]. In a longer time, the robot may
+speed up by as much as a correction adds."""
 
 _NOISES: Final = 6.0
-"""A correction is this many times its standard deviation. Of normal values in the plane one in 65
-million is, of a run with 3,000 poses one in 20,000 at 5 times."""
+"""Size of a correction in standard deviations. Of normal values in the plane one in 65 million is
+as large; of runs with 3,000 poses, one in 20,000 at 5 standard deviations."""
 
 _ASIDE: Final = 0.25
-"""Share of the acceleration that a robot has to its side: wheels do not slip far."""
+"""Sideways acceleration of a robot as a share of its acceleration, because wheels do not slip
+far."""
 
 _SHARP: Final = 0.4
-"""Each of the two steps on either side is beyond driving by less than this share of the correction:
-a peak of the speed takes several steps."""
+"""Largest excess of the two neighbouring steps as a share of the correction: a peak of the speed
+takes several steps."""
 
 _OWN: Final = 0.7
-"""And the step alone holds this share of it."""
+"""Smallest share of the correction in the step alone."""
 
 _AGREED: Final = 0.4
-"""Each of two poses after the step is this share of it away from each of two before it."""
+"""Smallest distance between each of two poses after the step and each of two before it, as a share
+of the correction."""
 
 _TIMER_S: Final = 0.002
-"""Timers run in whole milliseconds, and two stamps may both be off by one [s]."""
+"""Resolution of time [s]: timers run in whole milliseconds, and two stamps may both be off by
+one."""
 
 _OFF: Final = 2.5
-"""A mean rate that differs from the median by this many deviations holds another correction."""
+"""Deviation of a mean rate from the median, in standard deviations, at which the mean contains
+another correction."""
 
 _LATE: Final = 1.5
-"""A step that takes this many times the usual time lost poses: the robot may have stopped in it."""
+"""Duration of a step, in usual steps, from which poses were lost: the robot may have stopped in
+it."""
 
 _AROUND: Final = 5
 _BLOCK: Final = 12
-"""Steps on either side whose median is the motion without noise; and in a block of noise, which
-with the blocks beside it is a second at 36 Hz."""
+"""Number of steps on either side whose median is the motion without noise. The same number is the
+size of a block of noise, which with its neighbouring blocks is a second at 36 Hz."""
 
 _ROUNDING: Final = 1e-9
-"""Below this [m, rad] is rounding of 64 bits."""
+"""Size below which a step is 64-bit rounding [m, rad]."""
 
 
 def measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
@@ -85,10 +91,10 @@ class _Motion:
     Attributes:
         time_s: Time of each pose [s], shape (n + 1,).
         steps: Steps from pose to pose [m or rad], shape (n, axes).
-        way: Their sums, shape (n + 1, axes).
+        way: Sums of the steps, shape (n + 1, axes).
         usual_s: Usual time between two poses [s].
         pose_variance: Variance of each pose, shape (n,).
-        step_variance: Variance of each step beside that of its poses, shape (n,).
+        step_variance: Variance of each step in addition to that of its poses, shape (n,).
         acceleration: Acceleration from rest, along each axis [m/s2 or rad/s2], shape (axes,).
     """
 
@@ -137,10 +143,11 @@ def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
 
 
 def _measure_noise(steps: Values, step_s: Values) -> tuple[Values, Values]:
-    """Return the variance of poses and that of steps beside it, at each step.
+    """Return the variance of the poses, and the additional variance of the steps, at each step.
 
-    Two steps together have twice the variance of one if it is the steps that vary, and the same if
-    it is the poses. The larger one of that around each step and of all steps counts.
+    If the steps vary, two steps together have twice the variance of one step. If the poses vary,
+    both variances are equal. The larger of two values is used: the variance around each step, and
+    the variance of all steps.
     """
     rates = np.pad(steps / step_s[:, np.newaxis], ((_AROUND, _AROUND), (0, 0)), mode="edge")
     near = np.median(sliding_window_view(rates, 2 * _AROUND + 1, axis=0), axis=2)
@@ -152,7 +159,7 @@ def _measure_noise(steps: Values, step_s: Values) -> tuple[Values, Values]:
 
 
 _MEDIANS: Final = (0.6745, 1.1774)
-"""Median of the magnitude of normal values on a line and in the plane, per deviation."""
+"""Ratio of median magnitude to standard deviation of normal values, on a line and in the plane."""
 
 
 def _measure_spread(values: Values) -> Values:
@@ -194,7 +201,7 @@ def _find_by_means(motion: _Motion, count: int) -> NDArray[np.bool_]:
 
 
 def _weigh_noise(motion: _Motion, count: int, width: int) -> Values:
-    """Return the standard deviation of the size of a correction at each step, per axis."""
+    """Return the standard deviation of a correction's size at each step, per axis."""
     weights = np.zeros(2 * (count + width))
     middle, share = count + width, 0.5 * count / width
     weights[middle : middle + count], weights[middle - count : middle] = 1.0 / count, -1.0 / count
@@ -206,7 +213,7 @@ def _weigh_noise(motion: _Motion, count: int, width: int) -> Values:
 
 
 def _measure_rates(motion: _Motion, width: int) -> Values:
-    """Return the rate over some steps from each pose on: the mean, or the median if they differ."""
+    """Return the rate over several steps from each pose on: the mean, or a differing median."""
     took_s = (motion.time_s[width:] - motion.time_s[:-width])[:, np.newaxis]
     mean = (motion.way[width:] - motion.way[:-width]) / took_s
     windows = sliding_window_view(motion.steps / motion.step_s[:, np.newaxis], width, axis=0)
@@ -218,14 +225,14 @@ def _measure_rates(motion: _Motion, width: int) -> Values:
 
 
 def _subtract_means(values: Values, rows: NDArray[np.int64], count: int) -> Values:
-    """Return the mean of some poses after each step minus that of as many before."""
+    """Return the mean of several poses after each step minus the mean of as many before."""
     sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
     after = sums[rows + 1 + count] - sums[rows + 1]
     return np.asarray((after - (sums[rows + 1] - sums[rows + 1 - count])) / count)
 
 
 def _measure_length(values: Values) -> Values:
-    """Return the length of each row; a square of 1e300 would be too large for a number."""
+    """Return the length of each row without overflow: the square of 1e300 is not finite."""
     return np.asarray(np.abs(np.hypot.reduce(values, axis=1)))
 
 
@@ -243,11 +250,11 @@ def _stand_alone(
     """Return which corrections are in one step alone.
 
     Args:
-        motion: The motion.
+        motion: Motion of the robot.
         rows: Steps of the corrections.
-        unit: Direction of each.
-        size: Magnitude of each.
-        rates: Mean of the rates before and after each, and half of their difference.
+        unit: Direction of each correction.
+        size: Magnitude of each correction.
+        rates: Mean of the rates before and after each correction, and half of their difference.
     """
     mean, spread = rates
 
@@ -266,7 +273,7 @@ def _stand_alone(
 def _persist(
     motion: _Motion, rows: NDArray[np.int64], unit: Values, size: Values, mean: Values
 ) -> NDArray[np.bool_]:
-    """Return which corrections lie between each of two poses before and each of two after."""
+    """Return which corrections separate each of two poses before from each of two poses after."""
     is_kept = np.ones(len(rows), dtype=np.bool_)
     for first in (rows - 1, rows):
         for last in (rows + 1, rows + 2):

@@ -37,21 +37,21 @@ _EXPLAINED: Final = 0.05
 """Residual as a share of the motion above which nothing is explained."""
 
 _KNOWN: Final = 0.5
-"""Smallest share of steps with known commands, for a dead time that explains them exactly."""
+"""Smallest share of steps with known commands if a dead time explains these steps exactly."""
 
 _SCREENED: Final = 64
 """Number of steps, over the whole segment, that rule out most dead times with a tenth of the
 work."""
 
 _FEW: Final = 8
-"""Largest number of dead times that are tested one by one: more are faster together."""
+"""Largest number of dead times that are tested one by one; more dead times are tested together."""
 
 _TELLING_STEPS: Final = 3
-"""Steps that each other dead time must fail to explain at a change of the dead time. During a
-constant command, all dead times explain all steps except one or two at its beginning."""
+"""Number of steps that every other dead time must fail to explain where the dead time changes.
+During a constant command, all dead times explain all steps except one or two at its beginning."""
 
 _EXPLAINS_BETTER: Final = "explains the motion better than"
-"""Part of the reason if there is no dead time because the robot has a time constant."""
+"""Part of the reason for a missing dead time: the robot has a time constant."""
 
 _FEWEST_STEPS: Final = 12
 """Smallest number of steps of a segment with another dead time."""
@@ -80,18 +80,18 @@ class DeadTime:
         ticks: d: the command that answers pose i first moves the plant in the step from pose i + d
             to pose i + d + 1; 0 is the minimum. Value at the end of the segment.
         residual: Root mean square of the motion that the commands do not explain [rad for a turn
-            rate, m for a speed]; of single steps if exact, of the cumulated motion if there is
-            noise.
-        margin: Residual of the second-best dead time, divided by the best one's.
+            rate, m for a speed]. For an exact fit it refers to single steps; with noise, to the
+            cumulated motion.
+        margin: Ratio of the residuals of the second-best and the best dead time.
         rows: Steps compared.
         is_exact: Whether the dead time explains every step to the rounding of the poses.
         changes: Changes of the dead time within the segment, in order.
         whiteness: Mean square of the changes of the residuals divided by twice their mean square: 1
-            for noise, near 0 for a curve. Also 1 if every step is explained, or if only rounding
-            remains.
-        least_ticks: The smallest dead time that, with a time constant, explains the motion as well.
-            Noise hides which of the two it is; equal to `ticks` if the plant is known to have no
-            time constant.
+            for noise, near 0 for a curve. The value is also 1 if every step is explained, or if
+            only rounding remains.
+        least_ticks: Smallest dead time that explains the motion as well, together with a time
+            constant. Noise hides which of the two is right. The value is `ticks` if the plant is
+            known to have no time constant.
     """
 
     ticks: int
@@ -115,19 +115,19 @@ def find_dead_time(
     """Return the dead time of a loop's command, or the reason why the log does not show it.
 
     Every dead time up to `LARGEST_TICKS` predicts the motion of each step between two poses.
-    Without noise, one dead time agrees to the rounding of the poses. With noise, the one with the
-    least squared error of the cumulated motion is taken, if it is clearly better than the others.
-    The standstill before a loop's first command acts is not evidence, because commands may be lost.
-    A robot with a time constant has no dead time here, because the two look alike. A robot model
-    with time constant 0 has one if a whole number of its periods explains every step. Disturbances
-    in the scenario are known; random ones add up along the motion, and then only a dead time that
-    explains every step counts.
+    Without noise, one dead time agrees to the rounding of the poses. With noise, the dead time with
+    the least squared error of the cumulated motion is returned, if it is clearly better than the
+    others. The standstill before a loop's first command acts is not evidence, because commands may
+    be lost. A robot with a time constant gets no dead time here, because dead time and time
+    constant look alike. A robot model with time constant 0 gets one if a whole number of its
+    periods explains every step. Disturbances in the scenario are known. Random disturbances add up
+    along the motion; then only a dead time that explains every step counts.
 
     Args:
         run: Run with samples.
-        loop: Loop of its law, or the name of one.
-        is_short: Whether to stop as soon as one dead time alone explains every step: `residual` and
-            `margin` are then nan, and the search is ten times faster.
+        loop: Loop of the run's law, or the name of a loop.
+        is_short: Whether to stop as soon as exactly one dead time explains every step. Then
+            `residual` and `margin` are NaN, and the search is ten times faster.
 
     Raises:
         MeasureError: If the law declares no loop with that name.
@@ -159,7 +159,7 @@ def find_dead_time(
 
 
 def _find_doubt(run: Run, loop: ControlLoop) -> str:
-    """Return why the scenario rules out a dead time that does not explain every step, or ""."""
+    """Return the scenario's objection to a dead time that does not explain every step, or ""."""
     if pushes_at_random(run, loop):
         return "the disturbance is random and adds up along the way"
     if find_plant(run).name == LAGGED:
@@ -181,7 +181,7 @@ def _require_loop(declaration: Declaration, name: str) -> ControlLoop:
 
 
 def _find_only(motion: LoopMotion, first: int) -> DeadTime | None:
-    """Return the dead time that explains every step; None unless there is exactly one.
+    """Return the only dead time that explains every step; None if there are none or several.
 
     A few steps rule out most dead times; the remaining ones are tested on all steps.
     """
@@ -256,10 +256,10 @@ def _describe_exact(
 
 
 def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first row and dead time of each segment; empty if they do not explain every step.
+    """Return the first row and dead time of each segment; empty if steps remain unexplained.
 
-    The search runs from the end: first the dead time that explains the most last steps, then the
-    same for the steps before them.
+    The search runs backward from the end: it finds the dead time that explains the most last steps,
+    then repeats this for the steps before them.
     """
     stretches: list[tuple[int, int]] = []
     end = fits.shape[1]
@@ -280,7 +280,7 @@ def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> DeadTime | Missing:
-    """Fit the cumulated motion, not single steps: the noise of poses does not add up in it."""
+    """Fit the cumulated motion, not single steps, because the noise of poses does not add up."""
     way = np.cumsum(motion.moved)
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
@@ -319,7 +319,7 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
 
 
 def shows_lag(found: DeadTime | Missing) -> bool:
-    """Return whether there is no dead time because a time constant explains the motion better."""
+    """Return whether the dead time is missing because a time constant explains the motion."""
     return isinstance(found, Missing) and _EXPLAINS_BETTER in found.reason
 
 

@@ -27,29 +27,29 @@ from turtlelog.run.tables import Tabular, refuse_array
 
 
 class Status(enum.StrEnum):
-    """Whether a metric has a value, and otherwise the kind of reason."""
+    """Whether a metric has a value; if not, the kind of reason."""
 
     OK = "ok"
     NOT_REACHED = "not_reached"
     """The event that the metric measures is not in the recording."""
     NO_STEP = "no_step"
-    """The phase begins at its reference: there is nothing to respond to."""
+    """The phase begins at its reference, so there is no step to respond to."""
     NO_MOTION = "no_motion"
-    """The turtle did not move from one place to another: there is nothing to divide by."""
+    """The turtle ended where it began, so that a ratio to the distance is undefined."""
     NO_PHASE = "no_phase"
     """The run has no such phase."""
     TOO_SHORT = "too_short"
-    """There are too few rows, or the run was cut before the required time."""
+    """There are too few rows, or the run was cut off before the required time."""
     TOO_LARGE = "too_large"
     """The value exceeds the largest floating-point number."""
     ABSENT = "absent"
     """The recording does not contain the required data."""
     UNDETERMINED = "undetermined"
-    """Several values fit the recording equally, or none fits."""
+    """Several values fit the recording equally well, or no value fits."""
 
 
 class MetricWatch(Protocol):
-    """Object that is called when a metric is compared, for example by checks that are reported."""
+    """Object that is called when a metric is compared, for example to report checks."""
 
     def compare(self, metric: "Metric", operator: str, other: object) -> bool:
         """Return the result of a comparison."""
@@ -58,7 +58,7 @@ class MetricWatch(Protocol):
         """Raise MissingValueError for a metric that was used as a number."""
 
     def negate(self, metric: "Metric") -> "MetricWatch":
-        """Return the watch of the metric's magnitude."""
+        """Return the watch for the absolute value of the metric."""
 
     def measure(self, metric: "Metric", settings: Mapping[str, Any]) -> "Metric":
         """Return the metric measured with other settings."""
@@ -68,7 +68,7 @@ class MetricWatch(Protocol):
 
 
 class Numeric(ABC):
-    """Object that acts in arithmetic as its float, also with numpy's numbers and arrays."""
+    """Object that behaves like its float in arithmetic, also with numpy's numbers and arrays."""
 
     __slots__ = ()
 
@@ -83,7 +83,7 @@ class Numeric(ABC):
         return np.array(float(self), dtype=dtype)
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **named: Any) -> Any:
-        """Compute with the float; comparisons use the object's own operators on either side."""
+        """Compute with the float. Comparisons use the object's own operators on either side."""
         compared = _OF_NUMPY.get(function.__name__)
         if compared and method == "__call__" and len(inputs) == 2 and not named:
             # numpy passes its numbers as arrays without a dimension.
@@ -136,24 +136,24 @@ class Numeric(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Metric(Numeric):
-    """Metric of a run: a number with a unit, or the reason why there is none.
+    """Metric of a run: a number with a unit, or the reason why the number is missing.
 
-    A metric computes, sorts, formats and compares as the float `value`. A metric without a value
-    raises MissingValueError when it is used as a number, also by `!=`, so that no test passes by
-    mistake. `==` compares value and unit of two metrics, or status and reason if both lack a value;
-    it never raises. `hash` is that of the value. `bool` raises, because a metric of 0 is not a
-    failure.
+    A metric behaves as the float `value` in arithmetic, sorting, formatting and comparisons. A metric without a value
+    raises MissingValueError when it is used as a number, also in `!=`, so that no test passes by
+    mistake. `==` of two metrics compares value and unit, or status and reason if both lack a value;
+    it raises no error. `hash` uses the value. `bool` raises an error, because a metric of 0 is not
+    a failure.
 
     Attributes:
         id: `<phase, final or run>.<metric>`.
         value: Value in `unit`; None exactly if `status` is not `ok`.
         unit: `s`, `m`, `deg`, `%`, `1` or a product of units, as in `m^2 s`.
-        status: Whether there is a value.
-        reason: Reason why there is no value, as a clause; otherwise empty.
-        at_s: Time of the value from the first sample [s]: of a peak, the end of a rise, the largest
-            jump; None if the value has no time.
-        watch: Object that is called at comparisons; None for most metrics. With a watch, `==` and
-            `!=` of a metric without a value raise too.
+        status: Whether the metric has a value.
+        reason: Reason why the value is missing, as a clause; otherwise empty.
+        at_s: Time of the value from the first sample [s]: time of a peak, end of a rise, time of
+            the largest jump. None if the value has no time.
+        watch: Object that is called at comparisons; None for most metrics. If a watched metric has
+            no value, `==` and `!=` with it raise an error.
     """
 
     id: str
@@ -235,7 +235,10 @@ class Metric(Numeric):
         return self.value, self.unit, self.status, self.reason
 
     def __abs__(self) -> "Metric":
-        """Return the magnitude of the metric, which is compared in the same way."""
+        """Return the magnitude of the metric.
+
+        Comparisons of the magnitude are watched like those of the metric.
+        """
         watch = None if self.watch is None else self.watch.negate(self)
         return replace(self, value=abs(float(self)), watch=watch)
 
@@ -272,7 +275,7 @@ OPERATORS: Final[Mapping[str, Callable[[Any, Any], bool]]] = MappingProxyType(
 MIRRORED: Final = MappingProxyType(
     {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 )
-"""Operators after their sides are exchanged or negated."""
+"""Operators after exchanging or negating both sides."""
 
 _OF_NUMPY: Final = MappingProxyType(
     {
@@ -370,7 +373,7 @@ _ENTRIES: Final = ("id", "value", "unit", "status", "reason", "at_s")
 
 
 def _format_metrics_html(metrics: Iterable[Metric]) -> str:
-    """Return metrics as a table for notebooks; those without a value show the reason."""
+    """Return metrics as an HTML table for notebooks; a metric without a value shows its reason."""
     rows = [
         (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
     ]
@@ -408,8 +411,9 @@ Result = Found | Missing
 Outcome = tuple[float, float, int]
 """Result of a metric as numbers, from functions that run plain and compiled.
 
-With a value: the value, its time from the first sample [s] (NaN if it has none), and `FOUND`.
-Without a value: two numbers for the text of a reason, and the number of the reason."""
+With a value, the fields are the value, its time from the first sample [s] (NaN without a time), and
+`FOUND`. Without a value, they are two numbers for the text of the reason, and the number of the
+reason."""
 
 REASONS: Final[list[Missing]] = [Missing(status=Status.OK, reason="")]
 """Reasons for missing values, by number."""

@@ -1,7 +1,7 @@
-"""The definition of a metric, and the registry in which each metric function is entered.
+"""Definition of a metric, and the registry that contains each metric function.
 
-One function per metric, with its meaning, unit and direction beside it in the decorator. A metric
-of a loop is written once and bound to each loop that a law declares.
+Each metric is one function; its decorator contains the meaning, unit and direction. A metric of a
+loop is written once and bound to each declared loop of a law.
 
 A metric of a curve or of a course is a function of numbers: it runs in ordinary Python for one run,
 and compiled in the batch of `sweep`, for a million rows. Other metrics may use all of Python.
@@ -42,8 +42,8 @@ CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
 NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
 
 SMALLEST_STEP: Final = 1e-6
-"""Smallest change that counts as a step [rad or m]: poses have 32 bits, so smaller ones are
-rounding."""
+"""Smallest change that counts as a step [rad or m]; smaller changes are rounding of 32-bit
+poses."""
 
 _ANY_WORDS: Final = MappingProxyType(
     {"signal": "controlled signal", "goal": "reference", "command": "command"}
@@ -56,19 +56,18 @@ class MetricKind:
 
     Attributes:
         unit: Unit of the value.
-        compute: Function of a run context that returns the value or the reason why there is none.
+        compute: Function of a run context that returns the value or the reason why it is missing.
         meaning: One sentence for the user.
         better: `lower`, `higher`, or None if neither is better.
-        floor: Value below which there is no further improvement, if lower is better: an overshoot
-            of -2 % is no better than one of -1 %, because both mean no overshoot. None: there is no
-            such value.
-        grows: Whether the value can only grow while a run goes on, as counts, sums of magnitudes
-            and running maxima do. Shares, means, percentiles, final values and values that need an
+        floor: Value below which lower is no better: an overshoot of -2 % is no better than -1 %,
+            because both mean no overshoot. None: no such value.
+        grows: Whether the value can only grow during a run, like counts, sums of magnitudes and
+            running maxima. Shares, means, percentiles, final values and values that need an
             estimated dead time may fall again.
         is_awaited: Whether the value is a time since the beginning of its loop or of the run.
-        needs_poses: Whether a run without poses (a log of commands alone) has no value.
-        numbers: The same function of a course, which can also be compiled; None: there is no such
-            function.
+        needs_poses: Whether the value is missing in a run without poses (a log of commands alone).
+        numbers: The same metric as a function of a course, which can also be compiled; None: no
+            such function.
     """
 
     unit: str
@@ -82,10 +81,10 @@ class MetricKind:
     numbers: OfCourse | None = None
 
     def compute_loss(self, value: float, reference: float) -> float:
-        """Return by how much a value is worse than a reference, in the metric's unit.
+        """Return how much worse a value is than a reference, in the metric's unit.
 
-        Negative if it is better, 0 if both are equal or below the floor. If the metric has no
-        better direction, every change is a loss.
+        The result is negative if the value is better, and 0 if both values are equal or below the
+        floor. If neither direction is better, every change is a loss.
         """
         if self.better is None:
             return abs(value - reference)
@@ -117,11 +116,11 @@ class LoopMetricKind:
         compute: Function of a run context and the loop's response.
         meaning: One sentence with placeholders `{signal}`, `{goal}` and `{command}`.
         traits: Properties shared with the metrics of a run.
-        needs_whole: Whether a loop cut by the end of the recording has no value, because a sum or
-            maximum over part of it would be wrong.
+        needs_whole: Whether the value is missing for a loop that the end of the recording cuts off.
+            A sum or maximum over part of the loop would be wrong.
         applies: Function that returns whether a loop has this metric.
-        needs_step: Whether a loop that starts at its reference has no value.
-        numbers: The same function of a curve, which can also be compiled; None: there is no such
+        needs_step: Whether the value is missing for a loop that starts at its reference.
+        numbers: The same metric as a function of a curve, which can also be compiled; None: no such
             function.
     """
 
@@ -171,7 +170,7 @@ class LoopMetricKind:
         return MetricKind(unit=unit, compute=compute, meaning=meaning, **self.traits)
 
     def describe_unit(self, loop: ControlLoop | None) -> str:
-        """Return the unit for a loop; for None, that of a heading or else of a length."""
+        """Return the unit for a loop; for None, the unit of a heading or else of a length."""
         if loop is None:
             turn, way = ("deg", "rad", "rad"), ("m", "m", "m")
             units = [self._fill(turn), self._fill(way)]
@@ -192,12 +191,12 @@ RUN_METRICS: Final[dict[str, MetricKind]] = {}
 
 
 def has_step(loop: ControlLoop) -> bool:
-    """Return whether a loop answers a step; a loop with a moving reference does not."""
+    """Return whether a loop answers a step. A loop with a moving reference does not."""
     return not loop.moves
 
 
 def has_sides(loop: ControlLoop) -> bool:
-    """Return whether a loop that answers a step can pass its reference; a distance cannot."""
+    """Return whether a loop that answers a step can pass its reference. A distance cannot."""
     return has_step(loop) and loop.signal != "distance"
 
 
@@ -238,8 +237,8 @@ def curve_metric(
 ) -> Callable[[_OfCurve], _OfCurve]:
     """Enter a function of numbers as a metric of every loop to which it applies.
 
-    The function runs in ordinary Python and compiled. Its curve parameters are fields of
-    `Response`.
+    The function runs in ordinary Python and compiled. The curve parameters of the function are
+    fields of `Response`.
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
@@ -275,8 +274,8 @@ def course_metric(
 ) -> Callable[[_OfCourse], _OfCourse]:
     """Enter a function of numbers by its id, as a metric of the whole run or of its end.
 
-    The function runs in ordinary Python and compiled. Its course parameters are fields of
-    `RunContext`.
+    The function runs in ordinary Python and compiled. The course parameters of the function are
+    fields of `RunContext`.
     """
 
     def enter(numbers: _OfCourse) -> _OfCourse:

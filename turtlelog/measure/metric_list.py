@@ -29,14 +29,15 @@ METRICS: Final[Mapping[str, MetricKind]] = NamedValues(
         **RUN_METRICS,
     },
 )
-"""Every metric by id, those of loops as `<loop>.overshoot`; `list_metrics` has a law's ids."""
+"""Every metric by id, loop metrics as `<loop>.overshoot`; `list_metrics` returns the ids of a
+law."""
 
 _ESSENTIAL_OF_LOOP: Final = (
     *("duration", "rise_time", "overshoot", "settling_time", "final_error", "rms_error"),
     *("largest_error", "lag", "corner_overshoot", "iae", "saturated_share", "dead_time"),
 )
 _OF_MOVING: Final = frozenset({"rms_error", "largest_error", "lag", "corner_overshoot"})
-"""Metrics that are essential only without a step, whose metrics are more informative."""
+"""Metrics that are essential only if there are no metrics of a step, which show more."""
 
 _ESSENTIAL_OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
@@ -84,7 +85,7 @@ _ESSENTIAL_WITH_COMMANDS: Final = (
 
 
 def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
-    """Return every metric of runs with these laws, by id: of each loop, the end and the run."""
+    """Return every metric of runs with these laws by id: of each loop, the end and the run."""
     return _list_metrics(tuple(dict.fromkeys(declarations)))
 
 
@@ -161,7 +162,7 @@ def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:
 def find_metric_kind(name: str) -> MetricKind | None:
     """Return the kind of a metric for any law; metrics of loops are described as in `METRICS`.
 
-    None if the name cannot be the id of a metric.
+    The result is None if the name cannot be the id of a metric.
     """
     if name in RUN_METRICS:
         return RUN_METRICS[name]
@@ -172,12 +173,12 @@ def find_metric_kind(name: str) -> MetricKind | None:
 def choose_metrics(patterns: Collection[str], declaration: Declaration) -> tuple[str, ...]:
     """Return the ids that names or patterns select, in the order of `list_metrics`.
 
-    Patterns may contain `*`, `?` and `[...]`. A full name selects a metric also if the law does not
-    declare its loop; this metric has a reason instead of a value. A pattern that matches only loops
+    Patterns may contain `*`, `?` and `[...]`. A full name also selects a metric whose loop the law
+    does not declare; this metric has a reason instead of a value. A pattern that matches only loops
     of other laws selects nothing.
 
     Raises:
-        MeasureError: If a name is not that of a metric; the message names the nearest ids.
+        MeasureError: If a name is not the id of a metric. The message names the nearest ids.
     """
     if not isinstance(patterns, Iterable):
         raise MeasureError(f"metrics: expected names or patterns, found {patterns!r:.60}")
@@ -240,8 +241,8 @@ def measure_run(
     """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
 
     Args:
-        run: Run to measure. Missing data gives the metrics that need it a status.
-        settings: Settings of the metrics; None: the defaults.
+        run: Run to measure. Metrics that need missing data get a status instead of a value.
+        settings: Settings of the metrics. Default: `MeasureSettings()`.
         only: Ids or patterns (`translate.*`); no other metric is computed.
 
     Raises:
@@ -281,7 +282,7 @@ def _miss_metric(run: Run, name: str) -> Metric:
 
 
 def miss_metric(declaration: Declaration, name: str) -> Metric:
-    """Return the metric of a loop that the law does not declare, or that its kind of loop lacks."""
+    """Return a metric without a value: the law does not declare its loop, or the loop lacks it."""
     loop, _, plain = name.rpartition(".")
     declared = declaration.find_loop(loop)
     known = ", ".join(found.name for found in declaration.loops) or "none"

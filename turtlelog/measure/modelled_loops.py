@@ -19,13 +19,13 @@ def model_run_loops(
 ) -> tuple[LoopModel, ...]:
     """Return the loops of a run as `theory` models them, one per declared loop.
 
-    Gains and plant come from the scenario, period and dead time from the samples and poses. Because
-    a time constant looks like dead time, the timing comes from the scenario for a robot with a time
-    constant, or a law triggered by a timer.
+    Gains and plant come from the scenario, period and dead time from the samples and poses. A time
+    constant looks like dead time. Therefore the timing comes from the scenario for a robot with a
+    time constant, or a law triggered by a timer.
 
     Args:
         run: Any run.
-        identified: Identified parameters, for keys that the run lacks.
+        identified: Identified parameters for keys that the run lacks.
     """
     parameters = {**(identified or {}), **run.parameters}
     return tuple(_model(run, loop, parameters) for loop in run.declaration.loops)

@@ -1,4 +1,4 @@
-"""The motion of each plant step, its command, and the error cumulated over steps."""
+"""Motion and command of each plant step, and the error cumulated over steps."""
 
 import math
 from dataclasses import dataclass
@@ -27,21 +27,21 @@ _NEAR_TICKS: Final = 0.02
 _MOST_STEP_TICKS: Final = 60
 
 GAP_STEPS: Final = 4.0
-"""Silence in usual steps from which poses may be lost: a wall clock under load makes steps of
+"""Silence, in usual steps, from which poses may be lost. A wall clock under load makes steps of
 three."""
 
 _LOST_ROWS: Final = 1000
-"""Number of rows that a gap of unknown length counts as: more than any dead time."""
+"""Number of rows for a gap of unknown length: more than any dead time."""
 
 FEWEST_DIFFERENT: Final = 10
-"""Smallest number of different values with a common step; fewer may have one by chance."""
+"""Smallest number of different values with a common step; fewer values may have one by chance."""
 
 OFF_GRID: Final = 0.02
-"""Largest distance of a 32-bit float from the multiple of a step that it was rounded from, in
-steps: 4e-7 m of 1e-4 m, and a margin."""
+"""Largest distance of a 32-bit float from a multiple of the quantisation step, in steps: 4e-7 m of
+1e-4 m, plus a margin."""
 
 _EXACT: Final = 2e-8
-"""Error of a step in double precision [m, rad]: turtlesim's pi has eight decimals."""
+"""Error of a step in double precision [m, rad]: pi has eight decimals in turtlesim."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +50,8 @@ class LoopMotion:
 
     Attributes:
         time_ns: Time of the pose at the beginning of each step [ns], shape (n,).
-        tick: Tick of that pose, shape (n,); rows with an unknown tick are far apart.
+        tick: Tick of the pose at the beginning of each step, shape (n,); rows with an unknown tick
+            are far apart.
         moved: Turn [rad] or motion along the heading [m] in the step, without the disturbances in
             the scenario, shape (n,).
         rounding: Largest effect of the rounding of the two poses [rad or m], shape (n,).
@@ -59,7 +60,7 @@ class LoopMotion:
         grain: Largest error of the cumulated motion due to the resolution of the logged poses [rad
             or m]; 0 for full resolution.
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
-        apart: Usual distance between these [ticks], at least 1.
+        apart: Usual distance between these poses [ticks], at least 1.
         command: Steady-state response of the plant to each sample's command [rad/s or m/s], shape
             (m,): for the robot model, gain times command, within its limits.
     """
@@ -80,8 +81,9 @@ class LoopMotion:
     ) -> tuple[Values, NDArray[np.bool_]]:
         """Return the motion of steps for each dead time [rad or m], and whether it is certain.
 
-        Both have shape (dead times, steps). The last command is held; before the first it is 0. If
-        samples are further apart than usual, samples between them may be lost.
+        Both results have the shape (dead times, steps). The last command is held; before the first
+        command, the command is 0. If two samples are further apart than usual, samples between them
+        may be lost.
         """
         inside = self.tick[rows, None] + np.arange(self.step_ticks)
         answered = inside - np.array(dead_times_ticks)[:, None, None]
@@ -91,7 +93,7 @@ class LoopMotion:
         return command.sum(axis=2) * self.tick_s, np.asarray(is_sure.all(axis=2))
 
     def _find_latest(self, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the last sample that read a pose at or before each tick; -1 if there is none."""
+        """Return the last sample that read a pose at or before each tick; -1 if no sample did."""
         first, last = int(ticks.min()), int(ticks.max())
         if last - first > ticks.size:  # gaps make ticks far apart, so a table would be too large
             return np.searchsorted(self.sample_tick, ticks, side="right") - 1
@@ -103,7 +105,7 @@ class LoopMotion:
 def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
     """Return the steps between the poses that the samples of a loop's first segment read.
 
-    None if the loop never acts. Steps across a gap or against a wall are left out.
+    The result is None if the loop never acts. Steps across a gap or against a wall are left out.
     """
     samples, poses, plant = run.samples, run.poses, find_plant(run)
     stretch = find_loop_samples(run, loop)
@@ -166,7 +168,7 @@ def _find_wanted(run: Run, loop: ControlLoop, command: Values) -> Values:
 
 
 def describe_follower(run: Run, loop: ControlLoop) -> str:
-    """Return why the plant follows a loop's command slowly; empty if it follows at once."""
+    """Return why the plant follows a loop's command slowly; empty if the plant follows at once."""
     key = PLANT_KEYS[loop.command]
     lag_s = _read_plant(run, loop, "lag_s", 0.0)
     if lag_s > 0.0:
@@ -180,8 +182,8 @@ def describe_follower(run: Run, loop: ControlLoop) -> str:
 def _measure_grain(poses: PoseColumns, moved: Values, loop: ControlLoop) -> float:
     """Return the error of a cumulated motion due to coarse poses.
 
-    For a heading it is one coarse step. For a position it includes the heading: a wrong heading
-    makes the motion along it shorter.
+    For a heading, the error is one coarse step. For a position, the error includes that of the
+    heading: the motion along a wrong heading is shorter.
     """
     heading_rad = find_coarse_step(poses.heading_rad)
     if loop.command == "turn_rate":
@@ -213,7 +215,7 @@ def find_spacing(values: Values) -> float:
 
 
 def find_coarse_step(values: Values) -> float:
-    """Return the common step of values, or of few values the least distance; 0 if there is none."""
+    """Return the common step of values, or the least distance of few values; 0 without a step."""
     different = _sort_different(values)
     if 1 < len(different) < FEWEST_DIFFERENT:
         return float(np.diff(different).min())
@@ -221,7 +223,7 @@ def find_coarse_step(values: Values) -> float:
 
 
 def _sort_different(values: Values) -> Values:
-    """Sort values without their repeats; np.unique would load numpy.ma, which takes 10 ms."""
+    """Sort values without duplicates. np.unique would load numpy.ma, which takes 10 ms."""
     ordered = np.sort(values)
     is_first = np.ones(len(ordered), dtype=np.bool_)
     is_first[1:] = ordered[1:] != ordered[:-1]
@@ -262,7 +264,7 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
 
 
 def _measure_turns(heading_rad: Values, half: Values) -> tuple[Values, Values]:
-    """Return the turn of steps and its rounding error; `half` is as from `_find_half_steps`."""
+    """Return how far the robot turns in each step, and the rounding error."""
     moved = subtract_headings(heading_rad[1:], heading_rad[:-1])
     return moved, half[:-1] + half[1:] + _EXACT
 
@@ -302,27 +304,26 @@ def _find_free(xy_m: Values, plant: Plant) -> NDArray[np.bool_]:
 
 
 CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which the better of two fits counts as found: the other is
-20,000 times less likely. If rows are not quite independent, even a difference of 5 is a factor of
-150."""
+"""Difference of log-likelihoods from which the better of two fits counts as certain: the other fit
+is 20,000 times less likely. If rows are not quite independent, even a difference of 5 is a factor
+of 150."""
 
 _LAG_APART: Final = 0.25
 _LAG_OFFSETS: Final = np.arange(-0.5, 1.01, _LAG_APART)
-"""Offsets from the best dead time alone at which dead time and time constant are tried together
+"""Offsets from the best dead time at which dead time and time constant are tried together
 [ticks]."""
 
 _LAG_ROUNDS: Final = 6
-"""Halvings of the distance between tried time constants: down to 1/256 tick."""
+"""Number of halvings of the distance between tried time constants, down to 1/256 tick."""
 
 _LEAST_LAG: Final = 0.01
-"""Smallest time constant [ticks]: the effect of a smaller one vanishes in a double after one
-tick."""
+"""Smallest time constant [ticks]. A smaller one has no effect in a double after one tick."""
 
 COARSE: Final = 1.25
-"""Largest residual of the right fit in steps of rounding: one, and the error of its offset."""
+"""Largest residual of the right fit in rounding steps: one, plus the error of its offset."""
 
 LIKE_THE_BEST: Final = 1.1
-"""Ratio to the best residual that the right fit has at most, if there is also noise."""
+"""Largest ratio of the right fit's residual to the best residual, if there is also noise."""
 
 _TINY: Final = 1e-300
 
@@ -330,7 +331,8 @@ _TINY: Final = 1e-300
 def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]:
     """Return which fits have errors within those of coarse poses, or of the best fit.
 
-    Rounding errors are not noise: neighbours share them, so their squares are not informative.
+    Rounding errors are not noise: neighbouring rows share them, so their squares are not
+    informative.
 
     Args:
         spans: Range of the errors of each fit, largest minus smallest [rad or m].
@@ -356,8 +358,8 @@ class LagFits:
     """Whether a shorter dead time with a time constant fits as well as the best dead time alone.
 
     Attributes:
-        least_ticks: The smallest dead time that fits as well, with some time constant.
-        is_better: Whether one of them clearly fits better.
+        least_ticks: Smallest dead time that fits as well together with a time constant.
+        is_better: Whether one of these shorter dead times clearly fits better.
     """
 
     least_ticks: int
@@ -423,7 +425,7 @@ def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Value
 
 
 def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
-    """Subtract the mean of each segment between gaps, because its initial value is not exact."""
+    """Subtract the mean of each segment between gaps, because the initial value is not exact."""
     bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
     parts = np.split(drift, bounds, axis=1)
     return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)

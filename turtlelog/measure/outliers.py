@@ -15,11 +15,11 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 MEASURED: Final = ("measured_speed", "measured_turn_rate")
-"""Signals that can have outliers; a published command never is one."""
+"""Signals that can have outliers. Published commands cannot."""
 
 LONGEST_STEP_NS: Final = 250_000_000
-"""Longest time to neighbours that can contradict a value [ns]: at 2 m/s2 a robot reaches 0.5 m/s in
-it."""
+"""Longest time to neighbours that can contradict a value [ns]: in this time a robot reaches 0.5 m/s
+at 2 m/s2."""
 
 _LEAST_ROWS: Final = 30
 """Smallest number of values that shows the usual scatter: of 20 normal values, one in 2,000
@@ -29,20 +29,19 @@ _MOST_SHARE: Final = 0.01
 """Share of rows above which deviating values belong to the signal."""
 
 _APART: Final = 5.0
-"""Ratio to the deviation of every other value from which a value is an outlier. Of 2,000 values
-with normal, uniform or Laplace noise, the first deviates less than 2 times further than the second.
-"""
+"""Ratio to the deviation of every other value from which a value is an outlier. In 2,000 values
+with normal, uniform or Laplace noise, the largest deviation is less than 2 times the second."""
 
 LOCAL_SPANS: Final = 3.0
-"""Smallest ratio to the signal's range among its neighbours: more is needed while a robot speeds up
-or brakes."""
+"""Smallest ratio to the signal's range among its neighbours; a robot that speeds up or brakes needs
+a larger one."""
 
 NEIGHBOURS: Final = 5
-"""Rows on either side that show the signal's range: half a second at 20 Hz."""
+"""Number of rows on either side that show the signal's range: half a second at 20 Hz."""
 
 GRAINS: Final = 5.5
-"""Smallest deviation in steps of a quantised signal: more than five, however these were rounded. An
-encoder at low speed shows single ticks."""
+"""Smallest deviation in steps of a quantised signal: more than five steps, regardless of rounding.
+An encoder at low speed shows single ticks."""
 
 _ROUNDING: Final = 1e-6
 """Differences below this share of the largest value are 32-bit rounding instead of a quantisation
@@ -51,8 +50,8 @@ step."""
 _ROWS_AT_ONCE: Final = 65_536
 
 _LEAST_CHANGES: Final = 8
-"""Changes besides the outliers' that a signal needs: a single pulse in a constant signal may be a
-test impulse."""
+"""Number of changes, besides those of the outliers, that a signal needs: a single pulse in a
+constant signal may be a test impulse."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +61,7 @@ class Outlier:
     Attributes:
         signal: Name of the signal, one of `MEASURED`.
         row: Row of the poses.
-        time_ns: Time of that row [ns].
+        time_ns: Time of the value [ns].
         value: Value in the signal's unit.
         unit: Unit of the signal.
     """
@@ -77,8 +76,8 @@ class Outlier:
 def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int64]:
     """Return the rows of single values that are outliers of a measured signal, in order.
 
-    The deviation of a value is its distance to the nearer of its two neighbours, if it is on the
-    same side of both. Steps, ramps, limits and anything that lasts two rows have no deviation. A
+    A value deviates if it lies on the same side of both neighbours; its deviation is the distance
+    to the nearer one. Steps, ramps, limits and anything that lasts two rows have no deviation. A
     value is an outlier if no other value deviates nearly as far, its neighbours agree, and they are
     close in time. The first and last rows are never outliers, because they have one neighbour.
 
@@ -127,7 +126,7 @@ def _iterate_outliers(run: Run) -> Iterator[Outlier]:
 
 
 def describe_outliers(run: Run) -> dict[str, str]:
-    """Return a sentence on the outliers of each signal that has any, by name of the signal."""
+    """Return a sentence for each signal with outliers, by name of the signal."""
     found: dict[str, list[Outlier]] = {}
     for outlier in list_outliers(run):
         found.setdefault(outlier.signal, []).append(outlier)
@@ -135,7 +134,7 @@ def describe_outliers(run: Run) -> dict[str, str]:
 
 
 def _describe(outliers: list[Outlier], start_ns: int) -> str:
-    """Return the number of outliers and the largest: `1 outlier, -143.6 rad/s at 31.9 s`."""
+    """Return the number of outliers and the largest one: `1 outlier, -143.6 rad/s at 31.9 s`."""
     worst = max(outliers, key=lambda outlier: abs(outlier.value))
     count = describe_count(len(outliers), "outlier")
     at_s = (worst.time_ns - start_ns) / 1e9
@@ -173,8 +172,8 @@ def find_quantisation_step(values: Values) -> float:
 def compute_median(values: NDArray[Any]) -> float:
     """Return the median of one row as `np.median` does; NaN for an empty row.
 
-    `np.median` itself is not used: to look for NaN, it loads numpy's masked arrays. Loading them
-    takes a tenth of numpy's loading time.
+    `np.median` itself is not used: to look for NaN, it loads numpy's masked arrays, in a tenth of
+    numpy's loading time.
     """
     half, odd = divmod(len(values), 2)
     if not len(values):

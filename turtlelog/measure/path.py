@@ -18,7 +18,8 @@ from turtlelog.run.paths import Path as TrackedPath, PathFollower
 Values = NDArray[np.float64]
 
 _BLOCKS: Final = (2048, 64)
-"""Points that share a selection of path segments: of all segments, then of the remaining ones."""
+"""Numbers of points that share a selection of path segments: of all segments, then of the remaining
+ones."""
 
 _PIECE: Final = 512
 
@@ -34,7 +35,7 @@ def compute_path_length(xy_m: Values) -> float:
 def compute_straightness(xy_m: Values, length_m: float | None = None) -> float | None:
     """Return path length divided by the distance from first to last point [1]; 1 if straight.
 
-    None if both points are the same. `length_m` is the length if it is already known.
+    The result is None if both points are the same. `length_m` is the path length, if already known.
     """
     distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
     if distance_m <= 0.0:
@@ -48,9 +49,9 @@ def compute_straightness(xy_m: Values, length_m: float | None = None) -> float |
 def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:
     """Return each point's distance to the nearest point of a path [m], shape (n,).
 
-    `path_xy_m` is the line through its points, shape (m, 2), m >= 2. Nearby points are processed in
-    blocks that use only the parts of the path that can be nearest, so long paths cost little more
-    than short ones.
+    The path is the line through the points `path_xy_m`, shape (m, 2), m >= 2. Nearby points are
+    processed in blocks. A block uses only the parts of the path that can be nearest, so long paths
+    cost little more than short ones.
     """
     parts = np.hstack([path_xy_m[:-1], np.diff(path_xy_m, axis=0)])
     parts = np.unique(parts, axis=0)  # a robot at rest repeats them
@@ -142,7 +143,7 @@ _MOST_BYTES: Final = 2**24
 
 
 def read_reference_path(path: str | Path) -> NDArray[np.float64]:
-    """Return the points of a CSV file with x and y in metres, shape (n, 2); skip a header.
+    """Return the points of a CSV file with x and y in metres, shape (n, 2); a header is skipped.
 
     Raises:
         MeasureError: If the file is wrong; one line with the file, the line, expected and found.

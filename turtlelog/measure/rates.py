@@ -1,9 +1,9 @@
-"""The rate of a robot and its commands, one axis at a time.
+"""Rates of a robot and its commands, one axis at a time.
 
-Rates are those that the robot reports. turtlesim reports the applied speed without a sign; the sign
-comes from the poses. If no rates are reported, they are differences of poses: the forward speed is
-the displacement along the mean heading divided by the time. Differences of poses close in time are
-mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th of fast poses is used.
+Rates are reported by the robot. turtlesim reports the applied speed without a sign; the sign comes
+from the poses. If no rates are reported, they are differences of poses: the forward speed is the
+displacement along the mean heading divided by the time. Differences of poses close in time are
+mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th pose is used if poses are fast.
 """
 
 from dataclasses import dataclass, replace
@@ -20,16 +20,16 @@ Values = NDArray[np.float64]
 Axis = Literal["speed", "turn_rate"]
 
 SHORTEST_S: Final = 0.05
-"""Approximate time over which poses are differenced [s]: odometry at the usual 20 Hz is used pose
+"""Approximate time over which poses are differenced [s]. Odometry at the usual 20 Hz is used pose
 by pose."""
 
 _LEAST_STEP: Final = 0.5
-"""Share of the usual time between poses below which a pose is left out: pairs 0.1 ms apart give
+"""Share of the usual time between poses below which a pose is left out. Pairs 0.1 ms apart give
 arbitrary speeds."""
 
 _SAME_TIME_NS: Final = 1_000
-"""Poses closer than this [ns] had equal times in their file, and were moved by 1 ns each: only the
-first is used. No robot publishes at 1 MHz."""
+"""Time between poses below which only the first is used [ns]. Such poses had equal times in their
+file, and were moved by 1 ns each; no robot publishes at 1 MHz."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,7 +37,7 @@ class Rates:
     """The rate of one axis over time; times count from time zero of the run.
 
     Attributes:
-        is_reported: Whether the robot reports them, instead of being differences of poses.
+        is_reported: Whether the robot reports the rates; otherwise they are differences of poses.
         time_s: Time of each value [s], shape (n,), strictly increasing.
         values: Rate [m/s or rad/s], shape (n,); backward and clockwise negative.
         edges_s: Boundaries of the intervals of `means` [s], shape (m + 1,).
@@ -90,7 +90,7 @@ def _read_applied(run: Run, axis: Axis) -> Values | None:
 
 
 def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rows of poses used for differences, including the first; at least two are given.
+    """Return the rows of poses used for differences, including the first, of at least two poses.
 
     The last row is left out if it is less than a whole stride after the previous one.
     """
@@ -136,7 +136,7 @@ def _difference_poses(run: Run, axis: Axis) -> Rates:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldCommands:
-    """The published commands of one axis, at least one, under zero-order hold.
+    """The published commands of one axis under zero-order hold, at least one command.
 
     Attributes:
         time_s: Time from which each value is held, from time zero of the run [s], shape (n,); equal
@@ -175,13 +175,13 @@ and 32 bits round a command of 5 by 5e-7."""
 
 
 def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommands | None:
-    """Return the commands of an axis; None if none were published.
+    """Return the commands of an axis; None if no command was published.
 
     Args:
         run: Run with commands.
         axis: Axis to read.
-        rates: Rates of the axis; None if there are none: the first command is then assumed to act
-            before.
+        rates: Rates of the axis. None if there are no rates: then the first command is assumed to
+            act before its time.
     """
     commands = run.commands
     if not len(commands):

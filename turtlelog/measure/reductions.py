@@ -1,9 +1,9 @@
-"""Searches and sums along rows for metrics, each in a numpy version and a loop version.
+"""Searches and sums along rows for metrics, each as a numpy version and a loop version.
 
-The numpy version runs on one run; the loop is compiled for the batch of `sweep`. Both return the
-same bits. Metrics are single functions built on these.
+The numpy version serves one run; the loop is compiled for the batch of `sweep`. Both return the
+same bits. Each metric is a single function built on these.
 
-`memory` belongs to the compiled batch, which makes no arrays; ordinary Python passes None.
+`memory` belongs to the compiled batch, which creates no arrays; ordinary Python passes None.
 """
 
 import math
@@ -19,13 +19,13 @@ Rows = NDArray[np.int64]
 
 _BLOCK = 128
 _LANES = 8
-"""Number of values that numpy's `sum` adds at once, into as many parallel sums."""
+"""Number of values that numpy's `sum` adds at once, each into its own partial sum."""
 
 _BUFFER = 8192
 """Number of rows that numpy's `einsum` adds before it starts a new sum."""
 
 USES = 4
-"""Number of rows of `memory.numbers` used here, each with twice as many numbers as there are
+"""Number of rows of `memory.numbers` used here; each has twice as many numbers as there are
 rows."""
 PIECES, _TIMES, _SIZES, _STEPS = range(USES)
 
@@ -41,7 +41,7 @@ def _find_furthest_row(values: Any, direction: float) -> int:
 
 @compiled_as(_find_furthest_row)
 def find_furthest_row(values: Values, direction: float) -> int:
-    """Return the first row of the largest value, or of the smallest if the direction is not > 0."""
+    """Return the first row of the largest value; of the smallest if the direction is not > 0."""
     return int(values.argmax() if direction > 0.0 else values.argmin())
 
 
@@ -54,7 +54,7 @@ def _find_first_beyond(values: Any, threshold: float, direction: float) -> int:
 
 @compiled_as(_find_first_beyond)
 def find_first_beyond(values: Values, threshold: float, direction: float) -> int:
-    """Return the first row at or beyond a threshold in a direction; -1 if there is none."""
+    """Return the first row at or beyond a threshold in a direction; -1 if no row is."""
     reached = values >= threshold if direction > 0.0 else values <= threshold
     row = int(reached.argmax())
     return row if reached[row] else -1
@@ -69,7 +69,7 @@ def _find_last_outside(values: Any, low: float, high: float) -> int:
 
 @compiled_as(_find_last_outside)
 def find_last_outside(values: Values, low: float, high: float) -> int:
-    """Return the last row below `low` or above `high`; -1 if there is none."""
+    """Return the last row below `low` or above `high`; -1 if no row is."""
     outside = (values > high) | (values < low)
     row = len(values) - 1 - int(outside[::-1].argmax())
     return row if outside[row] else -1
@@ -105,7 +105,7 @@ def _find_largest_change(error: Any) -> float:
 
 @compiled_as(_find_largest_change)
 def find_largest_change(error: Values) -> float:
-    """Return the largest change of the magnitude between rows [unit]; needs two rows or more."""
+    """Return the largest change of the magnitude between rows [unit], of at least two rows."""
     return float(np.abs(np.diff(np.abs(error))).max())
 
 
@@ -139,7 +139,7 @@ def _count_beyond(values: Any, limit: float) -> tuple[int, int]:
 
 @compiled_as(_count_beyond)
 def count_beyond(values: Values, limit: float) -> tuple[int, int]:
-    """Return the number of magnitudes at or beyond a limit, and the first such row, else -1."""
+    """Return the number of magnitudes at or beyond a limit, and the first such row (-1: none)."""
     is_beyond = np.abs(values) >= limit
     count = int(is_beyond.sum())
     return count, int(is_beyond.argmax()) if count else -1
@@ -162,8 +162,8 @@ def _find_crossing_rows(values: Any, reference: float, memory: Any) -> Any:
 def find_crossing_rows(values: Values, reference: float, memory: Any) -> Rows:  # noqa: ARG001
     """Return the rows at which the response has crossed to the other side of the reference.
 
-    Touching the reference is not a crossing; resting on it and then going on to the other side is
-    one.
+    Touching the reference is not a crossing. Resting on the reference and then moving to the other
+    side is a crossing.
     """
     beyond, short = values > reference, values < reference
     rows = np.flatnonzero(beyond | short)
@@ -198,8 +198,9 @@ def find_swing_ends(
 ) -> tuple[int, int]:
     """Return the last rows of the last two completed half-oscillations ("swings"); -1 if none.
 
-    A swing is a segment of rows further than a width from the reference, on one side. Segments less
-    than a given time apart are one swing. A swing at the end of the recording is not completed.
+    A swing is a segment of rows on one side of the reference, further away than a given width.
+    Segments separated by less than a given time form one swing. A swing at the end of the recording
+    is not completed.
     """
     error = values - reference
     rows = np.flatnonzero(np.abs(error) > width)
@@ -345,8 +346,8 @@ def add_triples(first: Values, second: Values, third: Values) -> float:
 def sum_products(*columns: NDArray[Any]) -> float:
     """Return the sum over the rows of the products of columns.
 
-    The bits are the same on every processor, unlike those of `np.dot`, which depends on a library.
-    No temporary array is made, so long signals take only the time to read them.
+    The bits are the same on every processor, unlike those of `np.dot`, which depend on a library.
+    No temporary array is created, so a long signal takes only the time to read it.
 
     Args:
         columns: Two or three columns of shape (n,).

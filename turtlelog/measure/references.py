@@ -1,4 +1,4 @@
-"""The references of a law's loops, and the position of a run on the path or line it follows.
+"""References of a law's loops, and the position of a run on its path or line.
 
 The reference of a loop, at every pose:
 
@@ -31,8 +31,8 @@ Values = NDArray[np.float64]
 def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
     """Return the reference of a loop [rad or m]; a number if it is constant.
 
-    Otherwise one value per pose, shape (n,), where a sample's value is held until the next sample.
-    None if the run lacks it.
+    Otherwise the result has one value per pose, shape (n,); a sample's value is held until the next
+    sample. The result is None if the run lacks the reference.
     """
     line, reference = run.goal_line, loop.reference
     if reference in {"path", "recorded"}:
@@ -52,9 +52,10 @@ def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
 def read_heading_reference(run: Run) -> float | Values | None:
     """Return the reference heading of the loop that acts, or acted last [rad].
 
-    Before any loop acts, it is that of the first loop to act; if no loop ever acts, of the first
-    declared loop. A number if it is constant, otherwise one value per pose. Without samples and
-    loops it is the heading of the goal. Otherwise, None without a heading loop.
+    Before any loop acts, the result belongs to the first loop that acts; if no loop ever acts, to
+    the first declared loop. The result is a number if the reference is constant, otherwise one
+    value per pose. Without samples and loops, the result is the heading of the goal. Without a
+    heading loop, it is None.
     """
     declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
     loops = [(loop, read_reference(run, loop)) for loop in declared]
@@ -93,7 +94,7 @@ def hold_samples(run: Run, values: Values) -> Values:
 
 
 def _find_latest(run: Run, samples: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return which sample was the last to read each pose or an earlier one, shape (n,)."""
+    """Return the last sample that read each pose or an earlier pose, shape (n,)."""
     read = np.maximum.accumulate(run.samples.pose_sequence[samples])
     latest = np.searchsorted(read, np.arange(len(run.poses)), side="right") - 1
     return np.asarray(np.maximum(latest, 0))
@@ -123,7 +124,7 @@ def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float 
 
 
 def _read_path(run: Run, loop: ControlLoop) -> Values | None:
-    """Return the reference from the path at every pose; an arc length only if it has a time law."""
+    """Return the reference from the path at every pose; an arc length only if it has a speed."""
     path = run.path
     if path is None:
         return None
@@ -153,7 +154,7 @@ def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
 def _find_first_arc(run: Run, path: Path) -> float | None:
     """Return the arc length of the first reference, if the first sample is lost [m].
 
-    None if it is not lost: the robot has then yet to reach the path.
+    The result is None if the first sample is not lost: then the robot has yet to reach the path.
     """
     samples = run.samples
     if samples.reference_xy_m is None or not len(samples) or samples.sequence[0] == 0:
@@ -164,8 +165,8 @@ def _find_first_arc(run: Run, path: Path) -> float | None:
 
 
 _TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
-"""Cached path coordinates of poses and references, found row by row, for as long as the run
-exists."""
+"""Cache of path coordinates of poses and references, which are found row by row. Entries last as
+long as their run."""
 
 
 def _recall(
@@ -178,7 +179,7 @@ def _recall(
 
 
 def hold_reference(run: Run, column: Values | None) -> Values | None:
-    """Return a component of the recorded reference pose, held at each pose; None without one."""
+    """Return a component of the recorded reference pose, held at each pose; None if missing."""
     if column is None:
         return None
     rows = np.flatnonzero(np.isfinite(column if column.ndim == 1 else column[:, 0]))

@@ -1,4 +1,4 @@
-"""The response of a loop to its reference, on the segment of the run in which it acts."""
+"""The response of a loop to its reference, in the segment of the run in which the loop acts."""
 
 import math
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ class CommandStretch:
     """The held commands of a loop; no rows if its samples are not from this run.
 
     Attributes:
-        time_s: Publication time of each command, from the first sample of the run [s], shape (m,);
-            the time of its answer if the publication is not recorded.
+        time_s: Publication time of each command, from the first sample of the run [s], shape (m,).
+            If it is not recorded, the time of the answer.
         values: Commands [rad/s or m/s], shape (m,).
         wanted: Commands before clipping, shape (m,); None if not recorded.
         limit: Magnitude at which commands are clipped; None if not recorded.
@@ -62,23 +62,23 @@ class CommandStretch:
 class Response:
     """Response of the controlled signal of a loop to its reference.
 
-    With a constant reference, `values` are the signal itself. With a moving reference, they are the
-    initial reference minus the error: the signal that a constant reference would have given. The
-    values reach `reference` when the error is 0.
+    With a constant reference, `values` are the signal itself. With a moving reference, `values` are
+    the initial reference minus the error: the signal that a constant reference would have given.
+    When the error is 0, the values equal `reference`.
 
     Attributes:
-        loop: Loop of the response.
-        start_s: Start of its segment, from the first sample of the run [s].
-        rows: Rows of its poses among those of the run.
-        pose_ns: Times of its poses [ns], shape (n,), n >= 2.
+        loop: Loop of this response.
+        start_s: Start of the segment, from the first sample of the run [s].
+        rows: Rows of the segment's poses among those of the run.
+        pose_ns: Times of the segment's poses [ns], shape (n,), n >= 2.
         time_s: Time from the start of the segment [s], shape (n,).
         values: Heading without jumps [rad] or length [m], shape (n,).
         initial: Initial value of the step: the first value, or the setting `initial`.
         reference: Final value of the step: the reference of the loop, or the setting `final`.
         band: Half-width of the settling band, as a fraction of the step.
-        commands: Commands of its samples.
-        was_cut: Whether the run was cut before the loop had finished.
-        ended_itself: Whether the law ended the segment because it was done, not by a cut or a
+        commands: Commands of the segment's samples.
+        was_cut: Whether the run was cut off before the loop had finished.
+        ended_itself: Whether the law ended the segment because its work was done, not by a cut or a
             timeout.
     """
 
@@ -107,7 +107,7 @@ class Response:
 
     @cached_property
     def folded_error(self) -> tuple[Values, Values, Values]:
-        """Times [s], time steps [s] and magnitudes of the error, with rows added where it is 0."""
+        """Times [s], time steps [s] and magnitudes of the error, with rows added at its zeros."""
         return fold_at_zero(self.time_s, self.error, None)
 
     @property
@@ -124,7 +124,7 @@ class Response:
     def answered(self) -> int:
         """Number of poses up to the last answered one.
 
-        Motion during a pause after it is not caused by the loop.
+        Motion during a later pause is not caused by the loop.
         """
         last_ns = self.commands.answered_ns[-1]
         return int(np.searchsorted(self.pose_ns, last_ns, side="right"))
@@ -150,7 +150,7 @@ class Response:
 def find_response(
     run: Run, loop: ControlLoop, signal: Signal | None, settings: MeasureSettings
 ) -> Response | Missing:
-    """Return the response of a loop on its first segment, or the reason why there is none.
+    """Return the response of a loop in its first segment, or the reason why it is missing.
 
     `signal` is the controlled signal; None if the run lacks it.
     """
@@ -188,14 +188,15 @@ def find_response(
 
 
 _NEAR: Final = 1.5
-"""Longest usual step from pose to pose, as a multiple: in a longer one the robot may have moved
-far."""
+"""Longest usual step between poses, as a multiple of the usual one. In a longer step the robot may
+have moved far."""
 
 
 def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
-    """Return the row of the pose at which a loop begins; between two poses, the earlier.
+    """Return the row of the pose at which a loop begins; between two poses, the earlier row.
 
-    A timer reads the earlier pose. If poses before the beginning are lost, it is the later one.
+    A timer reads the earlier pose. If poses before the beginning are lost, the later row is
+    returned.
     """
     after = int(np.searchsorted(time_ns, start_ns, side="left"))
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:
@@ -210,7 +211,7 @@ def came_to_rest(run: Run) -> bool:
 
 
 def find_first_stretch(run: Run, loop: ControlLoop) -> list[PhaseSpan]:
-    """Return the first consecutive spans whose phases contain a loop, and their pauses."""
+    """Return the first consecutive spans whose phases contain a loop, with their pauses."""
     own = frozenset(run.declaration.list_phases(loop.name))
     before = dropwhile(lambda span: span.phase not in own, run.find_phase_spans())
     return list(takewhile(lambda span: span.phase in own or span.phase == PAUSE, before))
@@ -299,7 +300,7 @@ def _find_step(
 
 
 def _turn_towards(loop: ControlLoop, value: float, measured: float) -> float:
-    """Return a heading shifted by full turns to the measured one, which has no jumps."""
+    """Return a heading shifted by full turns towards the measured heading, which has no jumps."""
     if loop.signal != "heading":
         return value
     return value + float(np.round((measured - value) / (2.0 * np.pi))) * 2.0 * np.pi

@@ -39,9 +39,9 @@ class SignalKind:
 
     Attributes:
         unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
-        source: Rows of the values: `pose`: one per pose row; `sample`: one per sample; `command`:
-            one per published command, for runs without samples; `sensed pose`: one per sensed pose
-            that did not drop out.
+        source: Rows of the values. `pose`: one value per pose row. `sample`: one per sample.
+            `command`: one per published command, for runs without samples. `sensed pose`: one per
+            sensed pose that did not drop out.
         resampling: `line`: linear interpolation; `hold`: the last value is held.
         compared_as: `number`; `angle`: differences in [-pi, pi); `label`: equal (0) or not (1).
         meaning: One sentence.
@@ -90,7 +90,7 @@ class Signal:
     def to_pandas(self) -> Any:
         """Return the values as a `pandas.Series` over the time from the first sample [s].
 
-        Its `attrs` contain the `unit`.
+        The `attrs` contain the `unit`.
 
         Raises:
             LibraryError: If pandas is not installed; turtlelog does not install it.
@@ -137,11 +137,12 @@ class Signal:
 
 
 _MOST_SHOWN: Final = 400
-"""Largest number of values of the curve in a notebook: more are less than a pixel apart."""
+"""Largest number of values of the curve in a notebook: with more, values are less than a pixel
+apart."""
 
 
 def _read_nothing(_: Run) -> None:
-    """Return None: a pickled signal has no access to other runs."""
+    """Return None, because a pickled signal has no access to other runs."""
 
 
 def _rebuild(
@@ -151,7 +152,7 @@ def _rebuild(
 
 
 def could_be_signal(name: str) -> bool:
-    """Return whether a name is that of a signal, or could be that of a law's state."""
+    """Return whether a name is the name of a signal, or could name a state of a law."""
     return name in SIGNALS or re.fullmatch(STATE_PATTERN, name) is not None
 
 
@@ -254,7 +255,7 @@ def _read_sensed(run: Run, axis: int) -> Values | None:
 
 
 def _read_sensed_heading(run: Run) -> Values | None:
-    """Return the sensed heading within half a turn of the heading: noise adds no full turn."""
+    """Return the sensed heading within half a turn of the true one, so that noise adds no turn."""
     sensed_rad, heading_rad = run.poses.sensed_heading_rad, _read_heading(run)
     if sensed_rad is None:
         return None
@@ -319,11 +320,11 @@ def _sample(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> Si
 SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
     "signal",
     {
-        "x": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 0]),
-        "y": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 1]),
+        "x": _pose("m", "Coordinate x in the world frame.", lambda run: run.poses.xy_m[:, 0]),
+        "y": _pose("m", "Coordinate y in the world frame.", lambda run: run.poses.xy_m[:, 1]),
         "heading": _pose(
             "rad",
-            "Counter-clockwise from +x, without jumps at a full turn.",
+            "Heading, counter-clockwise from the x axis, without jumps at a full turn.",
             _read_heading,
         ),
         "speed": _sample(
@@ -354,17 +355,17 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
         ),
         "applied_speed": _applied(
             "m/s",
-            "Magnitude of the speed that the plant integrated, a disturbance included.",
+            "Magnitude of the speed that the plant integrated, including a disturbance.",
             lambda run: run.poses.speed_m_s,
         ),
         "applied_turn_rate": _applied(
             "rad/s",
-            "Turn rate that the plant integrated, a disturbance included.",
+            "Turn rate that the plant integrated, including a disturbance.",
             lambda run: run.poses.turn_rate_rad_s,
         ),
         "measured_speed": _applied(
             "m/s",
-            "Forward speed that the robot reports, backward negative.",
+            "Forward speed that the robot reports, negative backward.",
             lambda run: run.poses.measured_speed_m_s,
         ),
         "measured_turn_rate": _applied(
@@ -373,21 +374,25 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
             lambda run: run.poses.measured_turn_rate_rad_s,
         ),
         "sensed_x": _sensed(
-            "m", "Position that the controller reads.", lambda run: _read_sensed(run, 0)
+            "m", "Coordinate x that the controller reads.", lambda run: _read_sensed(run, 0)
         ),
         "sensed_y": _sensed(
-            "m", "Position that the controller reads.", lambda run: _read_sensed(run, 1)
+            "m", "Coordinate y that the controller reads.", lambda run: _read_sensed(run, 1)
         ),
         "sensed_heading": _sensed(
             "rad",
-            "Heading that the controller reads, with the turns of the heading.",
+            "Heading that the controller reads, within half a turn of the signal `heading`.",
             _read_sensed_heading,
         ),
         "error_x": _pose(
-            "m", "Goal minus position in the world frame.", lambda run: _read_error(run, 0)
+            "m",
+            "Coordinate x of goal minus position, in the world frame.",
+            lambda run: _read_error(run, 0),
         ),
         "error_y": _pose(
-            "m", "Goal minus position in the world frame.", lambda run: _read_error(run, 1)
+            "m",
+            "Coordinate y of goal minus position, in the world frame.",
+            lambda run: _read_error(run, 1),
         ),
         "distance": _pose("m", "Distance to the goal.", _read_distance),
         "heading_error": _pose(
@@ -413,7 +418,7 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
             source="sample",
             resampling="hold",
             compared_as="label",
-            meaning="Index of the sample's phase among those that its law declares.",
+            meaning="Index of the sample's phase among the phases that the law declares.",
             read=lambda run: run.samples.phase.astype(np.float64),
         ),
     },
@@ -430,4 +435,4 @@ COMMANDED: Final[Mapping[str, SignalKind]] = MappingProxyType(
         ),
     }
 )
-"""Signals of a run without samples: its commands as published, from the first one on."""
+"""Signals of a run without samples: the published commands, from the first command on."""

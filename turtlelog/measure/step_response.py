@@ -4,24 +4,24 @@ The functions run in ordinary Python and compiled, on the reductions of `reducti
 that never happens is NaN.
 
 A step leads from an initial value to a reference. The response is the line through its samples:
-crossings are linearly interpolated, and the largest value is at a sample. For a sampled smooth
-signal the error of a crossing time is at most T^2 |y''| / (8 |y'|), with T the period: 0 on a ramp,
-and 0 if a sample is at the crossing.
+crossings are linearly interpolated, and the largest value is at a sample. For a smooth signal
+sampled with the period T, the error of a crossing time is at most T^2 |y''| / (8 |y'|). The error
+is 0 on a ramp, or if a sample is at the crossing.
 
 The definitions are those of step-response analysis (K. Ogata, Modern Control Engineering, 5th ed.,
 section 5-3; D. E. Seborg et al., Process Dynamics and Control, 3rd ed., section 5.3.1), with the
-step leading from any initial value to any reference. All take `values` of shape (n,), n >= 1, and
-`time_s` of the same shape, not decreasing. A step downwards gives the same results as its mirror
-image.
+step leading from any initial value to any reference. All functions take `values` of shape (n,), n
+>= 1, and `time_s` of the same shape, not decreasing. A downward step gives the same results as its
+mirror image.
 
 Integrals are exact for the line through the samples; the time of a change of sign is interpolated.
-IAE, ISE and ITAE are those of D. Graham and R. C. Lathrop, "The synthesis of 'optimum' transient
-response", Trans. AIEE 72 (1953). `step_s` is the time from each row to the next, shape (n - 1,). On
-a sampled smooth signal the error falls with the square of the period.
+IAE, ISE and ITAE are defined as in D. Graham and R. C. Lathrop, "The synthesis of 'optimum'
+transient response", Trans. AIEE 72 (1953). `step_s` is the time from each row to the next, shape (n
+- 1,). On a sampled smooth signal the error falls with the square of the period.
 
 The verdict on stability uses only the size of swings (half-oscillations), without a model, a dead
 time or a gain. In a linear loop, swings grow or decay by a constant factor. A limit of the command
-keeps those of an unstable loop at the size of its limit cycle (the describing function of
+keeps the swings of an unstable loop at the size of its limit cycle (the describing function of
 saturation; K. J. Astrom and R. M. Murray, Feedback Systems, 2nd ed., section 10.5), which may be
 small compared with the step.
 """
@@ -51,12 +51,12 @@ Values = NDArray[np.float64]
 SHORTEST_HOLD_S: Final = 1.0
 """Time that a cut response must have stayed in the band to count as settled [s].
 
-It is the time constant of the paper's smallest gain, 1 / s, and about 60 samples."""
+This is the time constant of the paper's smallest gain, 1 / s, and about 60 samples."""
 
 _SWING: Final = 0.5
-"""Smallest distance from the reference of a swing, as a share of the band's half-width.
+"""Smallest distance of a swing from the reference, as a share of the band's half-width.
 
-It is half of the band, so that noise and rounding deep in the band are not an oscillation."""
+Because of this distance, noise and rounding deep in the band do not count as an oscillation."""
 
 
 def find_level_time(
@@ -64,8 +64,9 @@ def find_level_time(
 ) -> float:
     """Return the first time at which the response has covered the fraction `level` of the step [s].
 
-    `level` 0.5 gives the delay time. If the response starts beyond it, the time of the first row;
-    NaN if it is never reached. Precondition: the step is not 0.
+    A `level` of 0.5 gives the delay time. If the response starts beyond the level, the result is
+    the time of the first row. The result is NaN if the level is never reached. Precondition: the
+    step is not 0.
     """
     step = reference - initial
     threshold = initial + level * step
@@ -80,8 +81,8 @@ def find_rise(
 ) -> tuple[float, float]:
     """Return the first times at which the response has covered 10 % and 90 % of the step [s].
 
-    Their difference is the rise time: ln 9 tau for an exponential. NaN if it is never reached.
-    Precondition: the step is not 0, and the response begins below 10 % of the step.
+    The difference is the rise time: ln 9 tau for an exponential. A level that is never reached
+    gives NaN. Precondition: the step is not 0, and the response begins below 10 % of the step.
     """
     start_s = find_level_time(time_s, values, 0.1, initial, reference)
     return start_s, find_level_time(time_s, values, 0.9, initial, reference)
@@ -95,8 +96,8 @@ def find_peak_row(values: Values, initial: float, reference: float) -> int:
 def find_overshoot(values: Values, initial: float, reference: float) -> float:
     """Return how far the response goes beyond the reference, as a fraction of the step [1].
 
-    Signed in the direction of the step: negative if the response stays short of the reference.
-    Precondition: the step is not 0.
+    The overshoot is signed in the direction of the step: negative if the response stays short of
+    the reference. Precondition: the step is not 0.
     """
     peak: float = values[find_peak_row(values, initial, reference)]
     return (peak - reference) / (reference - initial)
@@ -105,8 +106,9 @@ def find_overshoot(values: Values, initial: float, reference: float) -> float:
 def find_undershoot(values: Values, initial: float, reference: float) -> tuple[float, int]:
     """Return how far the response goes against the step, as a fraction of it [1], and the row.
 
-    Measured from the initial value: 0 if the response never goes below it, negative if every value
-    is already beyond it in the direction of the step. Precondition: the step is not 0.
+    The undershoot is measured from the initial value. The undershoot is 0 if the response never
+    goes below the initial value. It is negative if every value is beyond the initial value in the
+    direction of the step. Precondition: the step is not 0.
     """
     row = find_furthest_row(values, -1.0 if reference >= initial else 1.0)
     return (initial - values[row]) / (reference - initial), row
@@ -118,8 +120,8 @@ def find_settling_time(
     """Return the last time at which the response enters the band and stays in it [s].
 
     The band is `reference` +- `band` times the step's magnitude; the crossing is interpolated
-    between the rows around it. NaN if the last row is outside. For an exponential it is ln(1 /
-    band) tau, so ln 50 tau for 2 %.
+    between the rows around it. The result is NaN if the last row is outside the band. For an
+    exponential, the settling time is ln(1 / band) tau, or ln 50 tau for 2 %.
     """
     half_width = band * abs(reference - initial)
     last = find_last_outside(values, reference - half_width, reference + half_width)
@@ -134,8 +136,8 @@ def find_settling_time(
 def find_swing_period(time_s: Values, values: Values, reference: float, half_width: float) -> float:
     """Return the period of the oscillation around the reference, from its last two swings [s].
 
-    A swing is a segment of rows further than `_SWING` times the band's half-width from the
-    reference, on one side. Segments less than `SHORTEST_HOLD_S` apart are one swing. The ends of
+    A swing is a segment of rows on one side of the reference, further away than `_SWING` times the
+    band's half-width. Segments separated by less than `SHORTEST_HOLD_S` form one swing. The ends of
     two successive swings are half a period apart on opposite sides, and one period on the same
     side. The result is 0 if fewer than two swings are completed.
     """
@@ -153,9 +155,9 @@ def find_decay_ratio(
 ) -> tuple[float, int]:
     """Return the second overshoot as a fraction of the first [1], and the row of its peak.
 
-    exp(-2 pi zeta / sqrt(1 - zeta^2)) for a second-order response; a quarter is the classical
-    target of Ziegler-Nichols tuning. NaN if the response goes beyond the reference fewer than two
-    times, or the recording ends before the second peak.
+    For a second-order response, the ratio is exp(-2 pi zeta / sqrt(1 - zeta^2)); a quarter is the
+    classical target of Ziegler-Nichols tuning. The ratio is NaN if the response passes the
+    reference fewer than two times, or the recording ends before the second peak.
     """
     rows = find_crossing_rows(error, 0.0, memory)
     # Sign of an error beyond the reference.
@@ -216,47 +218,47 @@ VERDICTS: Final = ("rests", "swings", "away", "passing", "slow", "unknown")
 RESTS, SWINGS, AWAY, PASSING, SLOW, UNKNOWN = range(6)
 
 NEVER, NOBODY_KNOWS = -1, -2
-"""Values instead of the last row with a command at its limit: no such row, and unknown."""
+"""Values that replace the last row with a command at its limit: no such row, and unknown."""
 
 _FEWEST: Final = 6
-"""Number of whole swings from which thirds are compared: two in each, because a loop may swing
-further to one side."""
+"""Number of whole swings from which thirds are compared: two swings per third, because a loop may
+swing further to one side."""
 
 _DYING: Final = 0.9
 """Ratio of the largest swings of the last and the middle third below which swings decay. At 99.5 %
-of the stability gain, with a dead time of 10 ticks, they decay to 0.86 in the 30 s of the
-sequential laws. Swings of limit cycles are between 0.97 and 1.01, because their peaks fall between
-samples."""
+of the stability gain and a dead time of 10 ticks, swings decay to 0.86 in the 30 s of the
+sequential laws. For limit cycles the ratio is 0.97 to 1.01, because peaks fall between samples."""
 
 _GOING_ON: Final = 0.98
-"""Ratio from which swings persist. Between the two ratios it is undecided: a limit cycle reached
-from above, or a slow decay."""
+"""Ratio from which swings persist. Between the two ratios the verdict is undecided: a limit cycle
+reached from above, or a slow decay."""
 
 _FALLING: Final = 0.95
 """Ratio of the first swing to the largest from which swings decay; peaks may fall between samples.
-The swings of a heading turned by more than half a turn, where its error wraps, have any size in any
+If a heading turns by more than half a turn, its error wraps, and the swings have any size in any
 order."""
 
 _HALVED: Final = 0.5
-"""Ratio of the last to the first of few swings below which they decay: the first swing of an
-unstable loop, after a clipped step, shrinks only by a few percent to its limit cycle."""
+"""Ratio of the last to the first of few swings below which the swings decay. In an unstable loop
+after a clipped step, the first swing shrinks only by a few percent to the limit cycle."""
 
 _GROWN: Final = 1.05
-"""Ratio of the last to the first of few swings above which they grow. Peaks between samples explain
-less for at least 3 samples per swing: 1 - cos(pi / 6) is 0.13, but it affects both."""
+"""Ratio of the last to the first of few swings above which the swings grow. With at least 3 samples
+per swing, peaks between samples explain less: 1 - cos(pi / 6) is 0.13, but it affects both
+swings."""
 
 _LARGE: Final = 0.1
-"""Share of the largest error from which swings are large, if no limit is known: noise of a loop at
-rest is smaller, unless it dominates the log."""
+"""Share of the largest error from which swings are large, if no limit is known. Noise of a loop at
+rest is smaller, unless the log is mostly noise."""
 
 _NEAR: Final = 0.02
 """Share of the largest error within which a response without swings is near its end: the usual
-settling band. A larger increase of the error without a crossing is an oscillation around another
+settling band. If the error grows by more without a crossing, the response oscillates around another
 value."""
 
 _SLOWED: Final = 0.5
 """Ratio of the last to the largest step below which a response came to rest. An unstable loop
-passes its reference at full speed, because it turns back too late; a tolerance may end it right
+passes its reference at full speed, because it reverses too late; a tolerance may end it exactly
 there."""
 
 _BEYOND: Final = 1.2
@@ -264,25 +266,24 @@ _BEYOND: Final = 1.2
 a loop with dead time, a step overshoots by at most 1.11 steps."""
 
 TURN_RAD: Final = 2.0 * math.pi
-"""Error of a heading from which no response counts as decaying [rad]: laws wrap it at half a turn,
-or at most after one turn, and then steer to the goal from the other side."""
+"""Heading error from which no response counts as decaying [rad]. Laws wrap the error at half a
+turn, or at the latest after one turn, and then steer to the goal from the other side."""
 
 
 def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: float) -> int:
     """Return the verdict on a response around its reference, as an index into `VERDICTS`.
 
-    `rests`: the swings die out, or are small and do not grow. `swings`: the oscillation keeps its
-    amplitude, which is large or reaches the limit, or it grows. `away`: it ends further from the
-    reference than it began. Undecided: `passing`, if it ends while it passes the reference; `slow`,
-    if it has not come near the reference; `unknown`, if there are too few swings or they change too
-    little.
+    `rests`: the swings die out, or are small and do not grow. `swings`: the oscillation grows, or
+    keeps an amplitude that is large or reaches the limit. `away`: the response ends further from
+    the reference than it began. Three verdicts are undecided. `passing`: the response ends while it
+    passes the reference. `slow`: the response has not come near the reference. `unknown`: the
+    swings are too few or change too little.
 
     Args:
         error: Reference minus value, shape (n,), n >= 2.
         rows: Rows of the crossings, as from `find_crossing_rows`.
-        clipped: The last row at whose time the command was at its limit; or `NEVER`, or
-            `NOBODY_KNOWS`.
-        most: Magnitude of an error beyond which no response counts as decaying.
+        clipped: Last row at whose time the command was at its limit, or `NEVER`, or `NOBODY_KNOWS`.
+        most: Magnitude of an error above which no response counts as decaying.
     """
     count, largest = len(rows) - 1, find_largest(error)[0]
     decays = largest <= least(_BEYOND * abs(error[0]), most)
@@ -312,12 +313,12 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
 
 
 def _find_peak(error: Values, rows: NDArray[np.int64], first: int, count: int) -> float:
-    """Return the largest magnitude of the given number of whole swings from a given one on."""
+    """Return the largest magnitude in a given number of whole swings, from a given swing on."""
     return find_largest(error[rows[first] : rows[first + count]])[0]
 
 
 def _judge_approach(error: Values, largest: float, decays: bool, is_elsewhere: bool) -> int:  # noqa: FBT001
-    """Judge a response with fewer than two swings."""
+    """Return the verdict on a response with fewer than two swings."""
     end = abs(error[-1])
     if end > _NEAR * largest:
         return AWAY if end == largest and end > abs(error[0]) else SLOW

@@ -16,16 +16,16 @@ _FILES: Final = (
 PLANTS: Final[Mapping[str, PlantPart]] = {
     part.name: part for part in load_parts("turtlelog.plants", _FILES)
 }
-"""The `PART` of each file, by kind."""
+"""The `PART` of each file of plants, by kind."""
 
 
 def find_plant(run: Run) -> Plant:
-    """Return the plant of a run; for recordings of a robot no plant is known."""
+    """Return the plant of a run. The plant of a recorded robot is unknown."""
     return read_plant(run.parameters)
 
 
 def read_plant(parameters: Mapping[str, object]) -> Plant:
-    """Return the plant of a run's or a scenario's parameters; turtlesim if they name none."""
+    """Return the plant from the parameters of a run or scenario. Default: turtlesim."""
     part = PLANTS.get(str(parameters.get("plant.kind")))
     names = [] if part is None else [field.name for field in dataclasses.fields(part.Keys)]
     given = {name: parameters.get(f"plant.{name}") for name in names}

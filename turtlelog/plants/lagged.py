@@ -1,22 +1,21 @@
 """A robot model whose rates follow commands with dead time and time constant, without walls.
 
-Per axis (speed along the heading, turn rate): rate = gain * exp(-dead_time s) / (lag s + 1) of the
-commands, each of which holds until the next one. A robot has limits, each absent by default. They
-are those that `turtlelog identify` finds:
+Each axis (speed along the heading, turn rate) has the transfer function gain * exp(-dead_time s) /
+(lag s + 1) from command to rate. Each command is held until the next command. The robot can have
+the limits that `turtlelog identify` finds; by default no limit is set:
 
     wanted = 0 where |command| <= deadband,
              else clip(gain command, +-bound), below 0 with reverse_gain in place of gain
     rate' = clip((wanted - rate) / lag, +-acceleration)
 
-The last one is a motor's controller whose output saturates, a first-order lag with a slew rate.
-Without lag the rate moves to what is wanted at that acceleration.
+The last line describes a motor controller whose output saturates: a first-order lag with a slew
+rate. Without lag, the rate moves to the wanted rate at the given acceleration.
 
-Between two switches a rate is a ramp, then exponential; rate, heading and way are known in closed
-form, and so is the end of the ramp. The position is the integral of the speed along the heading, by
-quadrature. It is right to 1e-9 m, however long a command holds and however small the time constant
-is, for a turn of up to 1,000 rad within one move. Whatever happens at a time acts from that time
-on: a robot without time constant and dead time has its new rate at the time at which the command
-arrives.
+Between two switches a rate is a ramp, then an exponential. Rate, heading, distance and the end of
+the ramp have closed forms. The position is the integral of the speed along the heading, by
+quadrature. The error is at most 1e-9 m for any duration of a command and any time constant, if one
+move turns by at most 1,000 rad. An event acts from its time on: without time constant and dead
+time, the rate changes when the command arrives.
 """
 
 import math
@@ -41,24 +40,25 @@ from turtlelog.parts import (
 from turtlelog.run.loops import Cause
 
 LAGGED: Final = "lagged"
-"""The kind of plant, as scenarios name it."""
+"""Kind of this plant in scenarios."""
 
 LONGEST_PIECE: Final = 2.0
-"""Largest turn of a piece of the quadrature [rad], plus its length in time constants. 8 nodes are
-then right to rounding, at 4 to 3e-13 of the way, at 8 no longer to 1e-9."""
+"""Largest turn of a piece of the quadrature [rad], plus its length in time constants. With 8 nodes
+the result is then exact up to rounding: at 4, to 3e-13 of the distance; at 8, the error exceeds
+1e-9."""
 
 SETTLED: Final = 1e-15
 """Remaining effect of the transient on position [m] or heading [rad] below which a rate counts as
 constant: less than the resolution of a coordinate of 10 m."""
 
 MOST_TURN_RAD: Final = 1000.0
-"""Turn within one move that the quadrature follows [rad]; it would take forever with a loop that
-runs away."""
+"""Largest turn within one move that the quadrature follows [rad]. A loop that runs away would take
+forever."""
 
 _MOST_PIECES: Final = 2.0**62
 
 _SHORTEST_S: Final = 1e-18
-"""Of a piece [s]: where an acceleration is huge, a ramp may end after no time that counts."""
+"""Shortest piece [s]. With a huge acceleration, a ramp may end after a negligible time."""
 
 _GAUSS: Final = (
     (0.019855071751231912, 0.05061426814518853),
@@ -70,33 +70,35 @@ _GAUSS: Final = (
     (0.8983332387068134, 0.11119051722668721),
     (0.9801449282487681, 0.05061426814518853),
 )
-"""Nodes and weights of Gauss and Legendre on [0, 1]."""
+"""Nodes and weights of Gauss-Legendre quadrature on [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaggedKeys:
     """Parameters of a robot model without walls.
 
-    Per axis its rate is the command that it holds, times a gain, later by a dead time and behind a
-    low-pass of first order.
+    The rate of each axis is the held command times a gain, after a dead time and a first-order
+    low-pass filter.
 
     Attributes:
-        period_s: Time between two poses [s]; 0.05 where it is not given.
-        speed_gain: Speed that a command of 1 m/s leads to [1]; 1 where it is not given.
+        period_s: Time between two poses [s]. Default: 0.05.
+        speed_gain: Speed that results from a command of 1 m/s [1]. Default: 1.
         speed_dead_time_s: Time from the arrival of a command until the speed begins to follow [s].
-        speed_lag_s: Time constant with which it follows [s]; 0: at once.
-        turn_gain: Turn rate that a command of 1 rad/s leads to [1]; 1 where it is not given.
+        speed_lag_s: Time constant of the speed [s]; 0: the speed follows at once.
+        turn_gain: Turn rate that results from a command of 1 rad/s [1]. Default: 1.
         turn_dead_time_s: Dead time of the turn rate [s].
         turn_lag_s: Time constant of the turn rate [s].
-        speed_bound: Largest speed that a command leads to [m/s]; inf, where it is not given: none.
-        turn_bound: Largest turn rate likewise [rad/s].
-        speed_acceleration: Largest change of the speed per second [m/s^2], within the loop that
-            follows the command; inf, where it is not given: none.
-        turn_acceleration: Largest change of the turn rate likewise [rad/s^2].
-        speed_deadband: Magnitude up to which a command moves nothing [m/s]; larger ones act whole.
-        turn_deadband: Magnitude likewise [rad/s].
-        speed_reverse_gain: Gain of speeds below 0 [1]; that of the others where it is not given.
-        turn_reverse_gain: Gain of turn rates below 0, to the right [1].
+        speed_bound: Largest speed that results from a command [m/s]. Default: inf, no limit.
+        turn_bound: Largest turn rate that results from a command [rad/s]. Default: inf, no limit.
+        speed_acceleration: Largest acceleration within the loop that follows the command [m/s^2].
+            Default: inf, no limit.
+        turn_acceleration: Largest angular acceleration within the loop that follows the command
+            [rad/s^2]. Default: inf, no limit.
+        speed_deadband: Magnitude up to which a speed command moves nothing [m/s]. Larger commands
+            act in full.
+        turn_deadband: Magnitude up to which a turn rate command moves nothing [rad/s].
+        speed_reverse_gain: Gain of speeds below 0 [1]. Default: `speed_gain`.
+        turn_reverse_gain: Gain of turn rates below 0, to the right [1]. Default: `turn_gain`.
     """
 
     period_s: Period = 0.05
@@ -117,27 +119,27 @@ class LaggedKeys:
 
 
 def find_facts(keys: Any) -> Plant:
-    """Return the facts of such a robot."""
+    """Return the facts of a robot model from its keys."""
     return build_facts(round(keys.period_s * 1e9))
 
 
 def build_facts(period_ns: int) -> Plant:
-    """Return the facts of such a robot that publishes a pose per period [ns]."""
+    """Return the facts of a robot model that publishes one pose per period [ns]."""
     return Plant(name=LAGGED, period_ns=period_ns, low_m=-LARGEST_M, high_m=LARGEST_M)
 
 
 @dataclass(slots=True)
 class AxisState:
-    """One rate: a constant part, and a transient that fades.
+    """State of one rate: a constant part plus a transient that decays.
 
-    It fades with the time constant, but no faster than the acceleration allows.
+    The transient decays with the time constant, but no faster than the acceleration allows.
 
     Attributes:
-        target: Rate that the command leads to.
-        transient: Difference of the rate to its target.
-        push: Disturbance: rate that is added after the low-pass.
+        target: Rate that the command leads to after the transient.
+        transient: Difference between the rate and its target.
+        push: Disturbance: rate that is added after the low-pass filter.
         next_ns: Time at which the target switches next [ns].
-        waiting_first: The first command whose dead time is not over.
+        waiting_first: Number of the first command that still waits for its dead time to pass.
     """
 
     target: float = 0.0
@@ -149,7 +151,7 @@ class AxisState:
 
 @dataclass(slots=True)
 class LaggedState:
-    """Pose of the robot, and the commands that it still follows."""
+    """Pose of the robot, and the commands that the robot still follows."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -165,7 +167,7 @@ class LaggedState:
 
 @dataclass(slots=True)
 class Waiting:
-    """A command whose dead time is not over."""
+    """A command that waits for its dead time to pass."""
 
     time_ns: int = 0
     speed: float = 0.0
@@ -185,10 +187,10 @@ def begin(
 def hold(
     settings: Any, state: Any, rows: Any, time_ns: int, speed: float, turn_rate: float
 ) -> None:
-    """Let a command arrive [ns], [m/s], [rad/s]; it holds until the next one.
+    """Accept a command of [m/s] and [rad/s] that arrives at a time [ns] and holds until the next.
 
-    No command arrives before an earlier one did, nor before the time to which the robot has moved.
-    Both axes read the one queue, each from its own place.
+    Commands arrive in order, and not before the time to which the robot has moved. Both axes read
+    the same queue, each from its own position.
     """
     row = begin_row(rows.waiting, rows.new[0].waiting, state.waiting_end)
     row.time_ns, row.speed, row.turn_rate = time_ns, speed, turn_rate
@@ -201,13 +203,13 @@ def hold(
 
 
 def push(settings: Any, state: Any, speed: float, turn_rate: float) -> None:
-    """Add these disturbances to the rates, from now on [m/s], [rad/s]."""
+    """Add disturbances to the rates from now on [m/s], [rad/s]."""
     state.speed.push, state.turn.push = speed, turn_rate
 
 
 @called
 def move(settings: Any, state: Any, rows: Any, time_ns: int) -> bool:
-    """Move to a time that is not in the past [ns]; what switches at that time has switched."""
+    """Move to a time that is not in the past [ns]; switches at this time are applied."""
     keys, speed, turn = settings.plant, state.speed, state.turn
     while not state.runs_away:
         switch_ns = min(speed.next_ns, turn.next_ns)
@@ -229,7 +231,7 @@ def move(settings: Any, state: Any, rows: Any, time_ns: int) -> bool:
 
 
 def read(state: Any) -> tuple[float, float, float, float, float]:
-    """Return the contents of a pose message: rates of this instant, disturbances included.
+    """Return the contents of a pose message, with the present rates including disturbances.
 
     Position x, y [m], heading in [-pi, pi) [rad], magnitude of the speed [m/s], turn rate [rad/s].
     """
@@ -240,7 +242,7 @@ def read(state: Any) -> tuple[float, float, float, float, float]:
 
 
 def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
-    """Follow the commands whose dead time is over."""
+    """Follow the speed commands whose dead time has passed."""
     axis = state.speed
     while axis.next_ns <= state.now_ns:
         command = rows.waiting[axis.waiting_first].speed
@@ -269,7 +271,10 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
 def want_rate(
     command: float, gain: float, reverse_gain: float, deadband: float, bound: float
 ) -> float:
-    """Return the rate that a command leads to in the end; a reverse gain of nan is the gain."""
+    """Return the rate that a command leads to in the end.
+
+    A reverse gain of NaN means the normal gain.
+    """
     if abs(command) <= deadband:
         return 0.0
     if command < 0.0 and not math.isnan(reverse_gain):
@@ -286,7 +291,7 @@ def _follow(axis: Any, wanted: float, lag_s: float, acceleration: float) -> None
 
 
 def _find_next(axis: Any, state: Any, rows: Any, dead_time_s: float) -> int:
-    """Return when an axis begins to follow the next command that waits [ns]."""
+    """Return the time at which an axis begins to follow the next waiting command [ns]."""
     if axis.waiting_first == state.waiting_end:
         return NEVER_NS
     arrived_ns: int = rows.waiting[axis.waiting_first].time_ns
@@ -345,7 +350,7 @@ def _move_smoothly(keys: Any, state: Any, left_s: float) -> None:
 
 
 def _move_along_arc(keys: Any, state: Any, duration_s: float) -> None:
-    """Drive a circle, or a line; the rest of a transient adds to its length and its turn."""
+    """Drive a circle or line. The rest of a transient adds to the length and the turn."""
     way_m = _let_pass(state.speed, keys.speed_lag_s, keys.speed_acceleration, duration_s)
     turned_rad = _let_pass(state.turn, keys.turn_lag_s, keys.turn_acceleration, duration_s)
     half_rad = 0.5 * turned_rad
@@ -383,19 +388,19 @@ def _is_settled(axis: Any, lag_s: float) -> bool:
 
 
 def _is_ramp(axis: Any, lag_s: float, acceleration: float) -> bool:
-    """Return whether the transient fades at the largest acceleration: below, the lag asks less."""
+    """Return whether the largest acceleration limits the decay of the transient, not the lag."""
     is_limited: bool = not math.isinf(acceleration)
     return is_limited and abs(axis.transient) > acceleration * lag_s
 
 
 def _find_ramp_s(axis: Any, lag_s: float, acceleration: float) -> float:
-    """Return for how long a transient that is a ramp remains one [s]."""
+    """Return how long a transient remains a ramp [s]."""
     above: float = abs(axis.transient) - acceleration * lag_s
     return above / acceleration
 
 
 def _fade(axis: Any, lag_s: float, acceleration: float, time_s: float) -> float:
-    """Return what is left of a transient after a time in which no ramp ends [s]."""
+    """Return the rest of a transient after a time in which no ramp ends [s]."""
     left: float = axis.transient
     if not _is_ramp(axis, lag_s, acceleration):
         left *= math.exp(-time_s / lag_s)
@@ -407,7 +412,7 @@ def _fade(axis: Any, lag_s: float, acceleration: float, time_s: float) -> float:
 
 
 def _integrate(axis: Any, lag_s: float, acceleration: float, time_s: float) -> float:
-    """Return the way, or turn, within a time [s] in which no ramp ends, without a switch."""
+    """Return the distance or turn within a time without a switch in which no ramp ends [s]."""
     way: float = (axis.target + axis.push) * time_s
     if axis.transient == 0.0:
         return way
@@ -422,7 +427,7 @@ def _integrate(axis: Any, lag_s: float, acceleration: float, time_s: float) -> f
 
 
 def _let_pass(axis: Any, lag_s: float, acceleration: float, time_s: float) -> float:
-    """Let a time pass [s] in which no ramp ends; return the way, or turn, within it."""
+    """Advance by a time in which no ramp ends [s]; return the distance or turn within this time."""
     way = _integrate(axis, lag_s, acceleration, time_s)
     if axis.transient != 0.0:
         axis.transient = _fade(axis, lag_s, acceleration, time_s)
@@ -433,7 +438,7 @@ _AXES: Final = ("speed", "turn")
 
 
 def _build_cause(name: str, meaning: str) -> Cause:
-    """Return a limit of both axes as a cause; a key that is None is not given."""
+    """Return a limit of both axes as a cause. A key of None has no limit."""
     keys = dict.fromkeys(f"plant.{axis}_{name}" for axis in _AXES)
     word = name.replace("_", "-")
     return Cause(name=f"robot-{word}", kind="design", neutral=keys, meaning=meaning)

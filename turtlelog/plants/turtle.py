@@ -61,22 +61,22 @@ class Turtle:
     def take_command(
         self, speed_m_s: float, turn_rate_rad_s: float, lateral_speed_m_s: float = 0.0
     ) -> None:
-        """Hold a command from the next step on; there is no limit in the plant."""
+        """Hold a command from the next step on. The plant limits no command."""
         hold(self._settings, self._state, None, 0, speed_m_s, turn_rate_rad_s)
         self._state.lateral_speed = lateral_speed_m_s
 
     def teleport_to(self, x_m: float, y_m: float, heading_rad: float) -> None:
-        """Ask to be set to a pose in the world frame at the next step [m, m, rad]."""
+        """Request to be set to a pose in the world frame at the next step [m, m, rad]."""
         to = to_float32(x_m), to_float32(y_m), to_float32(heading_rad)
         self._teleports.append(_Teleport(False, *to))  # noqa: FBT003
 
     def teleport_by(self, forward_m: float, turn_rad: float) -> None:
-        """Ask to be turned, then moved along the new heading, at the next step [m, rad]."""
+        """Request to turn, then move along the new heading, at the next step [m, rad]."""
         by = to_float32(forward_m), 0.0, to_float32(turn_rad)
         self._teleports.append(_Teleport(True, *by))  # noqa: FBT003
 
     def step(self) -> None:
-        """Move for one step: teleports, watchdog, turn, move along the new heading, clamp."""
+        """Move for one step: teleports, watchdog, turn, motion along the new heading, clamp."""
         for teleport in self._teleports:
             self._teleport(teleport)
         self._teleports.clear()

@@ -1,4 +1,4 @@
-"""turtlesim (ROS 2 Humble): what is fixed about it, and one turtle as its source moves it.
+"""turtlesim (ROS 2 Humble): fixed facts, and one turtle that moves as in the source.
 
 Source of every formula: turtlesim's `turtle_frame.cpp` and `turtle.cpp` (`Turtle::update`), and
 measurements on published logs.
@@ -11,19 +11,20 @@ from turtlelog.arithmetic import Direction, find_direction, floor, hypot, least,
 from turtlelog.parts import Plant, PlantPart
 
 TICK_NS: Final = 16_000_000
-"""One plant step [ns]."""
+"""Duration of one plant step [ns]."""
 
 TICK_S: Final = 0.016
-"""One plant step [s]."""
+"""Duration of one plant step [s]."""
 
 WORLD_SIZE_M: Final = 11.088889122009277
-"""Side of the square world [m]: 499 / 45 as a 32-bit float. The origin is its lower left corner."""
+"""Side length of the square world [m]: 499 / 45 as a 32-bit float. The origin is the lower left
+corner."""
 
 SPAWN_XY_M: Final = 5.544444561004639
 """Both coordinates of the spawn pose [m]: the middle of the world as a 32-bit float."""
 
 WATCHDOG_NS: Final = 1_000_000_000
-"""A turtle stops when more than this has passed since it last took a command [ns]."""
+"""Time after the last taken command beyond which a turtle stops [ns]."""
 
 _PI: Final = 3.14159265  # eight decimals, as in turtlesim's source
 _TWO_PI: Final = 2.0 * _PI
@@ -40,28 +41,28 @@ TURTLESIM: Final = Plant(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurtlesimKeys:
-    """No parameters: everything about turtlesim is fixed."""
+    """No keys: turtlesim has no parameters."""
 
 
 @dataclass(slots=True)
 class TurtleState:
-    """A turtle. Positions are y-down, as in turtlesim.
+    """State of a turtle. Positions are y-down, as in turtlesim.
 
     Attributes:
         x_m: Position along x, world frame [m].
         down_m: Distance from the upper edge of the world [m].
         heading_rad: Heading, counter-clockwise from +x [rad].
-        speed: Velocity along the heading that it holds [m/s].
-        lateral_speed: Velocity to the left of the heading that it holds [m/s].
-        turn_rate: Turn rate that it holds [rad/s].
+        speed: Velocity that the turtle holds along its heading [m/s].
+        lateral_speed: Velocity that the turtle holds to the left of its heading [m/s].
+        turn_rate: Turn rate that the turtle holds [rad/s].
         push_speed: Disturbance of the speed [m/s].
         push_turn_rate: Disturbance of the turn rate [rad/s].
         applied_speed: Magnitude of the velocity in the last step [m/s].
         applied_turn_rate: Turn rate in the last step [rad/s].
-        idle_ns: Time since it took a command [ns].
+        idle_ns: Time since the turtle took a command [ns].
         hit_wall: Whether the last step clamped the position to the world.
-        keeps_32_bits: Whether each step rounds the heading to 32 bits, before it is wrapped and
-            after: before Humble, `normalizeAngle` took and returned a `float`.
+        keeps_32_bits: Whether each step rounds the heading to 32 bits, before wrapping and after
+            it: before Humble, `normalizeAngle` took and returned a `float`.
         along: Direction of the heading.
     """
 
@@ -84,7 +85,7 @@ class TurtleState:
 def begin(
     keys: Any, x_m: float, y_m: float, heading_rad: float, *, is_rounded: bool
 ) -> TurtleState:
-    """Return a turtle that spawns at a pose, rounded to 32 bits as spawning does.
+    """Return a turtle that spawns at a pose, rounded to 32 bits like a spawned turtle.
 
     If `is_rounded` is False, the pose is not rounded, as for a turtle that has already moved.
     """
@@ -99,18 +100,18 @@ def begin(
 def hold(
     settings: Any, state: Any, rows: Any, time_ns: int, speed: float, turn_rate: float
 ) -> None:
-    """Hold a command from the next step on; there is no limit in the plant."""
+    """Hold a command from the next step on. The plant limits no command."""
     state.speed, state.turn_rate = speed, turn_rate
     state.idle_ns = -settings.scene.period_ns
 
 
 def push(settings: Any, state: Any, speed: float, turn_rate: float) -> None:
-    """Add these rates in the next step."""
+    """Add these disturbances to the rates in the next step."""
     state.push_speed, state.push_turn_rate = speed, turn_rate
 
 
 def move(settings: Any, state: Any, rows: Any, time_ns: int) -> bool:
-    """Move for one step: watchdog, disturbance, turn, move along the new heading, clamp."""
+    """Move for one step: watchdog, disturbance, turn, motion along the new heading, clamp."""
     scene = settings.scene
     state.idle_ns += scene.period_ns
     if state.idle_ns > scene.watchdog_ns:

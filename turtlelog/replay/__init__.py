@@ -1,6 +1,6 @@
-"""A Run driven again: through the plant, through a law, in closed loop, with changes.
+"""Replay of a Run: through the plant, through a law, in closed loop, or with changes.
 
-The names stand in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -1,4 +1,4 @@
-"""Recorded commands driven through a plant: alone, or through the robot model of the scenario."""
+"""Recorded commands that drive a plant: alone, or through the robot model of the scenario."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from turtlelog.scenario import Scenario, Start, flatten_scenario, restore_scenar
 from turtlelog.simulate.driven import DrivenPlant, State, list_plant_commands
 
 _MOST_S = 3600.0
-"""Time that is driven at most [s], as of a replay in closed loop."""
+"""Longest simulated time [s], as for a replay in closed loop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,13 +26,13 @@ class CommandReplay:
     """Motion of a plant that recorded commands drive.
 
     Attributes:
-        name: Name of the run that holds the commands.
+        name: Name of the run with the commands.
         plant: Kind of the plant.
-        run: The commands with the poses of the plant.
-        path_length_m: Length of its path [m].
+        run: Run with the commands, and with the poses of the plant.
+        path_length_m: Length of the plant's path [m].
         taken: Commands that the plant took.
-        wall_s: Time at which it first met a wall of its world, from the first command [s]; None:
-            never.
+        wall_s: Time from the first command at which the plant first met a wall of its world [s];
+            None: never.
     """
 
     name: str
@@ -48,19 +48,20 @@ class CommandReplay:
 
 
 def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
-    """Drive a plant with the commands of a run, each at its time from the first command.
+    """Drive a plant with the commands of a run, each at its time since the first command.
 
-    The plant is driven to the last command; one that stops by itself when commands stay out, until
-    it has stopped.
+    The simulation ends with the last command. A plant that stops by itself without commands is
+    simulated until it has stopped.
 
     Args:
         run: Run with commands; its poses are not used.
-        scenario: Its plant, start, transport and disturbance act; its law, limits and sensing play
-            no part. None: turtlesim from where it spawns.
+        scenario: Scenario whose plant, start, transport and disturbance act; its law, limits and
+            sensing are not used. Default: turtlesim from its spawn pose.
 
     Raises:
-        ReplayError: If there are no commands, sideways ones, or they last too long.
-        SimulationError: If the plant runs away.
+        ReplayError: If there are no commands, there are sideways commands, or the commands last too
+            long.
+        SimulationError: If the plant diverges.
     """
     scenario = scenario or Scenario()
     parameters = flatten_scenario(scenario)
@@ -136,13 +137,13 @@ def _require_driveable(run: Run) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaggedPoses:
-    """Where the recorded commands lead the robot of a recording.
+    """Poses to which the recorded commands lead the robot of a recording.
 
     Attributes:
         states: x, y [m] and heading [rad] at the time of each recorded pose, in double precision,
             shape (n, 3).
-        gaps: Stretches of time whose poses are missing; the robot is driven through them.
-        commands: What became of the recorded commands.
+        gaps: Segments of time whose poses are missing. The robot is simulated through them.
+        commands: Use of the recorded commands by the robot.
     """
 
     states: NDArray[np.float64]
@@ -153,13 +154,13 @@ class LaggedPoses:
 def drive_lagged(run: Run) -> LaggedPoses:
     """Drive the robot of a recording from its start with all of its commands.
 
-    Its scenario tells how each command reaches the robot, and what pushes that, by its seed where
-    it is random; the law and the sensing play no part.
+    The scenario determines how each command reaches the robot, and the disturbances; its seed
+    determines random values. The law and the sensing are not used.
 
     Raises:
-        ReplayError: Where the recording does not hold all of its scenario, its commands, or poses
-            at the ticks from the start on.
-        ScenarioError: Where the scenario is wrong.
+        ReplayError: If the recording does not contain its whole scenario, its commands, or poses at
+            the ticks from the start on.
+        ScenarioError: If the scenario is wrong.
     """
     _require_whole(run)
     scenario, plant = restore_scenario(run), find_plant(run)
@@ -200,23 +201,23 @@ def drive_lagged(run: Run) -> LaggedPoses:
 def sense_driven(
     scenario: Scenario, commands: CommandColumns, time_ns: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return what is sensed of a robot from the origin at some times, driven with commands.
+    """Return the sensed poses, at given times, of a robot that commands drive from the origin.
 
-    The scenario's plant, transport, disturbance and sensing act, by its seed; its start, law and
-    limits play no part, nor do the delays and the dropout of sensed poses, which are by the time
-    of the pose.
+    The plant, transport, disturbance, sensing and seed of the scenario are used. The scenario's
+    start, law and limits are not used. Sensed poses are neither delayed nor lost: the result is
+    sorted by the time of the pose.
 
     Args:
-        scenario: Of a lagged robot.
-        commands: As published, with times from 0 on [ns].
-        time_ns: Not decreasing, from 0 on, shape (n,).
+        scenario: Scenario with a robot model.
+        commands: Commands as published, with times from 0 on [ns].
+        time_ns: Times of the poses [ns], not decreasing, from 0 on, shape (n,).
 
     Returns:
         x, y [m] and heading [rad], shape (n, 3).
 
     Raises:
-        ReplayError: Where the scenario is of no lagged robot.
-        SimulationError: Where the robot runs away.
+        ReplayError: If the scenario has no robot model.
+        SimulationError: If the robot diverges.
     """
     if PLANTS[scenario.plant.kind].acts_in_steps:
         raise ReplayError(

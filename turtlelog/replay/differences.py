@@ -1,4 +1,4 @@
-"""How far a signal is from that of a reference: a recording, or another run."""
+"""Differences of a signal from a reference: a recording, or another run."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -16,14 +16,15 @@ Value = float | int | str | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """A value of a reference beside the one that a replay, or another run, has in its place.
+    """A value of the reference, and the value of a replay or another run in its place.
 
     Attributes:
-        signal: Its name.
-        time_ns: When [ns]: of a replay by the recording, of two runs on their common clock.
-        recorded: Of the reference, in the signal's unit; a phase or stop reason by its name, a
-            declaration in words; None: none.
-        replayed: Of the replay or the other run, the same.
+        signal: Name of the signal.
+        time_ns: Time of the values [ns]: on the recording's clock for a replay, on the common clock
+            for two runs.
+        recorded: Value of the reference, in the unit of the signal. A phase or stop reason is given
+            by name, a declaration in words. None: no value.
+        replayed: Value of the replay or the other run, in the same form.
     """
 
     signal: str
@@ -34,18 +35,20 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalDifference:
-    """How far a signal is from the reference's, over all rows.
+    """Difference of a signal from the reference, over all rows.
 
     Attributes:
-        signal: Its name.
-        unit: Of its values.
-        rows: How many were compared.
-        differing: How many of them differ by more than the limit, or have a value on one side only.
-        largest: Largest magnitude of a difference, in `unit`; of a label 1 where it differs. Where
-            limits differ from row to row, that of the row with the least margin.
-        limit: Differences up to this one are tolerated in that row, in `unit`.
-        largest_difference: The first row of that difference; None where it is 0.
-        first_difference: The first row beyond its limit; None where there is none.
+        signal: Name of the signal.
+        unit: Unit of the values.
+        rows: Number of compared rows.
+        differing: Number of rows that differ by more than the limit, or have a value on one side
+            only.
+        largest: Largest magnitude of a difference, in `unit`; 1 for a label that differs. If limits
+            differ from row to row, the difference in the row with the smallest margin.
+        limit: Largest tolerated difference in that row, in `unit`.
+        largest_difference: First row of the largest difference; None if the largest difference is
+            0.
+        first_difference: First row beyond its limit; None if no row is beyond its limit.
     """
 
     signal: str
@@ -59,26 +62,26 @@ class SignalDifference:
 
     @property
     def at_ns(self) -> int | None:
-        """When the largest difference is first reached [ns]; None where all are equal."""
+        """Time at which the largest difference is first reached [ns]; None if all are equal."""
         return None if self.largest_difference is None else self.largest_difference.time_ns
 
     @property
     def at_s(self) -> float | None:
-        """The same [s]."""
+        """Time at which the largest difference is first reached [s]."""
         return None if self.at_ns is None else self.at_ns / 1e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pairing:
-    """The values of a signal, recorded and replayed, row by row.
+    """Recorded and replayed values of a signal, row by row.
 
     Attributes:
-        signal: Its name.
-        unit: Of its values.
-        time_ns: By the recording [ns], shape (n,), not decreasing.
-        recorded: Shape (n,); NaN: none.
-        replayed: Shape (n,); NaN: none.
-        kind: `number`; `angle`: differences in [-pi, pi); `label`: names, equal or not.
+        signal: Name of the signal.
+        unit: Unit of the values.
+        time_ns: Time on the recording's clock [ns], shape (n,), not decreasing.
+        recorded: Recorded values, shape (n,); NaN: no value.
+        replayed: Replayed values, shape (n,); NaN: no value.
+        kind: `number`; `angle`: differences in [-pi, pi); `label`: names that are equal or not.
     """
 
     signal: str
@@ -90,7 +93,7 @@ class Pairing:
 
 
 def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
-    """Return how far a signal's rows differ; labels differ whatever the tolerance."""
+    """Return the difference of a signal's rows. Unequal labels differ at any tolerance."""
     apart, is_one_sided = _subtract(pairing)
     limit = 0.0 if pairing.kind == "label" else tolerance
     # What is not within: nan, which a difference beyond the largest number may be, is none.
@@ -110,19 +113,19 @@ def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
 
 
 def find_earliest(differences: Iterable[Difference | None]) -> Difference | None:
-    """Return the earliest; of several at one time the one that is named first."""
+    """Return the earliest difference; of several at one time, the difference named first."""
     found = [difference for difference in differences if difference]
     return min(found, key=lambda difference: difference.time_ns, default=None)
 
 
 def require_tolerance(tolerance: float) -> None:
-    """Refuse a tolerance that is none."""
+    """Refuse an invalid tolerance."""
     if not 0.0 <= tolerance < float("inf"):
         raise ReplayError(f"tolerance: expected a number >= 0, found {tolerance}")
 
 
 def _subtract(pairing: Pairing) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return how far apart the values are, 0 where a side has none, and where only one has."""
+    """Return the differences, 0 if both sides have no value, and the rows with one value only."""
     recorded, replayed = pairing.recorded, pairing.replayed
     if pairing.kind == "label":
         differs = np.not_equal(recorded, replayed)
@@ -149,7 +152,7 @@ def _read_row(pairing: Pairing, row: int) -> Difference:
 
 
 def describe_replay(samples: int, first: Difference | None) -> str:
-    """Return what a replay came to, in a few words."""
+    """Return the result of a replay in a few words."""
     found = "no difference" if first is None else f"first differs in {first.signal}"
     return f"{samples} compared, {found}"
 
@@ -157,7 +160,7 @@ def describe_replay(samples: int, first: Difference | None) -> str:
 def format_replay_html(
     name: str, samples: int, first: Difference | None, signals: Iterable[SignalDifference]
 ) -> str:
-    """Return what a notebook shows of a replay: what it came to, and the signals that differ."""
+    """Return the HTML that a notebook shows for a replay: its result and differing signals."""
     rows = [
         (one.signal, *show_angle(one.largest, one.unit)[::-1], one.differing, one.rows)
         for one in signals

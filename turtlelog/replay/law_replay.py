@@ -1,4 +1,4 @@
-"""The recorded poses through a law, against the recorded commands."""
+"""Replay of the recorded poses through a law, compared with the recorded commands."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -62,21 +62,22 @@ class LawReplay:
 
     Attributes:
         name: Name of the run.
-        scenario: Law, limits and goal come from it.
-        samples: Compared: all, or up to that at which the replayed law stops.
-        missing_samples: Recorded ones that are lost: the law did not see their poses.
+        scenario: Scenario with the law, limits and goal.
+        samples: Number of compared samples: all, or those up to the stop of the replayed law.
+        missing_samples: Number of recorded samples that are lost: the law did not read their poses.
         signals: Differences by signal, commands first.
-        commands: Difference unless exactly one command per sample was published; None if one was,
-            or where rows are lost.
-        stop: Difference of the ends if the law ends it elsewhere or for another reason; None if it
-            does not.
-        declaration: Difference of the declarations if the law declares other loops, phases or
-            states than were recorded; None if not. This alone is no difference of the runs.
-        first_difference: The earliest of all; of several in one sample that of the first signal in
-            `signals`. None if there is none.
-        first_command_difference: The earliest in the commands, as computed and as published.
-        absent: Signals of the replay that the recording does not hold, or of which rows are lost.
-        answers: The samples as replayed.
+        commands: Difference of the counts, unless one command per sample was published. None if
+            there was one command per sample, or if rows are lost.
+        stop: Difference of the ends, if the law ends the run at another sample or for another
+            reason; else None.
+        declaration: Difference of the declarations, if the law declares other loops, phases or
+            states than the recording; else None. The runs do not count as different because of this
+            alone.
+        first_difference: The earliest difference; of several in one sample, that of the first
+            signal in `signals`. None if nothing differs.
+        first_command_difference: The earliest difference of the commands, computed or published.
+        absent: Signals of the replay that are not recorded, or of which rows are lost.
+        answers: Replayed samples.
     """
 
     name: str
@@ -94,7 +95,7 @@ class LawReplay:
 
     @property
     def others(self) -> tuple[Difference, ...]:
-        """The differences that are of no signal: of `commands` and `stop`."""
+        """Differences that belong to no signal: those of `commands` and `stop`."""
         return tuple(found for found in (self.commands, self.stop) if found is not None)
 
     def __repr__(self) -> str:
@@ -116,27 +117,27 @@ def replay_law(
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
-    If poses were sensed, these are what it answers; shaping and limits act again. Its answers are
-    compared with the recorded samples and with the commands that were published. The law sees what
-    the recorded one saw; its own commands have no effect on the poses. Only the law, its path, the
-    shaping, the limits and the goal of the scenario are used.
+    If poses were sensed, the law answers the sensed poses. Shaping and limits act again. The
+    answers are compared with the recorded samples and the published commands. The law reads the
+    same poses as the recorded law; its commands have no effect on the poses. Only the law, the
+    path, the shaping, the limits and the goal of the scenario are used.
 
     Args:
         run: Run with samples.
-        scenario: Otherwise that of the recording.
-        law: Takes the place of the scenario's: a law with its parameters, or a class, a function or
-            text as in `simulate_run`.
-        tolerance: Differences up to this one are none, in each signal's unit.
-        trust_law: Run the law that the recording names, where it is not built in: its code.
-        step_budget_s: Time that the law may compute for one answer [s]; None: as long as it takes.
+        scenario: Scenario to use. Default: the scenario of the recording.
+        law: Law that replaces the law of the scenario: a law with its parameters, or a class, a
+            function or text as in `simulate_run`.
+        tolerance: Largest difference that counts as equal, in the unit of each signal.
+        trust_law: Whether to run the code of a recorded law that is not built in.
+        step_budget_s: Largest computing time for one answer [s]; None: unlimited.
 
     Raises:
-        ReplayError: If the run holds no samples.
-        LawError: If `law` is no law.
-        ScenarioError: If no scenario is given, and the run does not hold all of its own or names a
-            law that is neither built in nor trusted.
-        SimulationError: If the law fails, computes for longer, or answers with something that is no
-            number.
+        ReplayError: If the run contains no samples.
+        LawError: If `law` is not a law.
+        ScenarioError: If no scenario is given, and the run does not contain its whole scenario or
+            names a law that is neither built in nor trusted.
+        SimulationError: If the law fails, exceeds its computing time, or returns a value that is
+            not a number.
     """
     require_run(run)
     require_tolerance(tolerance)
@@ -177,7 +178,7 @@ def replay_law(
 
 
 def _describe_nothing_read(run: Run) -> str:
-    """Return why there are no samples: they are not there, or not read."""
+    """Return why there are no samples: the file has none, or they were not read."""
     if CONTROL.name in run.notes.get(NOT_READ, ""):
         return (
             f"{run.notes[NOT_READ]} in a file without turtlelog's metadata record are not read as"
@@ -192,7 +193,7 @@ def _describe_nothing_read(run: Run) -> str:
 def _answer_poses(
     run: Run, scenario: Scenario, law: Law | None, step_budget_s: float | None
 ) -> tuple[Answers, NDArray[np.int64], str | None]:
-    """Return the samples up to the law's end, the ticks that each blocks for, and why it ends."""
+    """Return the samples up to the law's end, the blocking ticks of each, and the stop reason."""
     loop = PlainLoop(scenario, law=law, step_budget_s=step_budget_s)
     samples = _iterate_answers(run, loop)
     if step_budget_s is not None:
@@ -223,7 +224,7 @@ def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tup
 
 
 def _count_published(run: Run) -> Difference | None:
-    """Return how many commands there are beside how many samples, where no row is lost."""
+    """Return the number of commands beside the number of samples, if no row is lost."""
     is_lossy = count_missing_samples(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
     if has_published(run) or is_lossy or "commands" in run.absent:
         return None
@@ -232,7 +233,7 @@ def _count_published(run: Run) -> Difference | None:
 
 
 def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
-    """Return the ticks between samples and their commands, where the clock counts in ticks."""
+    """Return the ticks between samples and their commands, if the clock counts in ticks."""
     rows = min(len(run.commands), len(blocks_ticks))
     held_ns = run.commands.time_ns[:rows] - run.samples.time_ns[:rows]
     if not has_ticks(run) or not has_all_commands(run):

@@ -1,4 +1,4 @@
-"""The closed loop simulated again, against all that was recorded."""
+"""Repeated simulation of the closed loop, compared with the whole recording."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -41,35 +41,38 @@ from turtlelog.simulate.step_budget import STEP_BUDGET_S
 _OF_TICKS: Final = (
     *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),
 )
-"""Signals that a recording has only where it holds a pose per tick."""
+"""Signals that are recorded only if a recording has one pose per tick."""
 
 _LONGEST_S: Final = 3600.0
-"""Simulated time that a recording may ask for, however short it is [s]: an hour takes 5 s and
-140 MB."""
+"""Largest simulated time that a recording may request, however short the recording is [s]: an hour
+takes 5 s and 140 MB."""
 _LONGER: Final = 1.1
-"""How much longer than the recording its replay may be, where that is more."""
+"""Largest ratio of a replay's duration to that of its recording; applies if it allows more than
+`_LONGEST_S`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopReplay:
-    """A scenario that is simulated again, compared with the recording.
+    """Repeated simulation of a scenario, compared with the recording.
 
     Attributes:
         name: Name of the recorded run.
         scenario: Scenario as simulated.
         run: The replayed run.
-        by_tick: Whether poses were compared tick by tick; otherwise those that samples read were.
-        samples: Compared.
+        by_tick: Whether poses were compared tick by tick; otherwise the poses that samples read
+            were compared.
+        samples: Number of compared samples.
         max_abs_error: Largest difference of all compared poses.
         signals: Differences by signal: poses, samples, commands.
-        counts: Rows of `samples`, `poses` and `commands`, as far as they are recorded.
-        stop: Difference of the stop reasons; None if not.
-        others: The differences that are of no signal: of `counts` and `stop`.
-        declaration: Difference of the declarations if the law declares other loops, phases or
-            states than were recorded; None if not. This alone is no difference of the runs.
-        first_difference: The earliest of all, counts and stop included; of several at one time that
-            of the first signal in `signals`. None if there is none.
-        absent: Signals of the replay that the recording does not hold.
+        counts: Numbers of rows of `samples`, `poses` and `commands`, if recorded.
+        stop: Difference of the stop reasons; None if they are equal.
+        others: Differences that belong to no signal: those of `counts` and `stop`.
+        declaration: Difference of the declarations, if the law declares other loops, phases or
+            states than the recording; else None. The runs do not count as different because of this
+            alone.
+        first_difference: The earliest difference, including counts and stop; of several at one
+            time, that of the first signal in `signals`. None if nothing differs.
+        absent: Signals of the replay that are not recorded.
     """
 
     name: str
@@ -104,23 +107,25 @@ def replay_loop(
 ) -> LoopReplay:
     """Simulate the scenario of a recording again, and compare row by row.
 
-    Ticks are matched by their time, samples by their number, commands by their order; times are
-    values like others. A log with one pose per sample is compared sample by sample, its clock not
-    at all. A recording that was cut may end before its replay.
+    Ticks are matched by time, samples by number, commands by order. Times are compared like other
+    values. A log with one pose per sample is compared sample by sample, without its clock. A
+    truncated recording may end before its replay.
 
     Args:
-        run: Run with ticks of exactly its plant's period, or with samples.
-        scenario: Otherwise that of the recording; a changed one answers "what if".
-        tolerance: Differences up to this one are none, in each signal's unit.
-        trust_law: Run the law that the recording names, where it is not built in: its code.
-        step_budget_s: Time that the law may compute for one answer [s]; None: as long as it takes.
+        run: Run with samples, or with ticks exactly one plant period apart.
+        scenario: Scenario to simulate. Default: the scenario of the recording. A changed scenario
+            answers "what if".
+        tolerance: Largest difference that counts as equal, in the unit of each signal.
+        trust_law: Whether to run the code of a recorded law that is not built in.
+        step_budget_s: Largest computing time for one answer [s]; None: unlimited.
 
     Raises:
-        ReplayError: If the run holds neither such ticks nor samples.
-        ScenarioError: If no scenario is given, and the run does not hold all of its own or names a
-            law that is neither built in nor trusted.
-        SimulationError: If the simulation cannot go on.
-        ReplayError: If the recording's own scenario goes on much longer than the recording.
+        ReplayError: If the run contains neither such ticks nor samples.
+        ScenarioError: If no scenario is given, and the run does not contain its whole scenario or
+            names a law that is neither built in nor trusted.
+        SimulationError: If the simulation cannot continue.
+        ReplayError: If the simulation of the recorded scenario lasts much longer than the
+            recording.
     """
     require_run(run)
     require_tolerance(tolerance)
@@ -171,7 +176,7 @@ def replay_loop(
 
 
 def _shorten(scenario: Scenario, run: Run) -> Scenario:
-    """Return the scenario, cut where it is much longer than the recording that brought it."""
+    """Return the scenario, shortened if it lasts much longer than its recording."""
     most_s = max(_LONGEST_S, _LONGER * run.end_ns / 1e9)
     return (
         replace(scenario, max_duration_s=most_s) if scenario.max_duration_s > most_s else scenario

@@ -1,4 +1,4 @@
-"""The recorded commands through the plant, against the recorded poses."""
+"""Replay of the recorded commands through the plant, compared with the recorded poses."""
 
 from array import array
 from collections.abc import Iterable
@@ -27,21 +27,21 @@ from turtlelog.replay.taken_commands import CommandUse, Velocity, place_commands
 from turtlelog.run import Run, require_run
 
 _HALF_STEP_M: Final = 2.0**-21
-"""Half a 32-bit step of a coordinate between 8 and 16 m, the coarsest in this world [m]."""
+"""Half a 32-bit step of a coordinate between 8 and 16 m, the coarsest step in this world [m]."""
 
 _HALF_STEP_RAD: Final = 2.0**-23
 """Half a 32-bit step of a heading between 2 and 4 rad [rad]."""
 
 _HALF_SHARE: Final = 2.0**-24
-"""Half a 32-bit step of a velocity, as a share of it."""
+"""Half a 32-bit step of a velocity, as a share of the velocity."""
 
 _RIGHT: Final = 1e-9
-"""How exactly a lagged robot's position is known [m]."""
+"""Accuracy of a robot model's position [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseError:
-    """The largest magnitudes of differences between replayed and recorded poses."""
+    """Largest magnitudes of the differences between replayed and recorded poses."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -53,15 +53,16 @@ class PlantStretch:
     """A part of the recording without a jump or gap, replayed from its first recorded pose.
 
     Attributes:
-        start_ns: Time of its first pose [ns].
-        end_ns: Time of its last pose [ns].
-        ticks: Steps replayed.
-        max_abs_error: Largest difference of its poses.
-        signals: x, y [m] and heading [rad], with what rounding explains as their limit.
-        rounding_m: Largest error from 32-bit rounding of the first pose and of velocities that
-            represent commands, along the way driven [m]; the plant's own state is in double
-            precision, and not recorded. For a robot model, whose start is known, it is one step of
-            32 bits at the largest coordinate.
+        start_ns: Time of the first pose [ns].
+        end_ns: Time of the last pose [ns].
+        ticks: Number of replayed steps.
+        max_abs_error: Largest difference of the poses.
+        signals: x, y [m] and heading [rad], with the differences that rounding explains as their
+            limits.
+        rounding_m: Largest error from 32-bit rounding of the first pose, and of velocities used as
+            commands, along the distance driven [m]. The plant's own state has double precision and
+            is not recorded. For a robot model, whose start is known, the error is one 32-bit step
+            at the largest coordinate.
         rounding_rad: The same for the heading [rad].
     """
 
@@ -75,7 +76,7 @@ class PlantStretch:
 
     @property
     def first_difference(self) -> Difference | None:
-        """The first that rounding does not explain; None if it explains all of them."""
+        """First difference that rounding does not explain; None if rounding explains all."""
         return find_earliest(found.first_difference for found in self.signals)
 
     @property
@@ -85,7 +86,7 @@ class PlantStretch:
 
     @property
     def of_rounding(self) -> float:
-        """The largest difference as a multiple of what rounding explains [1]; inf of nothing."""
+        """Largest difference, relative to the one that rounding explains [1]; inf for 0."""
         error = self.max_abs_error
         pairs = (
             (max(error.x_m, error.y_m), self.rounding_m),
@@ -100,15 +101,16 @@ class PlantReplay:
 
     Attributes:
         name: Name of the run.
-        samples: Poses compared.
+        samples: Number of compared poses.
         max_abs_error: Largest difference over all segments.
-        first_difference: The earliest of all segments, None if rounding explains all of it.
+        first_difference: Earliest difference of all segments; None if rounding explains all
+            differences.
         stretches: Segments in order of time.
         jumps: Jumps in order of time.
         gaps: Gaps in order of time.
         commands: Use of the recorded commands.
-        heading_bits: Precision of turtlesim's heading: 64 bits, or 32 before Humble, where only
-            that reproduces the poses to their rounding.
+        heading_bits: Precision of turtlesim's heading: 64 bits, or 32 as before Humble if only 32
+            reproduce the poses within rounding.
     """
 
     name: str
@@ -123,12 +125,12 @@ class PlantReplay:
 
     @property
     def within_rounding(self) -> bool:
-        """Whether rounding explains all differences, in each segment."""
+        """Whether rounding explains all differences in each segment."""
         return self.first_difference is None
 
     @property
     def of_rounding(self) -> float:
-        """The largest difference of all segments as a multiple of its bound [1]."""
+        """Largest difference of all segments as a multiple of its bound [1]."""
         return max(stretch.of_rounding for stretch in self.stretches)
 
     @property
@@ -138,7 +140,7 @@ class PlantReplay:
 
     @property
     def others(self) -> tuple[Difference, ...]:
-        """The differences that are of no signal: none."""
+        """Differences that belong to no signal: always empty."""
         return ()
 
     def __repr__(self) -> str:
@@ -152,13 +154,13 @@ class PlantReplay:
 def replay_plant(run: Run) -> PlantReplay:
     """Drive the plant with the commands of a recording and compare the poses.
 
-    For turtlesim the poses' applied velocities show in which tick each command was taken. After
-    each jump or gap the plant starts again from the recorded pose. A lagged robot is driven from
-    its start to the end; its scenario contains when a command reaches it.
+    For turtlesim, the applied velocities in the poses show in which tick each command was taken.
+    After each jump or gap, the plant starts again from the recorded pose. A robot model is driven
+    from its start to the end; its scenario determines when a command arrives.
 
     Raises:
-        ReplayError: If the run holds no applied velocities, or its poses are no ticks; of a lagged
-            robot where it does not hold its whole scenario, start and commands.
+        ReplayError: If the run has no applied velocities, or its poses are not ticks; for a robot
+            model, if the run does not contain its whole scenario, start and commands.
     """
     require_run(run)
     if find_plant(run).name == LAGGED:
@@ -207,7 +209,7 @@ def _replay_stretch(
     rounded_ticks: int,
     keeps_32_bits: bool,
 ) -> PlantStretch:
-    """Replay a segment; in some ticks of the run the recorded velocity stands for a command."""
+    """Replay a segment. In some ticks the recorded velocity replaces a command."""
     first, after = rows.start, rows.stop
     x_m, y_m = motion.xy_m[first].tolist()
     turtle = Turtle(
@@ -307,7 +309,7 @@ def find_pose_error(signals: Iterable[SignalDifference]) -> PoseError:
 def _round_alike(
     replayed: NDArray[np.float64], recorded: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return poses as published; a recording of double precision holds them as they are."""
+    """Return poses rounded as published. Poses of a recording in double precision do not change."""
     published = replayed.astype(np.float32).astype(np.float64)
     return published if (recorded == recorded.astype(np.float32)).all() else replayed
 

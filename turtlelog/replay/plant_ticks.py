@@ -1,4 +1,4 @@
-"""What a plant recorded tick by tick, and where that breaks off."""
+"""The tick-by-tick motion in a recording, and the places where the motion is interrupted."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,31 +12,32 @@ from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
 
 _NEAR_TICK_NS: Final = 2_000_000
-"""How far the usual time between the poses of a real turtlesim may be from a tick [ns]."""
+"""Largest difference between a tick and the usual time between poses of a real turtlesim [ns]."""
 
 _OBEYS: Final = 0.5
-"""Share of the moving steps that must be turtlesim's for a bag to be of it: of one that is, all
-are but where it was set elsewhere, ran into a wall or lost poses; of another robot's, next to none.
-"""
+"""Smallest share of moving steps that must fit turtlesim for a bag to count as turtlesim's. In a
+bag of turtlesim, all steps fit except at teleports, walls and lost poses; in a bag of another
+robot, hardly any."""
 
 _FEWEST_MOVING: Final = 10
-"""Steps in motion from which this can be told: fewer may all be at a wall."""
+"""Smallest number of moving steps for this decision: fewer steps may all be at a wall."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedMotion:
-    """Poses, one per tick, and the steps that lead to them; row i of a step ends at pose i + 1.
+    """Poses, one per tick, and the steps between them; step i ends at pose i + 1.
 
     Attributes:
         time_ns: Time of each pose [ns], shape (n,).
-        xy_m: World frame [m], shape (n, 2).
-        heading_rad: Shape (n,).
-        speed_m_s: Magnitude of what the tick applied [m/s], shape (n,).
-        turn_rate_rad_s: What the tick applied [rad/s], shape (n,).
+        xy_m: Position in the world frame [m], shape (n, 2).
+        heading_rad: Heading [rad], shape (n,).
+        speed_m_s: Magnitude of the velocity applied in the tick [m/s], shape (n,).
+        turn_rate_rad_s: Turn rate applied in the tick [rad/s], shape (n,).
         step_ns: Time between poses [ns], shape (n - 1,).
-        step_xy_m: How far the pose moved [m], shape (n - 1, 2).
-        step_rad: How far it turned, the shorter way [rad], shape (n - 1,).
-        is_simulated: Whether time stamps are exact multiples of a tick; a wall clock jitters.
+        step_xy_m: Displacement in each step [m], shape (n - 1, 2).
+        step_rad: Turn in each step, the shorter way [rad], shape (n - 1,).
+        is_simulated: Whether time stamps are exact multiples of a tick; stamps of a wall clock have
+            jitter.
     """
 
     time_ns: NDArray[np.int64]
@@ -51,10 +52,10 @@ class RecordedMotion:
 
 
 def moves_as_turtlesim(run: Run) -> bool:
-    """Return whether poses with applied velocities come and go on as turtlesim's do.
+    """Return whether poses with applied velocities move like turtlesim's, at turtlesim's rate.
 
-    Another robot may publish the same type: at another rate, or with velocities that do not lead
-    from one pose to the next. A run that names its scenario is taken at its word.
+    Another robot may publish the same message type at another rate, or with velocities that do not
+    lead from one pose to the next. If a run names its scenario, the scenario decides.
     """
     try:
         motion = read_motion(run)
@@ -72,21 +73,21 @@ def moves_as_turtlesim(run: Run) -> bool:
 
 
 _OTHERS: Final = "for another robot use turtlelog metrics and turtlelog identify"
-"""What the replay of a robot's own recording is refused with."""
+"""Reasons why the replay of a robot's own recording is refused."""
 
 
 def advise_other_mode(run: Run) -> str:
-    """Return what can be asked of a run that holds neither ticks nor samples."""
+    """Return advice for a run that contains neither ticks nor samples."""
     if run.poses.speed_m_s is None:
         return _OTHERS
     return "--plant drives recorded commands through the plant"
 
 
 def read_motion(run: Run) -> RecordedMotion:
-    """Return the motion in a run of turtlesim's.
+    """Return the motion in a run of turtlesim.
 
     Raises:
-        ReplayError: If it lacks the applied velocities, or its poses are no ticks.
+        ReplayError: If the run has no applied velocities, or its poses are not ticks.
     """
     poses = run.poses
     speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
@@ -116,23 +117,24 @@ def read_motion(run: Run) -> RecordedMotion:
 
 
 _SLACK: Final = 1e-5
-"""What the 32-bit rounding of two poses cannot explain [m, rad]."""
+"""Displacement and turn that the 32-bit rounding of two poses cannot explain [m, rad]."""
 
 _STALL_TICKS: Final = 10
-"""A real turtlesim under load misses its timer for up to six ticks without losing a pose. While
-it stands, longer silence counts as a gap; while it moves, the motion tells how many are missing."""
+"""Largest silence without lost poses [ticks]: a real turtlesim under load misses its timer for up
+to six ticks. At standstill, a longer silence counts as a gap; in motion, the motion shows how many
+poses are missing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """A step that the applied velocity does not explain: the turtle was set elsewhere.
+    """A step that the applied velocity does not explain, because the turtle was moved elsewhere.
 
     Attributes:
-        at_ns: Time of the first pose after it [ns].
-        kind: `spawn` where it stands at the spawn pose afterwards (reset, kill and spawn), or
+        at_ns: Time of the first pose after the jump [ns].
+        kind: `spawn` if the turtle is at the spawn pose after the jump (reset, kill and spawn), or
             `teleport`.
-        from_pose: x, y [m], heading [rad] before.
-        to_pose: The same after.
+        from_pose: x, y [m] and heading [rad] before the jump.
+        to_pose: x, y [m] and heading [rad] after the jump.
     """
 
     at_ns: int
@@ -146,9 +148,9 @@ class Gap:
     """A segment of time whose poses are missing: after start_ns, before end_ns.
 
     Attributes:
-        start_ns: Time of the last pose before it [ns].
-        end_ns: Time of the first pose after it [ns].
-        missing_ticks: Number of missing ticks, by the time stamps.
+        start_ns: Time of the last pose before the gap [ns].
+        end_ns: Time of the first pose after the gap [ns].
+        missing_ticks: Number of missing ticks, computed from the time stamps.
     """
 
     start_ns: int

@@ -1,4 +1,4 @@
-"""The signals of a recorded run and of its replay, of poses and samples, paired row by row."""
+"""Pairs of signals of a recorded run and its replay, row by row, for poses and samples."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from turtlelog.run.loops import Declaration
 Rows = NDArray[np.int64]
 
 SENSED: Final = MappingProxyType({"sensed_x": "m", "sensed_y": "m", "sensed_heading": "rad"})
-"""The signals of poses as they were sensed, and their units."""
+"""Signals of sensed poses, and their units."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,13 +28,13 @@ class RowCount:
 
 
 def has_ticks(run: Run) -> bool:
-    """Whether a run holds its poses tick by tick, as a simulation does."""
+    """Return whether a run contains its poses tick by tick, like a simulation."""
     is_whole = not (run.poses.time_ns % find_plant(run).period_ns).any()
     return run.poses.speed_m_s is not None and is_whole
 
 
 def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
-    """Yield poses matched by the time of their tick, samples by number, commands by order."""
+    """Yield signals of poses matched by time of tick, samples by number, commands by order."""
     _, rows, others = np.intersect1d(
         run.poses.time_ns, replayed.poses.time_ns, assume_unique=True, return_indices=True
     )
@@ -50,7 +50,7 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
 
 
 def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
-    """Yield pairs of a sample and the pose that it read, matched by the sample's number."""
+    """Yield signals of samples and of the poses that they read, matched by the sample's number."""
     rows, others = _match_samples(run, replayed)
     read = run.samples.pose_sequence[rows], replayed.samples.pose_sequence[others]
     yield from _pair_poses(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
@@ -65,7 +65,7 @@ def _pair_answers(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator
 
 
 def count_recorded_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, RowCount]:
-    """Return the rows of every kind that the recording holds."""
+    """Return the number of rows of each kind that is recorded."""
     kinds = {"samples": (run.samples, replayed.samples)}
     if by_tick:
         kinds["poses"] = run.poses, replayed.poses  # type: ignore[assignment]
@@ -78,7 +78,7 @@ def count_recorded_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, 
 
 
 def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | None:
-    """Return the difference of two counts; lost rows and a cut recording explain fewer."""
+    """Return the difference of two counts; lost rows or a truncated recording explain fewer."""
     if count.recorded == count.replayed:
         return None
     if count.recorded < count.replayed and (_is_cut(run) or _has_holes(run)):
@@ -125,7 +125,7 @@ def _pair_poses(
 def _pair_sensed(
     recorded: PoseColumns, replayed: PoseColumns, time_ns: Rows, rows: Rows, others: Rows
 ) -> Iterator[Pairing]:
-    """Yield the poses as sensed where both runs have a sensor; a drop-out has no value."""
+    """Yield the sensed poses if both runs have a sensor; a lost pose has no value."""
     was, now = _read_sensed(recorded), _read_sensed(replayed)
     if was is None or now is None:
         return
@@ -165,7 +165,7 @@ def _pair_applied(
 
 
 def _pair_clocks(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
-    """Yield when a sample was answered, and the number of the tick whose pose it read."""
+    """Yield the time of each sample, and the number of the tick whose pose the sample read."""
     time_ns = run.samples.time_ns[rows]
     yield Pairing(
         signal="sample_time",
@@ -213,24 +213,24 @@ def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
 _SIGNAL: Final = "stop"
 
 _CUT: Final = (None, "interrupted")
-"""Stop reasons of runs that somebody or something else ended."""
+"""Stop reasons of runs that were ended from outside."""
 
 _SOMEHOW: Final = "finished"
-"""Stop reason of a log that says that its controller came to an end, and not why."""
+"""Stop reason of a log in which the controller ended without a reason."""
 
 TIME_IS_UP: Final = "max_duration"
 """Stop reason of a run that the scenario's `max_duration_s` ended."""
 
 
 def _is_cut(run: Run) -> bool:
-    """Whether a run might have gone on, had the recording not ended."""
+    """Return whether a run might have continued if the recording had not ended."""
     return run.stop_reason in _CUT
 
 
 def compare_last_answer(
     run: Run, row: int, stop_reason: str | None, *, blocks: bool
 ) -> Difference | None:
-    """Return how the end by a law's answer, sample `row`, differs from the recorded end."""
+    """Return the difference between an end by the answer of sample `row` and the recorded end."""
     time_ns = int(run.samples.time_ns[row])
     if row < len(run.samples) - 1:
         return _build(time_ns, None, stop_reason)
@@ -241,7 +241,7 @@ def compare_last_answer(
 
 
 def compare_ends(run: Run, stop_reason: str | None) -> Difference | None:
-    """Return how the end of a replay, for this reason, differs from the recorded end."""
+    """Return the difference between the end of a replay with this reason and the recorded end."""
     return None if _agrees(run, stop_reason) else _build(run.end_ns, run.stop_reason, stop_reason)
 
 
@@ -284,20 +284,20 @@ _NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = MappingProxyType(
         "reference_heading": ("rad", lambda samples: samples.reference_heading_rad),
     }
 )
-"""What a controller computes, as it computed it, by name: commands first, then errors."""
+"""Numbers that a controller computes, by name: commands first, then errors."""
 
 _ANGLES: Final = frozenset({"bearing", "reference_heading"})
 """Signals whose values differ by less than half a turn."""
 
 PUBLISHED: Final = ("command_speed", "command_lateral_speed", "command_turn_rate")
-"""The signals of the commands as they were published."""
+"""Signals of the published commands."""
 
 COMMANDS: Final = ("speed", "turn_rate", *PUBLISHED)
-"""The signals that leave the controller: as samples tell them, and as published."""
+"""Signals of the controller's output: commands in the samples, and published commands."""
 
 
 class Answers(NamedTuple):
-    """Samples, and the declaration that names their phases and states."""
+    """Samples, with the declaration that names their phases and states."""
 
     samples: SampleColumns
     declaration: Declaration
@@ -306,7 +306,7 @@ class Answers(NamedTuple):
 def pair_samples(
     recorded: Answers, replayed: Answers, *, rows: _RowChoice, others: _RowChoice
 ) -> Iterator[Pairing]:
-    """Yield the signals that both hold; `rows` of the one are beside `others` of the other."""
+    """Yield the signals in both runs; `rows` of one run are paired with `others` of the other."""
     time_ns = recorded.samples.time_ns[rows]
     were, are = _read_numbers(recorded), _read_numbers(replayed)
     for name, (unit, was) in were.items():
@@ -330,7 +330,7 @@ def pair_samples(
 
 
 def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]]:
-    """Return the unit and the column of each signal that there is, states by their names."""
+    """Return unit and column of each existing signal, with states by their names."""
     samples, names = answers
     found = {name: (unit, read(samples)) for name, (unit, read) in _NUMBERS.items()}
     found |= {
@@ -345,7 +345,7 @@ def _name_phases(answers: Answers) -> NDArray[np.str_]:
 
 
 def compare_declarations(run: Run, replayed: Declaration) -> Difference | None:
-    """Return how the declaration of the law that answers differs from the recorded one."""
+    """Return the difference between the declaration of the answering law and the recorded one."""
     if run.declaration == replayed:
         return None
     was, now = _describe_declaration(run.declaration), _describe_declaration(replayed)
@@ -377,9 +377,9 @@ def _describe_declaration(declaration: Declaration) -> tuple[str, ...]:
 
 
 def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:
-    """Yield the commands as published beside what a law answers; none where they do not match.
+    """Yield the published commands paired with a law's answers; nothing if they do not match.
 
-    The n-th command is that of the sample with the number n.
+    The n-th command belongs to the sample with the number n.
     """
     if not has_published(run):
         return
@@ -402,24 +402,24 @@ def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:
 
 
 def has_published(run: Run) -> bool:
-    """Whether there is one command per sample, lost samples included; the last may be missing."""
+    """Return whether there is one command per sample, lost or not; the last may be missing."""
     count = int(run.samples.sequence[-1]) + 1
     return count - 1 <= len(run.commands) <= count
 
 
 def list_unrecorded(recorded: Answers, replayed: Answers) -> tuple[str, ...]:
-    """Return the names of the signals that a replay has, and its recording does not."""
+    """Return the names of the signals that a replay has and its recording does not have."""
     held = _read_numbers(recorded)
     return tuple(name for name in _read_numbers(replayed) if name not in held)
 
 
 def count_missing_samples(samples: SampleColumns) -> int:
-    """Return how many samples are missing before the last one, by their numbers from 0."""
+    """Return how many samples before the last one are missing, by their numbers from 0."""
     return int(samples.sequence[-1]) + 1 - len(samples) if len(samples) else 0
 
 
 def has_all_commands(run: Run) -> bool:
-    """Whether the n-th command is that of the n-th sample; the last may not have gone out."""
+    """Return whether the n-th command belongs to the n-th sample; the last may be missing."""
     samples, commands = len(run.samples), len(run.commands)
     return not samples or (
         not count_missing_samples(run.samples) and samples - 1 <= commands <= samples

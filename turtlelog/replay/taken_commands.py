@@ -1,9 +1,10 @@
-"""Which command each tick of a plant took.
+"""Assignment of commands to the ticks in which a plant took them.
 
 A recording shows when a command was published, but not when the plant took it, because queues and
 transport lie between. The applied velocity in each pose shows which command the plant took. The
 replay integrates this COMMAND, in double precision. If no recorded command explains the velocity of
-a pose, the replay integrates the recorded velocity, which is rounded to 32 bits and has no sign.
+a pose, the replay integrates the recorded velocity. This velocity is rounded to 32 bits and has no
+sign.
 """
 
 import re
@@ -27,16 +28,17 @@ Velocity = tuple[float, float, float]
 _Row = tuple[int, float, float, tuple[float, float] | None]
 
 _ROWS: Final = 4096
-"""Poses whose numbers are Python's at once: as those they take five times their bytes."""
+"""Number of poses converted to Python numbers at once; Python numbers take five times their
+bytes."""
 
 _STANDING: Final[Velocity] = (0.0, 0.0, 0.0)
 
 _DIRECTION: Final = 2e-4
-"""How exactly a step between two 32-bit poses tells its velocity [m/s]: each is off by 4.8e-7 m at
-most, in 16 ms 3e-5 m/s, on either axis; several times that."""
+"""Accuracy of a velocity read from a step between two 32-bit poses [m/s], with a margin. Each pose
+is off by at most 4.8e-7 m, which is 3e-5 m/s in 16 ms on either axis."""
 
 _LATE_NS: Final = 2 * TICK_NS
-"""A recorder may stamp a command this much later than the pose that shows it [ns]."""
+"""Largest delay of a recorder's stamp of a command after the pose that shows the command [ns]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,13 +47,15 @@ class CommandUse:
 
     Attributes:
         taken: Number of commands that the plant took.
-        unseen: Number of commands that no pose shows: dropped by a queue, or published too late.
+        unseen: Number of commands that no pose shows, because a queue dropped them or they were
+            published too late.
         stops: Number of times that the plant stopped by itself, after a second without commands.
-        unexplained_ticks: Ticks whose velocity no recorded command explains; the recorded velocity
-            was integrated.
-        disturbed_ticks: Those of them in which the recording's scenario disturbs the plant: its
-            velocity is no command's there, and shows none.
-        never_arrived: Commands that the transport lost, by the recording's events.
+        unexplained_ticks: Number of ticks whose velocity no recorded command explains; the recorded
+            velocity was integrated.
+        disturbed_ticks: Number of these ticks in which the scenario disturbs the plant, so that the
+            velocity shows no command.
+        never_arrived: Number of commands that the transport lost, according to the recording's
+            events.
     """
 
     taken: int
@@ -65,7 +69,7 @@ class CommandUse:
 def place_commands(
     motion: RecordedMotion, run: Run, starts: frozenset[int]
 ) -> tuple[tuple[Velocity, ...], CommandUse]:
-    """Return what the plant held in the tick of each pose, and what became of the commands.
+    """Return the velocity of the plant in the tick of each pose, and the use of the commands.
 
     At the rows `starts`, the step from the previous pose shows no velocity.
     """
@@ -87,7 +91,7 @@ def place_commands(
 def _place_all(
     placer: "_Placer", motion: RecordedMotion, starts: frozenset[int]
 ) -> tuple[list[Velocity], list[bool]]:
-    """Return what the plant held in each tick, and whether it is a recorded velocity."""
+    """Return the velocity of the plant in each tick, and whether it is a recorded velocity."""
     velocities, is_unexplained = [], []
     for number, row in enumerate(_list_rows(motion, starts)):
         velocities.append(placer.place(number, *row))
@@ -96,7 +100,7 @@ def _place_all(
 
 
 def _list_rows(motion: RecordedMotion, starts: frozenset[int]) -> Iterator[_Row]:
-    """Yield time, speed, turn rate and velocity of the body at each pose, a few in memory."""
+    """Yield time, speed, turn rate and body velocity at each pose, with few rows in memory."""
     for first in range(0, len(motion.time_ns), _ROWS):
         rows = slice(first, first + _ROWS)
         yield from zip(
@@ -109,13 +113,13 @@ def _list_rows(motion: RecordedMotion, starts: frozenset[int]) -> Iterator[_Row]
 
 
 def follow_commands(run: Run) -> NDArray[np.int64]:
-    """Return which pose first shows which command: rows of both, shape (n, 2).
+    """Return which pose first shows which command: rows of commands and poses, shape (n, 2).
 
-    These are the commands that were taken and changed what the plant held: no pose shows when a
-    command was taken that equals the one before. Nor does a pose behind a jump or gap.
+    The result contains only commands that changed the plant's velocity: no pose shows when an equal
+    command was taken. Poses directly after a jump or gap show no command.
 
     Raises:
-        ReplayError: As `read_motion` does.
+        ReplayError: If the run has no applied velocities, or its poses are not ticks.
     """
     motion = read_motion(run)
     _, _, starts = find_breaks(motion)
@@ -126,7 +130,7 @@ def follow_commands(run: Run) -> NDArray[np.int64]:
 
 
 def _find_disturbed(run: Run, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the ticks in which the scenario of a recording pushes the plant."""
+    """Return the ticks in which the scenario of a recording disturbs the plant."""
     if not any(read_number(run.parameters, key) for key in PUSH_KEYS):
         return np.zeros(len(time_ns), dtype=bool)
     # It acts from the first tick at its start on, and no longer in that at its end.
@@ -139,19 +143,20 @@ _LOST: Final = re.compile(r"The transport lost (\d+) ")
 
 
 def _count_lost(run: Run) -> int:
-    """Return how many commands never arrived, as the events tell."""
+    """Return the number of commands that never arrived, from the events."""
     texts = (event.text for event in run.events if event.kind == "commands_lost")
     return sum(int(found[1]) for found in map(_LOST.match, texts) if found)
 
 
 class _Placer:
-    """Walks over ticks and commands together.
+    """Search for the taken command, tick by tick.
 
     Attributes:
-        is_recorded: Whether what the plant holds is a recorded velocity, and no command.
-        taken: See `CommandUse`, so far.
-        stops: Likewise.
-        shown: Rows of the commands that changed what the plant held, and of the poses that show it.
+        is_recorded: Whether the plant's velocity is a recorded velocity instead of a command.
+        taken: Number of commands taken so far.
+        stops: Number of stops so far.
+        shown: Rows of the commands that changed the plant's velocity, and of the poses that show
+            the change.
     """
 
     def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:
@@ -184,7 +189,7 @@ class _Placer:
         turn_rate: float,
         body: tuple[float, float] | None,
     ) -> Velocity:
-        """Return what the tick applied that published this pose."""
+        """Return the velocity applied in the tick that published this pose."""
         while self._published < len(self._times_ns) and self._times_ns[self._published] < time_ns:
             self._published += 1
         applied = speed, turn_rate
@@ -210,7 +215,7 @@ class _Placer:
     def _find(
         self, applied: tuple[float, float], body: tuple[float, float] | None, time_ns: int
     ) -> int | None:
-        """Return the command that was taken: at most one per tick, in order, some dropped."""
+        """Return the number of the taken command: at most one per tick, in order, some dropped."""
         if self._next < self._published and self._fits(self._next, applied, body):
             return self._next
         if applied == self._held_applied and _agrees(self._held, body):
@@ -233,7 +238,7 @@ def _compute_body_velocities(
 ) -> list[tuple[float, float] | None]:
     """Return the velocity along and left of the heading that the step to each pose shows [m/s].
 
-    None if it shows none: in the first row, after a break, at a wall, and where nothing moved.
+    The result is None in the first row, after a break, at a wall, and if nothing moved.
     """
     first = max(rows.start, 1)
     heading_rad, xy_m = motion.heading_rad[first : rows.stop], motion.xy_m[first : rows.stop]
@@ -255,7 +260,7 @@ def _agrees(velocity: Velocity, body: tuple[float, float] | None) -> bool:
 
 
 def _direct(speed: float, body: tuple[float, float] | None) -> tuple[float, float]:
-    """Return a speed along the direction of the step: forwards where that is not known."""
+    """Return a speed along the direction of the step; forward if the direction is unknown."""
     if body is None or (body[0] > 0.0 and abs(body[1]) < _DIRECTION):
         return speed, 0.0
     if abs(body[1]) < _DIRECTION:

@@ -1,6 +1,6 @@
 """The class `Run`: the columns that all stages exchange.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -19,7 +19,7 @@ PAIRS: Final = MappingProxyType(
         "reference_xy_m": ("reference_x_m", "reference_y_m"),
     }
 )
-"""What the two columns of a pair are called."""
+"""Words for the two columns of a pair."""
 _WHOLE = frozenset({"time_ns", "sequence", "pose_sequence", "phase"})
 _MAY_BE_NAN = frozenset(
     {
@@ -32,19 +32,20 @@ _MAY_BE_NAN = frozenset(
         "tilt_rad",
     }
 )
-"""Columns whose rows are NaN if a sample does not have them."""
+"""Columns that contain NaN in rows of samples without such a value."""
 
 _LARGEST_HEADING_RAD = np.pi + 1e-6
 
 Rebuilding = tuple[Any, tuple[type, dict[str, Any]]]
-"""How a value is pickled: built again from its fields, so that it is checked and frozen again."""
+"""Pickled form of a value: a new value is built from the fields, so that it is checked and frozen
+again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseColumns:
     """The turtle's pose, one row per tick (imported logs: one row per sample).
 
-    The arrays are not copied; they become read-only.
+    The arrays are made read-only without a copy.
 
     Attributes:
         time_ns: Time [ns], shape (n,), strictly increasing.
@@ -56,10 +57,10 @@ class PoseColumns:
         measured_speed_m_s: Forward speed that the robot reports, negative when it drives backward
             [m/s], shape (n,); None if not reported.
         measured_turn_rate_rad_s: Turn rate that the robot reports [rad/s], shape (n,).
-        sensed_xy_m: Sensed position, which the controller reads [m], shape (n, 2); NaN if a pose
-            dropped out, None if the controller reads the true pose.
+        sensed_xy_m: Sensed position, which the controller reads [m], shape (n, 2); NaN for a lost
+            pose. None if the controller reads the true pose.
         sensed_heading_rad: Sensed heading [rad], shape (n,).
-        height_m: Height above the plane of x and y [m], shape (n,); NaN for poses without a height,
+        height_m: Height above the plane of x and y [m], shape (n,); NaN for poses without a height.
             None if the robot stays in the plane.
         tilt_rad: Angle between the robot's vertical axis and the world's [rad], shape (n,).
     """
@@ -149,7 +150,7 @@ class SampleColumns:
 
     The fields have the order of the table columns.
 
-    The errors are those of the controller: a law may repeat the last error that it computed.
+    The errors are the values of the controller; a law may repeat its last computed error.
 
     Attributes:
         time_ns: Time at which the pose was answered [ns], shape (n,), not decreasing; the samples
@@ -158,8 +159,8 @@ class SampleColumns:
         pose_sequence: Row of `Run.poses` that the sample read, shape (n,).
         phase: Index into `Run.phase_names` of the phase in which the command was computed,
             shape (n,).
-        bearing_rad: Goal bearing [rad], shape (n,). This field and the next two are None if not
-            recorded.
+        bearing_rad: Goal bearing [rad], shape (n,). None if not recorded. The next two fields are
+            None in the same case.
         heading_error_rad: Goal bearing minus heading [rad], shape (n,).
         error_xy_m: Goal minus position, world frame [m], shape (n, 2).
         distance_m: Length of `error_xy_m` [m], shape (n,); None if not recorded.
@@ -176,8 +177,8 @@ class SampleColumns:
             law declares no states.
         reference_xy_m: Position of the reference pose, world frame [m], shape (n, 2); NaN for
             samples without a reference, None if no reference is declared.
-        reference_heading_rad: Heading of the reference pose [rad], shape (n,); NaN or None
-            likewise.
+        reference_heading_rad: Heading of the reference pose [rad], shape (n,); NaN or None as for
+            `reference_xy_m`.
     """
 
     time_ns: NDArray[np.int64]
@@ -233,7 +234,7 @@ class Clock:
     """The clock that times the poses of a bag, and its relation to the recorder's clock.
 
     Attributes:
-        used: `stamp`: the time when the robot measured each pose, mapped to the recorder's clock;
+        used: `stamp`: the time when the robot measured each pose, mapped to the recorder's clock.
             `log`: the time when the recorder received the pose.
         ratio: Stamp seconds per second of the recorder's clock; None if poses have no stamps.
         offset_s: Recorder's time minus stamp at the first pose, for the shortest transport delay
@@ -283,7 +284,7 @@ _FIELDS: Final[dict[type, tuple[Field[Any], ...]]] = {}
 
 
 def _fields(kind: type) -> tuple[Field[Any], ...]:
-    """Return the fields of a type; the result is cached."""
+    """Return the fields of a type from a cache."""
     if kind not in _FIELDS:
         _FIELDS[kind] = fields(kind)
     return _FIELDS[kind]

@@ -9,7 +9,7 @@ from turtlelog.errors import LogError, RunError
 from turtlelog.run.loops import ControlLoop, Declaration
 
 _LONGEST_REASON: Final = 300
-"""Letters of an error line; what is found may be as long as the record."""
+"""Largest number of characters in an error line: a found value may be as long as the record."""
 
 
 class _Loop(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):

@@ -1,7 +1,8 @@
 """How a run ended at its goal."""
 
 import math
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
 
 from turtlelog.display import format_short
 
@@ -10,33 +11,85 @@ if TYPE_CHECKING:
 
 _REACHED: Final = "within_tolerance"
 _MISSED: Final = ("standstill", "settled", "timeout", "max_duration")
-"""Reasons to stop of built-in laws that do not reach the goal."""
+"""Stop reasons of built-in laws in runs that do not reach the goal."""
+
+_SMALL: Final = 0.01
+"""Share of the error below which a part of it, across or along the line to the goal, is left out:
+squares add, so it changes the error by less than 0.01 %."""
 
 
-def find_goal_error(run: "Run") -> float | None:
-    """Return the metric `final.position_error` [m]; None if the run had no goal to reach."""
-    if run.goal_xy_m is None or not run.declaration.uses_goal:
-        return None
-    return math.dist(run.goal_xy_m, run.poses.xy_m[-1])
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GoalEnd:
+    """End of a run at its goal.
 
-
-def describe_goal_end(run: "Run", error_m: float, duration_s: float | None) -> str:
-    """Return a sentence on whether a run reached its goal, its final distance and its duration.
-
-    Args:
-        run: The run.
-        error_m: The metric `final.position_error` [m].
-        duration_s: The metric `run.duration` [s].
+    Attributes:
+        verdict: `reached`, `missed`, or `ended` if the run has no tolerances to judge the error by.
+        error_m: Metric `final.position_error` [m].
+        allowed_m: Final position error that the tolerances of the law allow [m]; 0 without them.
+        left_m: Distance of the end to the left of the line from start to goal [m].
+        short_m: Distance by which the end is short of the goal along this line [m]; negative
+            beyond.
+        duration_s: Metric `run.duration` [s].
     """
-    size = format_short(error_m, "m")
-    after = "" if duration_s is None else f" after {duration_s:.3g} s"
+
+    verdict: Literal["reached", "missed", "ended"]
+    error_m: float
+    allowed_m: float
+    left_m: float
+    short_m: float
+    duration_s: float
+
+    def describe(self) -> str:
+        """Return a sentence without a subject: verdict, distance to the goal and duration."""
+        size = format_short(self.error_m, "m")
+        after = f"after {self.duration_s:.3g} s"
+        if self.verdict == "reached":
+            return f"reached the goal within {size} {after}"
+        if self.verdict == "ended":
+            return f"ended {size} from the goal {after}"
+        # In the same unit as the error, so that both compare at a glance.
+        unit = size.rpartition(" ")[2]
+        allowed = f"{self.allowed_m * (1e3 if unit == 'mm' else 1.0):.3g} {unit}"
+        return f"missed the goal by {size} (allowed: {allowed}) {after}"
+
+    def describe_place(self) -> str:
+        """Return a sentence on the place of the end: across and along the line to the goal."""
+        parts = []
+        if abs(self.left_m) > _SMALL * self.error_m:
+            side = "left" if self.left_m > 0.0 else "right"
+            size = format_short(abs(self.left_m), "m")
+            parts.append(f"{size} {side} of the line from start to goal")
+        if abs(self.short_m) > _SMALL * self.error_m:
+            side = "short of" if self.short_m > 0.0 else "beyond"
+            parts.append(f"{format_short(abs(self.short_m), 'm')} {side} the goal")
+        return f"The end is {' and '.join(parts)}."
+
+
+def find_goal_end(run: "Run") -> GoalEnd | None:
+    """Return how a run ended at its goal; None without poses or a goal to reach."""
+    if run.goal_xy_m is None or not run.declaration.uses_goal or not len(run.poses):
+        return None
+    error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), _allow(run)
     # A law that reads other poses than the robot's stops where it believes the goal to be.
     is_seen = run.poses.sensed_xy_m is None
-    if (run.stop_reason == _REACHED and is_seen) or error_m <= _allow(run):
-        return f"reached the goal within {size}{after}"
-    if run.stop_reason in _MISSED:
-        return f"missed the goal by {size}{after}"
-    return f"ended {size} from the goal{after}"
+    verdict: Literal["reached", "missed", "ended"] = "ended"
+    if (run.stop_reason == _REACHED and is_seen) or error_m <= allowed_m:
+        verdict = "reached"
+    elif run.stop_reason in _MISSED and allowed_m:
+        verdict = "missed"
+    (x_m, y_m), (goal_x_m, goal_y_m) = run.poses.xy_m[0].tolist(), run.goal_xy_m
+    bearing_rad = math.atan2(goal_y_m - y_m, goal_x_m - x_m)
+    cos, sin = math.cos(bearing_rad), math.sin(bearing_rad)
+    end_x_m, end_y_m = run.poses.xy_m[-1].tolist()
+    to_x_m, to_y_m = goal_x_m - end_x_m, goal_y_m - end_y_m
+    return GoalEnd(
+        verdict=verdict,
+        error_m=error_m,
+        allowed_m=allowed_m,
+        left_m=sin * to_x_m - cos * to_y_m,
+        short_m=cos * to_x_m + sin * to_y_m,
+        duration_s=run.duration_s,
+    )
 
 
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
@@ -51,7 +104,7 @@ def allow_position(heading_rad: float, position_m: float, distance_m: float) -> 
 
 
 def _allow(run: "Run") -> float:
-    """Return the distance to the goal that the tolerances of the law allow [m]; 0 without them."""
+    """Return the distance to the goal that the law's tolerances allow [m]; 0 without tolerances."""
     heading_rad = run.parameters.get("law.heading_tolerance_rad")
     position_m = run.parameters.get("law.position_tolerance_m")
     if not isinstance(heading_rad, float | int) or not isinstance(position_m, float | int):

@@ -1,8 +1,8 @@
 """Transformation of vectors between the world frame and the turtle frame.
 
 The turtle frame has its x axis along the heading and its y axis to the left. Equation numbers are
-those of "Simulation-Based Learning of Feedback Control Through Planar Robot Motion". Its equations
-7 and 10 print the matrix transposed; the formulas here follow equations 11 and 16.
+those of "Simulation-Based Learning of Feedback Control Through Planar Robot Motion". The paper
+prints the matrix of equations 7 and 10 transposed; the formulas here follow equations 11 and 16.
 
 Arrays broadcast: vectors of shape (..., 2) against headings of shape (...).
 """
@@ -16,8 +16,8 @@ from turtlelog.errors import FrameError
 def build_rotation(heading_rad: ArrayLike) -> NDArray[np.float64]:
     """Return the rotation matrix from the turtle frame to the world frame, shape (..., 2, 2).
 
-    Its columns are the turtle's axes in the world frame: [[cos, -sin], [sin, cos]]. Its transpose
-    is its inverse. The two are the corrected matrices of equations 7 and 10.
+    The columns are the turtle's axes in the world frame: [[cos, -sin], [sin, cos]]. The inverse is
+    the transpose. The matrix and its inverse are the corrected matrices of equations 7 and 10.
 
     Args:
         heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
@@ -28,7 +28,7 @@ def build_rotation(heading_rad: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotate_to_world(turtle_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return a turtle-frame vector in the world frame, in its own unit, shape (..., 2).
+    """Return a turtle-frame vector in the world frame, in the same unit, shape (..., 2).
 
     x_G = x_T cos - y_T sin, y_G = x_T sin + y_T cos: the motion of turtlesim in a tick.
 
@@ -41,7 +41,7 @@ def rotate_to_world(turtle_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.
 
 
 def rotate_to_turtle(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return a world-frame vector in the turtle frame, in its own unit, shape (..., 2).
+    """Return a world-frame vector in the turtle frame, in the same unit, shape (..., 2).
 
     x_T = x_G cos + y_G sin, y_T = -x_G sin + y_G cos (11). If the heading is the direction of the
     vector, y_T = 0 (15). If the heading is the goal bearing, a displacement from the start becomes
@@ -56,10 +56,10 @@ def rotate_to_turtle(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.
 
 
 def project_on_heading(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return the forward part of a world-frame vector, in its own unit, shape (...).
+    """Return the forward part of a world-frame vector, in the same unit, shape (...).
 
-    The dot product with the heading's unit vector (cos, sin) (16): negative where the vector
-    points behind the turtle, which then drives in reverse (17).
+    The forward part is the dot product with the heading's unit vector (cos, sin) (16). This part is
+    negative if the vector points behind the turtle, which then drives in reverse (17).
 
     Args:
         world_xy: Components along the world's x and y, any unit, shape (..., 2).

@@ -10,10 +10,10 @@ from typing import Any, Final, Literal
 from turtlelog.errors import RunError
 
 PAUSE: Final = "pause"
-"""Phase of every law: from the last sample of a phase to the next sample that is answered."""
+"""Phase of every law: from the last sample of a phase to the next answered sample."""
 
 DONE: Final = "done"
-"""Phase of every law: after its end."""
+"""Phase of every law after the end of the run."""
 
 REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -23,16 +23,17 @@ REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "distance": ("zero", "recorded"),
     }
 )
-"""Which references a controlled signal can have.
+"""References that each controlled signal can have.
 
 - `goal_bearing`: the bearing of the goal from the start; `bearing_now`: from the present position.
-- `goal_heading`: the heading that the goal asks for.
+- `goal_heading`: the heading of the goal pose.
 - `goal_distance`: the distance from start to goal.
-- `path`: the path that the law tracks: its direction, the arc length where the robot should be now,
-  or the path itself, from which the cross-track error counts. Each sample records the point of the
-  path where the robot should be: by time, or else the nearest.
-- `recorded`: the reference pose that each sample records: its heading, or its projection on the
-  line from start to goal; of `distance` the distance to that pose, which should be 0.
+- `path`: the path that the law tracks. The reference is the path's direction, the arc length where
+  the robot should be now, or the path itself for the cross-track error. Each sample records the
+  path point where the robot should be: by time, or else the nearest point.
+- `recorded`: the reference pose that each sample records: the heading, or the projection on the
+  line from start to goal. The signal `distance` is then the distance to this pose, which should be
+  0.
 """
 
 SIGNAL_WORDS: Final[Mapping[str, str]] = MappingProxyType(
@@ -43,7 +44,7 @@ SIGNAL_WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "distance": "distance to the goal",
     }
 )
-"""What texts call a controlled signal."""
+"""Words for each controlled signal."""
 
 REFERENCE_WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -56,12 +57,12 @@ REFERENCE_WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "recorded": "reference",
     }
 )
-"""What texts and legends call a reference."""
+"""Words for each reference in texts and legends."""
 
 COMMAND_WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {"turn_rate": "turn rate", "speed": "speed"}
 )
-"""What texts call a command, in the order in which it is listed."""
+"""Words for each command, in the order of lists."""
 
 COMMAND_UNITS: Final[Mapping[str, str]] = MappingProxyType({"turn_rate": "rad/s", "speed": "m/s"})
 
@@ -69,7 +70,7 @@ MOVING: Final = frozenset({"path", "recorded"})
 """References that the law moves: their loops have tracking metrics instead of step metrics."""
 
 RESERVED: Final = frozenset({"run", "final", PAUSE})
-"""What no loop is called, for metrics are `<loop, run or final>.<metric>`."""
+"""Names that no loop may have, because metric ids are `<loop, run or final>.<metric>`."""
 
 SIGNAL_NAMES: Final = frozenset(
     {
@@ -80,13 +81,13 @@ SIGNAL_NAMES: Final = frozenset(
         *("heading_error", "along_track", "cross_track", "phase"),
     }
 )
-"""Names of signals, which no state of a law takes."""
+"""Names of signals, which no state of a law may have."""
 
 NAME_PATTERN: Final = r"[A-Za-z][A-Za-z0-9_-]{0,59}"
-"""Names of loops and phases."""
+"""Pattern for names of loops and phases."""
 
 STATE_PATTERN: Final = r"[a-z](?:_?[a-z0-9]){0,59}"
-"""Names of states: field names as ROS 2 allows them."""
+"""Pattern for names of states: valid ROS 2 field names."""
 
 _NAME: Final = re.compile(NAME_PATTERN)
 _STATE: Final = re.compile(STATE_PATTERN)
@@ -94,10 +95,11 @@ _UNIT: Final = re.compile(r"[A-Za-z0-9%/^*. -]{1,20}")
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(?:\.[A-Za-z0-9_-]+)+")
 _MOST_PHASES: Final = 250
-"""A sample records its phase in 8 bits."""
+"""Largest number of phases: a sample records its phase in 8 bits."""
 
 _MOST_NAMES: Final = 250
-"""Loops and states of one law: each makes dozens of metrics, or a column."""
+"""Largest number of loops or states of a law: each loop has dozens of metrics, each state a
+column."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,16 +110,15 @@ class ControlLoop:
         name: Name in metric ids: `rotate`, `translate`, `align`.
         signal: Controlled signal, a key of `REFERENCES`.
         command: Command that acts on the signal: `turn_rate` or `speed`.
-        reference: Reference of the signal, one of those that `REFERENCES` lists.
-        gain: Scenario key of the proportional gain (`law.kp_angular`), None if there is none.
-        limit: Scenario key of the command limit; None for the default key of this command.
-        is_proportional: Whether the command is only gain times error. False for loops with an
-            integral or derivative term (PI, PD, PID): the theory of proportional loops does not
-            apply.
-        integral_gain: Scenario key of the integral gain, None if there is none.
-        derivative_gain: Scenario key of the derivative gain, None if there is none.
+        reference: Reference of the signal, one of its entries in `REFERENCES`.
+        gain: Scenario key of the proportional gain (`law.kp_angular`); None if the loop has none.
+        limit: Scenario key of the command limit; None for the default key of the command.
+        is_proportional: Whether the command is only gain times error. The theory of proportional
+            loops does not apply to loops with an integral or derivative term (PI, PD, PID).
+        integral_gain: Scenario key of the integral gain; None if the loop has none.
+        derivative_gain: Scenario key of the derivative gain; None if the loop has none.
         derivative_filter: Scenario key of the time constant of the derivative's first-order filter
-            [s], None if it is not filtered.
+            [s]; None if the derivative is not filtered.
 
     Raises:
         RunError: One line with the field, what was expected and what was found.
@@ -161,8 +162,8 @@ class ControlLoop:
     def is_integrator(self) -> bool:
         """Whether the signal integrates the command, as in theory's loops.
 
-        The integral of a turn rate is a heading; that of a speed is an along-track position or
-        distance.
+        The integral of a turn rate is a heading; the integral of a speed is an along-track position
+        or a distance.
         """
         return (self.signal, self.command) in _INTEGRATED
 
@@ -179,7 +180,7 @@ class ControlLoop:
         return "m/(rad s)" if self.signal == "heading" else "rad/(m s)"
 
     def read_gain(self, parameters: Mapping[str, object]) -> float | None:
-        """Return the gain from a run's parameters; None if it is unknown or not positive."""
+        """Return the gain from a run's parameters; None if the gain is unknown or not positive."""
         kp = None if self.gain is None else parameters.get(self.gain)
         if not isinstance(kp, int | float) or isinstance(kp, bool):
             return None
@@ -187,7 +188,7 @@ class ControlLoop:
 
     @property
     def limit_key(self) -> str:
-        """Scenario key of the limit of its command."""
+        """Scenario key of the command's limit."""
         return self.limit or LIMIT_KEYS[self.command]
 
 
@@ -206,13 +207,14 @@ LIMIT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
 PLANT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
     {"turn_rate": "plant.turn_", "speed": "plant.speed_"}
 )
-"""How the keys begin of what a lagged plant makes of a command: `gain`, `dead_time_s`, `lag_s`."""
+"""Beginnings of the keys that describe how a robot model follows a command: `gain`, `dead_time_s`,
+`lag_s`."""
 
 PUSH_KEYS: Final = tuple(
     f"disturbance.{name}"
     for name in ("speed_m_s", "turn_rate_rad_s", "noise_speed", "noise_turn_rate")
 )
-"""Keys of what pushes a plant: with all of them 0 nothing does."""
+"""Keys of disturbances of the plant; there is no disturbance if all of them are 0."""
 
 
 def read_number(parameters: Mapping[str, object], key: str, default: float = 0.0) -> float:
@@ -223,7 +225,7 @@ def read_number(parameters: Mapping[str, object], key: str, default: float = 0.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
-    """Loops, phases and states of a law; part of the run and of the recording.
+    """Loops, phases and states of a law. The run and the recording contain the declaration.
 
     Attributes:
         loops: Loops of the law; without loops there are no loop metrics.
@@ -231,7 +233,7 @@ class Declaration:
             phase.
         states: Names of the law's state values, recorded with every sample.
         state_units: Units of the states by name, as in `{"integral": "rad s"}`; 1 for a
-            dimensionless number. A state without an entry is shown without a unit.
+            dimensionless number. States without an entry are shown without a unit.
         uses_goal: Whether the law drives to a goal; if False, the run has no goal.
 
     Raises:
@@ -305,7 +307,7 @@ class Declaration:
 
     @property
     def phase_names(self) -> tuple[str, ...]:
-        """Phase names by the index in samples: declared phases, then those common to all laws."""
+        """Phase names by the index in samples: the declared phases, then the phases of all laws."""
         return (*self.phases, *(name for name in (PAUSE, DONE) if name not in self.phases))
 
     @property
@@ -315,11 +317,11 @@ class Declaration:
 
     @property
     def follows_path(self) -> bool:
-        """Whether its law tracks the path of the scenario."""
+        """Whether the law tracks the path of the scenario."""
         return any(loop.reference == "path" for loop in self.loops)
 
     def find_loop(self, name: str) -> ControlLoop | None:
-        """Return the loop of this name, None if the law has no such loop."""
+        """Return the loop of this name; None if the law has no such loop."""
         return next((loop for loop in self.loops if loop.name == name), None)
 
     def list_phases(self, loop: str) -> tuple[str, ...]:
@@ -332,7 +334,7 @@ class Declaration:
         return tuple(dict.fromkeys(loop.gain for loop in loops if loop.gain is not None))
 
     def list_limits(self, command: str) -> tuple[str, ...]:
-        """Return the scenario keys of a command's limits: of its loops, otherwise the default."""
+        """Return the scenario keys of limits of a command: of its loops, or else the default."""
         keys = [loop.limit_key for loop in self.loops if loop.command == command]
         return tuple(dict.fromkeys(keys)) or (LIMIT_KEYS[command],)
 
@@ -344,7 +346,7 @@ class Cause:
     Attributes:
         name: Name in explanations: `pause`, `delay`, `saturation`.
         kind: `effect`: an effect of the implementation, which gets a contribution. `design`: a
-            design parameter, which any loop of this kind has and which is removed alone.
+            design parameter, which every loop of this kind has and which is only removed alone.
         neutral: Values by scenario key that remove the cause: `{"law.pause_ticks": 0}`.
         meaning: Meaning of the run without the cause, in one clause.
     """
@@ -356,7 +358,7 @@ class Cause:
 
 
 def is_loop_name(text: str) -> bool:
-    """Return whether a loop of some law may have this name."""
+    """Return whether a loop of any law may have this name."""
     return _NAME.fullmatch(text) is not None and text not in RESERVED
 
 
@@ -373,7 +375,7 @@ def _rebuild(
 
 
 def _list_entries(place: str, entries: Any) -> tuple[Any, ...]:
-    """Return the entries of a list or tuple; a text is not accepted as a list of letters."""
+    """Return the entries of a list or tuple. A text is not accepted as a list of letters."""
     if not isinstance(entries, list | tuple):
         raise RunError(f"{place}: expected a tuple, found {entries!r:.60}")
     return tuple(entries)

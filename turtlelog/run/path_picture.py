@@ -7,20 +7,21 @@ from numpy.typing import NDArray
 
 _SIDE: Final = 220.0
 _ROOM: Final = 12.0
-"""Of the picture and around the path, in pixels."""
+"""Size of the picture, and margin around the path [pixels]."""
 
 _MOST_POINTS: Final = 400
-"""More are less than a pixel apart."""
+"""Largest number of points; with more, points would be less than a pixel apart."""
 
 _LEAST_M: Final = 0.5
-"""Side of what is shown at least: of less, the noise of poses would look like a way."""
+"""Smallest side of the shown area [m]; in a smaller area, the noise of poses would look like
+motion."""
 
 _MARK: Final = 8.0
-"""Width of the marks in pixels: a way that they cover is none to be seen."""
+"""Width of the marks [pixels]; a path that the marks cover is not visible."""
 
 
 def format_path_svg(xy_m: NDArray[np.float64], goal_xy_m: tuple[float, float] | None) -> str:
-    """Return the path as SVG: a square at its start, a dot at its end, a cross at the goal.
+    """Return the path as SVG: a square at the start, a dot at the end, a cross at the goal.
 
     The text is empty if there is nothing to draw: no motion and no distance to the goal.
     """

@@ -1,9 +1,9 @@
 """Pieces of constant curvature that form a path, and the position of a robot on them.
 
 The functions run in ordinary Python and compiled: they read the fields of `PathPiece` and
-`PathNumbers`. `pieces` are the pieces of a path in order; for an open path the tangents at its end
-and at its beginning follow. A `way` is a length along a piece, measured from the start of the
-piece. The arc length of a piece grows by the length of a closed path with every lap.
+`PathNumbers`. `pieces` are the pieces of a path in order; for an open path, the tangents at the end
+and at the beginning of the path follow. A `way` is a length along a piece, measured from the start
+of the piece. On a closed path, the arc length continues to grow with every lap.
 """
 
 import math
@@ -15,26 +15,26 @@ from typing import Any, Final, NamedTuple
 from turtlelog.arithmetic import called, ceil, fmod, hypot, least, most, nearest, wrap_angle
 
 ROUNDING_M: Final = 1e-9
-"""How far a way may be wrong by rounding [m]: where two pieces meet, a circle may seem to be left
-behind the end of the one and before the start of the other."""
+"""Rounding error of a way [m]. Where two pieces meet, a circle may seem to lie behind the end of
+the first piece and before the start of the second."""
 
 REACH_M: Final = 0.5
-"""How far along the path from the last nearest point the next is looked for, either way [m].
+"""Distance along the path, either way, within which the next nearest point is searched [m].
 
-Far more than a robot drives from one pose to the next, and short of where a path that is as large
-as the world comes back to itself: at a crossing the robot stays on its branch."""
+The distance is far longer than a robot's motion between two poses. The distance is shorter than a
+loop of a path as large as the world. Thus the robot stays on its branch at a crossing."""
 
 Position = tuple[float, float]
 Point = tuple[float, float, float, float]
-"""x [m], y [m], heading [rad] and curvature [1/m], as of a `PathPoint`."""
+"""x [m], y [m], heading [rad] and curvature [1/m], as in `PathPoint`."""
 
 
 class PathPoint(NamedTuple):
     """A point of a path.
 
     Attributes:
-        x_m: World frame [m].
-        y_m: World frame [m].
+        x_m: x in the world frame [m].
+        y_m: y in the world frame [m].
         heading_rad: Direction of the path, counter-clockwise from +x [rad], in [-pi, pi).
         curvature_1_m: Curvature, positive if the path bends to the left [1/m].
     """
@@ -50,10 +50,10 @@ class PathPiece(NamedTuple):
 
     Attributes:
         number: Index of the piece in the path, from 0.
-        start_m: Arc length of its start from the beginning of the path [m].
+        start_m: Arc length at the start of the piece, from the beginning of the path [m].
         length_m: Length of the piece [m].
-        x_m: x of its start, world frame [m].
-        y_m: y of its start, world frame [m].
+        x_m: x at the start of the piece, world frame [m].
+        y_m: y at the start of the piece, world frame [m].
         heading_rad: Direction at the start, counter-clockwise from +x [rad].
         curvature_1_m: Curvature, positive if the piece bends to the left [1/m].
     """
@@ -87,7 +87,7 @@ class PathNumbers:
     Attributes:
         count: Number of pieces; 0 if there is no path.
         is_closed: Whether the path ends where it begins.
-        length_m: Length of the path; of one lap if it is closed [m].
+        length_m: Length of the path; of one lap if the path is closed [m].
         reach_m: Largest distance along the path from one nearest point to the next [m].
         has_speed: Whether the reference moves with time.
         speed_m_s: Speed of the reference [m/s].
@@ -157,7 +157,8 @@ def _turn_to(piece: Any, x_m: float, y_m: float) -> float:
 def find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
     """Return the first length from `low_m` on at which the piece leaves a circle [m].
 
-    NaN if the piece does not leave it. Both ends are extended by `ROUNDING_M`.
+    The result is NaN if the piece does not leave the circle. Both ends of the piece are extended by
+    `ROUNDING_M`.
     """
     if piece.curvature_1_m == 0.0:
         cos, sin = math.cos(piece.heading_rad), math.sin(piece.heading_rad)
@@ -179,7 +180,7 @@ def find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float)
 def _find_exit_of_arc(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
     """Return the first length from `low_m` on at which the circle of an arc leaves another [m].
 
-    Infinite if it never leaves the other circle.
+    The result is infinite if the arc never leaves the other circle.
     """
     curvature = piece.curvature_1_m
     arc_radius_m = 1.0 / abs(curvature)
@@ -201,7 +202,7 @@ def _find_exit_of_arc(piece: Any, x_m: float, y_m: float, radius_m: float, low_m
 
 @called
 def find_piece(path: Any, pieces: Any, arc_m: float) -> int:
-    """Return the number of the last piece that starts at an arc length or before it."""
+    """Return the number of the last piece that starts at or before an arc length."""
     low, high = 0, path.count
     while low < high:
         middle = (low + high) // 2
@@ -251,7 +252,8 @@ def locate(path: Any, pieces: Any, arc_m: float) -> Point:
 def _find_side(path: Any, pieces: Any, position: Position, way_m: float, number: int) -> float:
     """Return a number that is positive if a position is on the left of the path.
 
-    `number` is the first piece with the nearest point, `way_m` the length along it to that point.
+    `number` is the first piece with the nearest point, `way_m` the length along this piece to the
+    point.
     """
     piece, count = pieces[number], path.count
     point = locate_on(piece, way_m)
@@ -278,7 +280,8 @@ def find_nearest(
 
     The result is the arc length of the nearest point and the distance from it, positive on the left
     [m]. The segment of an open path is limited to its ends. A closed path is repeated: an arc
-    length may be negative or beyond the length. Of points at equal distance the first is used.
+    length may be negative or beyond the length. If several points are equally near, the first is
+    used.
     """
     x_m, y_m = position
     length_m = path.length_m
@@ -314,10 +317,11 @@ def find_nearest(
 def find_ahead(
     path: Any, pieces: Any, position: Position, lookahead_m: float, from_m: float
 ) -> Point:
-    """Return the first point from an arc length on that is a lookahead away from a position.
+    """Return the first point from an arc length on at the lookahead distance from a position.
 
-    If the path at `from_m` is further away than the lookahead, this is the point at `from_m`. If no
-    point of a closed path is that far away, it is the point one lookahead further along the path.
+    If the path at `from_m` is further away than the lookahead, the result is the point at `from_m`.
+    If no point of a closed path is that far away, the result is the point one lookahead further
+    along the path.
     """
     x_m, y_m = position
     near = locate(path, pieces, from_m)
@@ -345,8 +349,8 @@ def follow(
 
     The robot first has to reach the path: an open path without a speed at its beginning, a path
     with a speed on the segment that the reference has passed, a closed path anywhere. From then on
-    the nearest point is searched within `REACH_M` of the previous one, so that a path that crosses
-    itself is followed in order.
+    the nearest point is searched within `REACH_M` of the previous nearest point, so that a path
+    that crosses itself is followed in order.
 
     Args:
         path: `PathNumbers`.

@@ -1,7 +1,7 @@
-"""A path to track: straight pieces and arcs of circles, by arc length.
+"""A path to track, as a chain of straight pieces and arcs of circles.
 
-Every path is a chain of pieces of constant curvature. The point at an arc length, the nearest point
-and the point at the lookahead distance therefore have closed forms.
+Every piece has a constant curvature. Therefore closed forms exist for the point at an arc length,
+the nearest point and the point at the lookahead distance.
 """
 
 import math
@@ -31,24 +31,24 @@ from turtlelog.run.path_pieces import (
 PathKind = Literal["line", "polygon", "waypoints", "circle", "figure-eight"]
 
 MOST_POINTS: Final = 3000
-"""Points of a path. In the scenario's text each takes up to 56 bytes: 164 KiB of the 256 KiB that a
-recording's scenario may have. The rest is for lists of the law."""
+"""Largest number of points of a path. Each takes up to 56 bytes of the scenario's text: 164 KiB of
+the 256 KiB allowed for a recording's scenario. The rest is for lists of the law."""
 
 CORNER_RAD: Final = math.radians(1.0)
-"""From this change of direction on a bend between two pieces is a corner: less is the bend of a
-circle that is given by 360 points or more."""
+"""Smallest change of direction between two pieces that counts as a corner: smaller bends belong to
+a circle given by 360 points or more."""
 
 
 TURN_BACK_RAD: Final = math.radians(179.9)
-"""From this change of direction on a path leads back over itself: the nearest point could be on
-either leg, and no side is the outer one."""
+"""Change of direction from which a path leads back over itself: the nearest point could be on
+either leg, and neither side is the outer side."""
 
 LEAST_M: Final = 0.001
-"""Least radius, and least length of a path [m]: far less than the 0.5 m that a turtle is wide, and
-as much as a run's tolerance."""
+"""Smallest radius, and smallest length of a path [m]: far less than the 0.5 m width of a turtle,
+and as much as the tolerance of a run."""
 
 FASTEST_M_S: Final = 1e6
-"""Largest speed of a reference [m/s]: far from where a computer's numbers end."""
+"""Largest speed of a reference [m/s], far below the limits of floating-point numbers."""
 
 
 class PathPlace(NamedTuple):
@@ -87,16 +87,16 @@ class Path:
     """A path to track: the table `[path]` of a scenario.
 
     Attributes:
-        kind: `line`: two points; `polygon`: corners, closed; `waypoints`: points, open; `circle`:
-            counter-clockwise from its rightmost point; `figure-eight`: two circles that touch at
+        kind: `line`: two points. `polygon`: corners, closed. `waypoints`: points, open. `circle`:
+            counter-clockwise from its rightmost point. `figure-eight`: two circles that touch at
             the center, first the upper counter-clockwise, then the lower clockwise.
         points: Points of a line, a polygon or waypoints, world frame [m].
         center_x_m: Center x of a circle or a figure eight, world frame [m].
         center_y_m: Center y of a circle or a figure eight, world frame [m].
         size_m: Radius of the circle, or of both circles of a figure eight [m].
         closed: Whether the path returns to its first point; None: polygons do, waypoints do not.
-        speed_m_s: Speed at which the reference moves along the path from its beginning [m/s]; None:
-            the reference is the point of the path nearest to the robot.
+        speed_m_s: Speed at which the reference moves along the path from its beginning [m/s]. If
+            None, the reference is the path point nearest to the robot.
 
     Raises:
         PathError: One line with the key, what was expected and what was found.
@@ -187,7 +187,7 @@ class Path:
 
     @cached_property
     def length_m(self) -> float:
-        """Length of the path; of one lap if it is closed [m]."""
+        """Length of the path; of one lap if the path is closed [m]."""
         last = self.pieces[-1]
         return last.start_m + last.length_m
 
@@ -206,7 +206,7 @@ class Path:
         )
 
     def list_corners(self, to_m: float) -> list[Corner]:
-        """Return the corners up to an arc length [m], at least of the first lap, in order.
+        """Return the corners up to an arc length [m], in order, at least those of the first lap.
 
         The point between two laps is a corner too if the direction jumps there.
         """
@@ -225,7 +225,7 @@ class Path:
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
-        """Least and greatest x, least and greatest y of the path [m]."""
+        """Smallest and largest x, smallest and largest y of the path [m]."""
         if self.points is not None:
             xs, ys = zip(*self.points, strict=True)
             return min(xs), max(xs), min(ys), max(ys)
@@ -251,7 +251,7 @@ class Path:
         """Return the place of a position relative to the segment between two arc lengths.
 
         The segment of an open path is limited to its ends. A closed path is repeated: an arc length
-        may be negative or beyond the length. Of points at equal distance the first is used.
+        may be negative or beyond the length. If several points are equally near, the first is used.
         """
         return PathPlace(*find_nearest(self.numbers, self.ways, (x_m, y_m), low_m, high_m))
 
@@ -272,11 +272,11 @@ class Path:
         return best
 
     def find_ahead(self, x_m: float, y_m: float, lookahead_m: float, from_m: float) -> PathPoint:
-        """Return the first point from an arc length on that is a lookahead away from a position.
+        """Return the first point from an arc length on at the lookahead distance from a position.
 
-        If the path at `from_m` is further away than the lookahead, this is the point at `from_m`.
-        If no point of a closed path is that far away, it is the point one lookahead further along
-        the path.
+        If the path at `from_m` is further away than the lookahead, the result is the point at
+        `from_m`. If no point of a closed path is that far away, the result is the point one
+        lookahead further along the path.
         """
         found = find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m)
         return PathPoint(*found)
@@ -291,13 +291,13 @@ class Path:
 
     @cached_property
     def ways(self) -> tuple[PathPiece, ...]:
-        """Pieces of the path, then the tangents at its end and at its beginning."""
+        """Pieces of the path, then the tangents at the end and at the beginning of the path."""
         first, last = self.pieces[0], self.pieces[-1]
         return (*self.pieces, last.go_straight(last.length_m), first.go_straight(0.0))
 
     @cached_property
     def numbers(self) -> PathNumbers:
-        """Numbers that functions of paths and loops read, apart from the pieces."""
+        """Numbers that functions of paths and loops read, in addition to the pieces."""
         # A quarter of a short closed path: the way round the other side is further.
         reach_m = min(REACH_M, self.length_m / 4.0) if self.is_closed else REACH_M
         return PathNumbers(
@@ -311,7 +311,7 @@ class Path:
 
 
 PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
-"""Scenario keys of a path, which are absent where there is none."""
+"""Scenario keys of a path, which are absent without a path."""
 
 
 class PathFollower:
@@ -319,18 +319,18 @@ class PathFollower:
 
     The robot first has to reach the path: an open path without a speed at its beginning, a path
     with a speed on the segment that the reference has passed, a closed path anywhere. From then on
-    the nearest point is searched within `REACH_M` of the previous one, so that a path that crosses
-    itself is followed in order.
+    the nearest point is searched within `REACH_M` of the previous nearest point, so that a path
+    that crosses itself is followed in order.
 
     Attributes:
-        arc_m: Arc length of the nearest point [m], None until the robot has come to the path.
+        arc_m: Arc length of the nearest point [m]; None until the robot reaches the path.
         reach_m: Largest distance along the path from one nearest point to the next, either way [m].
     """
 
     __slots__ = ("_path", "arc_m", "reach_m")
 
     def __init__(self, path: Path, arc_m: float | None = None) -> None:
-        """Start at an arc length [m], or off the path if it is None."""
+        """Start at an arc length [m], or off the path if the arc length is None."""
         self._path, self.arc_m, self.reach_m = path, arc_m, path.numbers.reach_m
 
     def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> PathPlace:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.display import describe_count, fit_line, format_answer, format_html, format_short
+from turtlelog.display import describe_count, fit_line, format_answer, format_html
 from turtlelog.errors import PathError, RunError
 from turtlelog.run.columns import (
     Clock,
@@ -20,6 +20,7 @@ from turtlelog.run.columns import (
     list_fields,
     rebuild,
 )
+from turtlelog.run.ending import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.path_picture import format_path_svg
 from turtlelog.run.paths import Path, restore_path
@@ -29,7 +30,7 @@ from turtlelog.run.tables import TABLES, build_arrow, build_pandas, build_xarray
 Parameter = bool | int | float | str | list[Any]
 
 CUT_SHORT = frozenset({"max_duration", "interrupted", "law_failed", "step_budget"})
-"""Stop reasons of runs whose controller did not come to its own end."""
+"""Stop reasons of runs that the controller did not end itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,8 +55,9 @@ class PhaseSpan:
 
     Attributes:
         phase: Name of the phase.
-        start_ns: Time of its first sample; for a pause, time of the last sample before it [ns].
-        end_ns: Time of the next span's start, or the end of the run [ns].
+        start_ns: Time of the first sample in the phase [ns]; for a pause, of the last sample before
+            the pause.
+        end_ns: Start time of the next span, or end time of the run [ns].
     """
 
     phase: str
@@ -68,7 +70,7 @@ class GoalLine:
     """The line from start to goal, which defines along-track and cross-track coordinates.
 
     Attributes:
-        start_xy_m: Position of the first pose that was read, or recorded, world frame [m].
+        start_xy_m: Position of the first pose that was read, or else recorded, world frame [m].
         bearing_rad: Bearing of the goal from the start, counter-clockwise from +x [rad].
         length_m: Distance from the start to the goal [m]; None if unknown.
     """
@@ -88,20 +90,21 @@ class Run:
         name: Short name for tables and legends.
         source: Origin of the run: `simulation`, `replay of` a run, or the layout and name of an
             imported file.
-        poses: Poses, one row or more; no row if `absent` names `poses`, in a log of commands alone.
-        commands: Published commands; imported logs have one per sample.
+        poses: Poses, at least one row. In a log of commands alone there is no row, and `absent`
+            names `poses`.
+        commands: Published commands; imported logs have one command per sample.
         samples: Values that the controller computed; no rows if the source lacks them.
         goal_xy_m: Goal position, world frame [m]; None if not recorded.
         goal_heading_rad: Goal heading [rad]; None if the goal has no heading.
-        declaration: The loops, phases and states of its law; without loops if they are unknown.
+        declaration: Loops, phases and states of the law; without loops if they are unknown.
         parameters: Known values of the scenario, by dotted key (`law.kp_linear`).
         scenario_is_complete: Whether the parameters determine the run.
         clock: Clock that times the poses of a bag; None if there is only one clock.
-        stop_reason: Reason for the end: a word of the law or one of `CUT_SHORT`; None if not
+        stop_reason: Reason for the end: a word from the law or one of `CUT_SHORT`; None if not
             recorded.
         events: Events in order of time.
-        simulated_by: Versions (`turtlelog`, `python`, `numpy`), `platform` and, for a law that is
-            not built in, the digest of its code (`law`); empty if the run was not simulated or the
+        simulated_by: Versions (`turtlelog`, `python`, `numpy`), `platform` and the digest of the
+            code of a law that is not built in (`law`). Empty if the run was not simulated, or the
             recording does not contain them.
         absent: Names of the fields that the source lacks.
         notes: Notes of the importer, by name (`original_timestamp`, `sorted_rows`, ...).
@@ -187,11 +190,10 @@ class Run:
 
     @property
     def goal_line(self) -> GoalLine | None:
-        """The line from the first pose that was read to the goal; None if it is unknown.
+        """The line from the first pose that was read to the goal; None if the line is unknown.
 
         If the first sample is lost or the goal is unknown, the first recorded bearing gives the
-        direction. If there are neither samples nor loops, the line starts at the first recorded
-        pose.
+        direction. Without samples and loops, the line starts at the first recorded pose.
         """
         samples = self.samples
         if not len(self.poses):
@@ -220,21 +222,21 @@ class Run:
     def path(self) -> Path | None:
         """The path to follow; None if the run follows no path or the path was not recorded.
 
-        For a run without samples, whose law is unknown, a recorded path is returned.
+        A run without samples has an unknown law; then the recorded path is used.
         """
         is_followed = self.declaration.follows_path or not len(self.samples)
         return restore_path(self.parameters) if is_followed else None
 
     @property
     def first_row(self) -> str:
-        """Kind of row that defines time zero: `sample`, otherwise `pose`, otherwise `command`."""
+        """Kind of row that defines time zero: `sample`, or else `pose`, or else `command`."""
         return "sample" if len(self.samples) else "pose" if len(self.poses) else "command"
 
     @property
     def start_ns(self) -> int:
-        """Time zero of metrics, windows and alignment: first sample, otherwise first pose [ns].
+        """Time zero of metrics, windows and alignment [ns]: the first sample, or else first pose.
 
-        For a run without poses it is the first command.
+        For a run without poses, time zero is the first command.
         """
         columns = (self.samples, self.poses, self.commands)
         return next(int(column.time_ns[0]) for column in columns if len(column))
@@ -258,21 +260,22 @@ class Run:
 
     @property
     def duration_s(self) -> float:
-        """The metric `run.duration`: from the first sample, or else pose, to the last row [s]."""
+        """The metric `run.duration` [s]: from the first sample, or else pose, to the last row."""
         return (self.end_ns - self.start_ns) / 1e9
 
     def slice(self, start_s: float | None = None, end_s: float | None = None) -> "Run":
-        """Return the rows in a time segment, both ends included, as a new run.
+        """Return the rows in a time segment, including both ends, as a new run.
 
-        Times are not shifted. If the end is cut off, the slice has no stop reason and its
-        parameters no longer determine it: `explain` identifies it from its samples.
+        Times are not shifted. If the end is cut off, the slice has no stop reason, and its
+        parameters no longer determine the slice: `explain` identifies the scenario from the
+        samples.
 
         Args:
             start_s: Time since the first sample [s]; None: from the beginning.
             end_s: End of the slice [s]; None: the end of the run.
 
         Raises:
-            RunError: If no pose was recorded in that segment.
+            RunError: If no pose was recorded in the segment.
         """
         start_ns, end_ns = locate_stretch(self, start_s, end_s)
         if start_ns <= self.poses.time_ns[0] and end_ns >= self.end_ns:
@@ -298,10 +301,10 @@ class Run:
         return build_arrow(self, table)
 
     def to_pandas(self, table: str = "poses") -> Any:
-        """Return a table of this run as a `pandas.DataFrame`; needs pandas, which is no dependency.
+        """Return a table of this run as a `pandas.DataFrame`; pandas must be installed separately.
 
-        Its `attrs` contain the `units` of its columns and, under `turtlelog`, the run's name, goal
-        and scenario.
+        The `attrs` of the table contain the `units` of the columns and, under `turtlelog`, the
+        run's name, goal and scenario.
 
         Args:
             table: `poses`, `commands`, `samples` or `events`.
@@ -313,12 +316,12 @@ class Run:
         return build_pandas(self, table)
 
     def to_xarray(self, table: str = "poses") -> Any:
-        """Return a table of this run as an `xarray.Dataset`; needs xarray, which is no dependency.
+        """Return a table of this run as an `xarray.Dataset`; xarray must be installed separately.
 
-        Its dimension is `time_s`, the time from the first sample [s]: `sel(time_s=5.0,
-        method="nearest")` selects the pose nearest to 5 s. Several samples may have the same time.
-        The `attrs` of each variable contain its `units`; those of the dataset contain the run's
-        name, goal and scenario.
+        The dimension of the dataset is `time_s`, the time from the first sample [s]:
+        `sel(time_s=5.0, method="nearest")` selects the pose nearest to 5 s. Several samples may
+        have the same time. The `attrs` of each variable contain its `units`; the `attrs` of the
+        dataset contain the run's name, goal and scenario.
 
         Args:
             table: `poses`, `commands`, `samples` or `events`.
@@ -350,11 +353,9 @@ class Run:
     def _describe_end(self) -> str:
         """Return a sentence on the end of the run."""
         ended = (self.stop_reason or "its end is not recorded").replace("_", " ")
-        if self.goal_xy_m is None or not len(self.poses):
-            return f"{self.name}: {self.duration_s:.4g} s, {ended}."
-        missed_m = float(np.hypot(*(self.poses.xy_m[-1] - self.goal_xy_m)))
-        where = f"ends {format_short(missed_m, 'm')} from the goal after {self.duration_s:.4g} s"
-        return f"{self.name}: {where}, {ended}."
+        end = find_goal_end(self)
+        how = f"{self.duration_s:.4g} s" if end is None else end.describe()
+        return f"{self.name}: {how}, {ended}."
 
     def _repr_html_(self) -> str:
         goal = None if self.goal_xy_m is None else "({:g}, {:g}) m".format(*self.goal_xy_m)
@@ -376,7 +377,7 @@ class Run:
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
         """Return the phases in order; the time without samples after a phase is the phase `pause`.
 
-        If a run ends while its controller is blocked, its last phase is that pause.
+        If a run ends while its controller is blocked, the last phase is this pause.
         """
         phase, time_ns, names = self.samples.phase, self.samples.time_ns, self.phase_names
         if not len(phase):
@@ -406,11 +407,11 @@ def require_run(run: object, name: str = "run") -> None:
     """Raise an error for an argument that is not a run.
 
     Args:
-        run: Argument that was given.
+        run: Argument to check.
         name: Name of the argument.
 
     Raises:
-        RunError: If it is not a run; the message says what returns one.
+        RunError: If the argument is not a run. The message says which function returns a run.
     """
     if isinstance(run, Run):
         return
@@ -424,10 +425,10 @@ def require_run(run: object, name: str = "run") -> None:
 
 
 def list_runs(runs: object, name: str = "runs") -> list[Run]:
-    """Return one run, or those of any iterable, as a list.
+    """Return one run, or the runs of any iterable, as a list.
 
     Raises:
-        RunError: If one of them is not a run.
+        RunError: If an item is not a run.
     """
     if isinstance(runs, str | os.PathLike) or not isinstance(runs, Iterable):
         require_run(runs, name)

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 def slice_run(run: "Run", *, start_ns: int | None = None, end_ns: int | None = None) -> "Run":
-    """Return the rows of a run in [start_ns, end_ns], which must contain a pose.
+    """Return the rows of a run in [start_ns, end_ns]. The segment must contain a pose.
 
-    Samples without their pose are dropped, and the stop reason is dropped with the run's end. Times
-    and sequence numbers are unchanged. If a row is missing, the parameters no longer determine the
-    run.
+    Samples whose pose is outside the segment are dropped. The stop reason is dropped if the end is
+    cut off. Times and sequence numbers do not change. If a row is missing, the parameters no longer
+    determine the run.
     """
     start_ns = int(run.poses.time_ns[0]) if start_ns is None else start_ns
     end_ns = run.end_ns if end_ns is None else end_ns

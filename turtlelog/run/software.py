@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Final
 
 LAW: Final = "law"
-"""The entry of a law that is not built in: a digest of its code."""
+"""Entry for a law that is not built in: a digest of its code."""
 
 _WORDS: Final = {"python": "Python", "numpy": "NumPy", "platform": ""}
-"""Entries in words; a platform needs none, and `turtlelog` is one."""
+"""Words for the entries; a platform needs no word, and `turtlelog` is one itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,8 +17,8 @@ class SoftwareChange:
 
     Attributes:
         name: Name of the entry: `turtlelog`, `python`, `numpy`, `platform` or `law`.
-        first: Its value in the first run; None if that run lacks the entry.
-        second: Its value in the second run.
+        first: Value in the first run; None if that run has no such entry.
+        second: Value in the second run; None if that run has no such entry.
     """
 
     name: str
@@ -29,7 +29,7 @@ class SoftwareChange:
 def list_software_changes(
     first: Mapping[str, str], second: Mapping[str, str]
 ) -> tuple[SoftwareChange, ...]:
-    """Return the entries that differ between two runs; empty if one of them names no software."""
+    """Return the entries that differ between two runs; empty if one run names no software."""
     if not first or not second:
         return ()
     return tuple(

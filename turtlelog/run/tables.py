@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 Table = Mapping[str, NDArray[Any]]
-"""Columns by name, all of one length: float64, int64, or text as objects."""
+"""Columns by name, all of one length: float64, int64, or objects for text."""
 
 _UNITS: Final = MappingProxyType(
     {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_ns": "ns", "_m": "m"}
 )
-"""Units by how the name of a column ends, the longest ending first."""
+"""Units by the end of a column's name, the longest end first."""
 
 
 def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
@@ -72,8 +72,8 @@ TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = MappingProxyType(
 def tabulate_run(run: "Run", table: str) -> Table:
     """Return a table of a run: `poses`, `commands`, `samples` or `events`.
 
-    A column that was not recorded is left out. Samples contain the names of their phases and a
-    column for each state of the law; a state with the name of another column gets the prefix
+    A column that was not recorded is left out. The table of samples contains phase names and a
+    column for each state of the law. A state with the name of another column gets the prefix
     `state_`.
 
     Raises:
@@ -93,9 +93,10 @@ def list_units(run: "Run", table: str) -> dict[str, str]:
 
 
 def _list_facts(run: "Run") -> dict[str, str]:
-    """Return the facts of a run that its tables lack, as texts by name; other values are JSON.
+    """Return the facts of a run that its tables do not contain, as texts or JSON by name.
 
-    `scenario` contains the known parameters by dotted key, `declaration` that of the law.
+    `scenario` contains the known parameters by dotted key, `declaration` the declaration of the
+    law.
     """
     goal = None if run.goal_xy_m is None else [*run.goal_xy_m, run.goal_heading_rad]
     described = {
@@ -119,7 +120,7 @@ def build_arrow(run: "Run", table: str) -> Any:
 
 
 def iterate_arrow(run: "Run", table: str, most_rows: int | None = None) -> Iterator[Any]:
-    """Yield a table of a run as `build_arrow` returns it, in parts with a limited number of rows.
+    """Yield a table of a run, as from `build_arrow`, in parts with a limited number of rows.
 
     Parts are built lazily; a table without rows yields one part.
     """
@@ -143,7 +144,7 @@ def iterate_arrow(run: "Run", table: str, most_rows: int | None = None) -> Itera
 
 
 def build_pandas(run: "Run", table: str) -> Any:
-    """Return a table of a run as a `pandas.DataFrame`, with units and the run in its `attrs`."""
+    """Return a table of a run as a `pandas.DataFrame`; `attrs` contain the units and the run."""
     columns = tabulate_run(run, table)
     frame = load_library("pandas").DataFrame(dict(columns))
     frame.attrs = {"turtlelog": _list_facts(run), "units": list_units(run, table)}
@@ -166,8 +167,8 @@ class Tabular(ABC):
     """Base class of values that pandas, polars and Arrow read as a table with units.
 
     `polars.DataFrame(value)`, `pyarrow.table(value)` and `pandas.DataFrame.from_arrow(value)` read
-    it through the Arrow protocol. `pandas.DataFrame(value)` does not use this protocol and raises
-    an error; use `value.to_pandas()`.
+    such a value through the Arrow protocol. `pandas.DataFrame(value)` does not use this protocol
+    and raises an error; use `value.to_pandas()`.
     """
 
     __slots__ = ()
@@ -184,7 +185,7 @@ class Tabular(ABC):
         """Return the table as a `pandas.DataFrame`; its `attrs` contain the `units` of its columns.
 
         Raises:
-            LibraryError: If pandas is not installed; turtlelog does not install it.
+            LibraryError: If pandas is not installed. turtlelog does not install pandas.
         """
         columns = self._tabulate()
         frame = load_library("pandas").DataFrame(

@@ -16,24 +16,25 @@ from turtlelog.run.run import Run
 Values = NDArray[np.float64]
 
 _UNIT_LENGTH: Final = 1e-6
-"""How far the length of a quaternion may be from 1: what is built here has divided by it."""
+"""Largest deviation of a quaternion's length from 1; built quaternions are normalised."""
 
 _FARTHEST_M: Final = 1e12
-"""Coordinates beyond are of no robot [m]: the sun is at 1.5e11, and squares of 1e155 overflow."""
+"""Largest coordinate of a robot [m]: the sun is at 1.5e11 m, and squares of 1e155 overflow."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trajectory:
-    """Poses of a robot. The arrays are not copied; they become read-only.
+    """Poses of a robot. The arrays are made read-only without a copy.
 
     Attributes:
-        name: Name in answers.
-        time_ns: Time of each pose as its file gives it [ns], shape (n,), strictly increasing. For a
-            trajectory without times it is the number of the pose, in units of 1 s.
+        name: Name of the trajectory in answers.
+        time_ns: Time of each pose as in the file [ns], shape (n,), strictly increasing. For a
+            trajectory without times, the number of the pose in units of 1 s.
         xyz_m: Position in the world frame [m], shape (n, 3).
         orientation_quat_wxyz: Unit quaternion of the rotation from the robot's frame to the world
             frame, shape (n, 4).
-        space: `space` if the file has heights and rotations, `plane` if only x, y and heading.
+        space: `space` if the file has heights and rotations; `plane` if it has only x, y and
+            heading.
         clock: `time`, or `frame` for poses that are only numbered.
         notes: Notes on rows omitted in reading, by keyword.
     """

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 DEFAULT_LAW: Final = "sequential-p"
-"""The value of `law.kind` where a scenario has none."""
+"""Default of `law.kind`."""
 
 
 def nest_parameters(parameters: "Mapping[str, Parameter]") -> dict[str, Any]:
@@ -33,7 +33,7 @@ def nest_parameters(parameters: "Mapping[str, Parameter]") -> dict[str, Any]:
 
 
 def set_nested(tables: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value by its dotted key in nested tables; missing tables are made.
+    """Set a value by its dotted key in nested tables; missing tables are created.
 
     Raises:
         ScenarioError: If a table of the key is a value, or the key itself is a table.
@@ -64,7 +64,7 @@ _WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or 
 
 
 def describe_type(hint: Any) -> str:
-    """Return the values that a type admits: `a number > 0`, `bearing or heading`, `a table`."""
+    """Return a description of a type's values: `a number > 0`, `bearing or heading`, `a table`."""
     origin, args = get_origin(hint), get_args(hint)
     if origin is Annotated:
         bounds = next((found for found in args[1:] if isinstance(found, msgspec.Meta)), None)

@@ -37,8 +37,8 @@ class Start:
         x_m: x in the world frame [m].
         y_m: y in the world frame [m].
         heading_rad: Heading, counter-clockwise from +x [rad].
-        precision: `float32`: rounded to 32 bits, as spawning does; `float64`: unrounded, for a
-            turtle that moved before.
+        precision: `float32`: rounded to 32 bits, like a spawn pose; `float64`: unrounded, for a
+            turtle that has moved before.
     """
 
     x_m: float = SPAWN_XY_M
@@ -68,8 +68,8 @@ class LawTable:
 
     Attributes:
         values: Values as written, without `kind`.
-        sources: Origins of the values for error lines; the first one named the law.
-        is_trusted: Whether the user named the law; a law that only a recording names is not loaded.
+        sources: Origins of the values for error lines; the first origin named the law.
+        is_trusted: Whether the user named the law. A law that only a recording names is not loaded.
     """
 
     values: Mapping[str, Any]
@@ -103,7 +103,7 @@ class Scenario:
 
     Attributes:
         name: Short name for tables and legends.
-        max_duration_s: Simulated time after which a run is ended [s].
+        max_duration_s: Simulated time after which the run is ended [s].
         seed: Seed of the random numbers of effects.
         start: Start pose of the turtle.
         goal: Goal of the turtle.
@@ -153,7 +153,8 @@ def require_scenario(scenario: object) -> None:
     """Raise an error for an argument that is not a scenario.
 
     Raises:
-        ScenarioError: If it is not a scenario; the message says what returns one.
+        ScenarioError: If the argument is not a scenario. The message says which function returns a
+            scenario.
     """
     if not isinstance(scenario, Scenario):
         advice = "load_scenario returns the one of a preset or file"

@@ -21,7 +21,8 @@ from turtlelog.scenario.table_conversion import (
 )
 
 _LARGEST_WHOLE: Final = 2**53
-"""Beyond, doubles leave whole numbers out: nobody typed such a gain as an int."""
+"""Largest float that counts as a whole number. Doubles skip whole numbers above this value, so
+nobody typed such a gain as an int."""
 
 
 def override_scenario(
@@ -31,17 +32,17 @@ def override_scenario(
     source: str = "changes",
     trust_law: bool | None = None,
 ) -> Scenario:
-    """Return the scenario with values set by dotted key, checked like a file. Loads no code.
+    """Return the scenario with values set by dotted key, checked like a file. No code is loaded.
 
-    A new `law.kind` drops the old law's parameters, a new `plant.kind` the old plant's, a new
-    `path.kind` the old path's shape.
+    A new `law.kind` drops the parameters of the old law. A new `plant.kind` drops those of the old
+    plant, a new `path.kind` the shape of the old path.
 
     Args:
         scenario: Scenario to be changed.
         values: New values by dotted key.
-        source: Begins error lines.
-        trust_law: Whether a law that is not built in may run. None: if the scenario's law may, or
-            if `law.kind` is among the values, because whoever sets it names the law.
+        source: Beginning of error lines.
+        trust_law: Whether a law that is not built in may run. Default: yes if the scenario's law
+            may run, or if `law.kind` is among the values, because then the user names the law.
 
     Raises:
         ScenarioError: If a key or value is wrong.
@@ -63,8 +64,8 @@ def choose_scenario(
 
     Args:
         scenario: A scenario, the name of a preset, or a file.
-        law: Law to use instead of the scenario's law: text that names one, or the law itself; None:
-            the scenario's law.
+        law: Law to use instead of the scenario's law: the name of a law, or the law itself.
+            Default: the scenario's law.
         changes: Values by dotted key.
 
     Raises:
@@ -82,7 +83,7 @@ def choose_scenario(
 
 
 def _list_changes(changes: Any) -> dict[str, Any]:
-    """Return changes as a dictionary: those of a mapping, or of a pandas Series."""
+    """Return changes from a mapping or a pandas Series as a dictionary."""
     if not hasattr(changes, "keys"):
         example = '{"law.kp_linear": 4.0}'
         expected = f"values by key, as in {example}"
@@ -96,7 +97,7 @@ def unwrap_number(value: Any) -> Any:
 
 
 def _require_tables(scenario: Scenario, values: Mapping[str, Any], source: str) -> None:
-    """Raise an error for a key without its table; name the keys with the same ending."""
+    """Raise an error for a key without its table, and name the keys with the same ending."""
     if all("." in key for key in values):
         return
     known = dict.fromkeys(["goal.heading_rad", *flatten_scenario(scenario), *PATH_KEYS])
@@ -118,7 +119,7 @@ def override_gains(
 ) -> Scenario:
     """Return the scenario with one value for all gains.
 
-    An integer gain takes only a whole number.
+    An integer gain accepts only a whole number.
 
     Raises:
         ScenarioError: If `override_scenario` raises it.
@@ -129,7 +130,7 @@ def override_gains(
 
 
 def _is_int(scenario: Scenario, key: str) -> bool:
-    """Return whether a law's parameter is an int: by its value, or else by its type in the law."""
+    """Return whether a law's parameter is an int, by its value or else by its type in the law."""
     known = flatten_scenario(scenario)
     if key in known or not _is_trusted(scenario):
         return isinstance(known.get(key), int)
@@ -175,8 +176,8 @@ def complete_scenario(run: Run, base: Scenario) -> Scenario:
     """Return the scenario of a run: its recorded values, and the rest from another scenario.
 
     An imported log contains at most gains, tolerances, limits and goal. Keys that the law of `base`
-    lacks are left out; a user law is loaded to find its keys. A law that only the run names may not
-    run.
+    does not have are left out; a user law is loaded to find its keys. A law that only the run names
+    must not run.
 
     Raises:
         ScenarioError: If a value of the run is wrong, or the law of `base` may not run.
@@ -192,10 +193,10 @@ def complete_scenario(run: Run, base: Scenario) -> Scenario:
 def replay_commands(scenario: Scenario, run: Run) -> Scenario:
     """Return the scenario with the law `open-loop` and the commands of a run.
 
-    Their times count from the run's first sample, or from its first command if that is earlier. If
-    several commands were published at one time, the last one is used. Repeated commands are left
-    out, because each command is held until the next: commands that waited in a queue cannot be
-    distinguished.
+    The times are relative to the first sample of the run, or to an earlier first command. If
+    several commands were published at one time, the last command is used. Repeated commands are
+    left out, because each command is held until the next. Therefore commands that waited in a queue
+    cannot be distinguished.
 
     Raises:
         ScenarioError: If the run has no commands, more than a scenario can contain, or sideways

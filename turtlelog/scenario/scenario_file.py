@@ -1,8 +1,7 @@
-"""Scenarios by name: presets as tables, TOML files in and out, and files of numbers in them.
+"""Scenarios by name: presets, TOML files, and CSV files of numbers that TOML files name.
 
-`[law] file = "commands.csv"` is read together with the scenario file, from the same folder. The
-scenario, and so the recording, contains the numbers and no file name: reading a recording opens no
-other file.
+`[law] file = "commands.csv"` names a file in the folder of the scenario file. The scenario and the
+recording contain the numbers, not the file name: reading a recording opens no other file.
 """
 
 import csv
@@ -33,7 +32,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     """Return a preset by its name, or the scenario in a TOML file.
 
     Raises:
-        ScenarioError: If it is neither, or the file is wrong.
+        ScenarioError: If the name is neither a preset nor a file, or the file is wrong.
     """
     name = str(name_or_path)
     if name in PRESETS:
@@ -48,7 +47,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """Return the scenario in a TOML file, with the numbers from the files that it names.
+    """Return the scenario in a TOML file, with the numbers from the files that this file names.
 
     Raises:
         ScenarioError: If the file cannot be read, is not TOML, or a key or value is wrong.
@@ -67,12 +66,12 @@ def read_scenario(path: str | Path) -> Scenario:
 
 
 def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
-    """Return the scenario in a TOML text. The text is the user's own: its law may run.
+    """Return the scenario in a TOML text. The text comes from the user, so its law may run.
 
     A text has no folder, so it cannot name a file of commands.
 
     Raises:
-        ScenarioError: If it is not TOML, or a key or value is wrong.
+        ScenarioError: If the text is not TOML, or a key or value is wrong.
     """
     return _build(text, source, None)
 
@@ -87,7 +86,7 @@ def _build(text: str, source: str, path: Path | None) -> Scenario:
 
 
 def format_scenario(scenario: Scenario) -> str:
-    """Return the TOML text of a scenario; `parse_scenario` gives the same scenario back."""
+    """Return the TOML text of a scenario, from which `parse_scenario` returns the same scenario."""
     require_scenario(scenario)
     return format_toml(nest_scenario(scenario))
 
@@ -96,7 +95,7 @@ def get_preset(name: str) -> Scenario:
     """Return a preset.
 
     Raises:
-        ScenarioError: If no preset has that name.
+        ScenarioError: If no preset has this name.
     """
     if name not in _PRESET_TABLES:
         raise ScenarioError(f"preset: expected one of {', '.join(PRESETS)}, found {name!r}")
@@ -174,9 +173,9 @@ _PRESET_TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
 """The tables of each preset, as in a scenario file."""
 
 PRESETS: Final = tuple(_PRESET_TABLES)
-"""Names of the presets: the paper's four recorded runs, its controller as built, the textbook's,
-other laws in the textbook's loop, a robot that is not turtlesim, and the plant's responses of the
-paper's figure 2."""
+"""Names of the presets: the paper's four recorded runs, the paper's controller with all effects,
+the textbook loop, other laws in the textbook loop, a robot that is not turtlesim, and the plant
+responses of the paper's figure 2."""
 
 PAPER_RUNS: Final = ("paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10")
 """The presets of the paper's experiment, by rising gain."""
@@ -192,9 +191,9 @@ class TableFile:
         columns: Names of the columns; the first is required.
         most_rows: Largest number of rows below the header.
         rises: Whether the first column must increase, as times do.
-        key: Key of the table for all rows, each a list in the order of `columns`, which are then
-            all required, or need no header; None if each column is a key.
-        where: Values of the table for which its `file` is read; with other values `file` is a key
+        key: Key of the table that gets all rows, each row a list in the order of `columns`. All
+            columns are then required, and a header is optional. None: each column is a key.
+        where: Values of the table for which its `file` is read. With other values, `file` is a key
             of the law.
         sets: Values that the file implies; the table may state the same values.
     """
@@ -223,14 +222,15 @@ _TABLE_FILES: Final[Mapping[str, TableFile]] = MappingProxyType(
         "path": TableFile(columns=("x_m", "y_m"), most_rows=MOST_POINTS, rises=False, key="points"),
     }
 )
-"""By the name of the scenario's table."""
+"""Files of numbers by the name of the scenario's table."""
 
 
 def _embed_files(tables: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """Return the tables of a scenario file with the numbers from the files that it names.
+    """Return the tables of a scenario file, with numbers from the files that the tables name.
 
     Raises:
-        ScenarioError: If a file cannot be read, or the table already has its values.
+        ScenarioError: If a file cannot be read, or the table already contains values that the file
+            provides.
     """
     embedded = dict(tables)
     for name, kind in _TABLE_FILES.items():
@@ -264,7 +264,7 @@ def _read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[floa
     """Return the columns of a CSV file by name.
 
     Raises:
-        ScenarioError: If it cannot be read, or a line is wrong: file, line, expected, found.
+        ScenarioError: If the file cannot be read, or a line is wrong: file, line, expected, found.
     """
     try:
         text = read_text_file(path)

@@ -35,8 +35,8 @@ def list_keys(kind: type) -> tuple[dataclasses.Field[Any], ...]:
 class _PlantTable:
     """The plant: the table `[plant]`.
 
-    The keys are those of all kinds. A missing key of the plant's kind has its default, or stays
-    None if files omit it; a key of another kind is an error.
+    The table has the keys of all kinds of plant. A missing key of the plant's own kind gets its
+    default, or stays None if files omit this key. A key of another kind is an error.
     """
 
     __slots__ = ()

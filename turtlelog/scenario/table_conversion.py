@@ -45,7 +45,8 @@ from turtlelog.scenario.dotted_keys import (
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario, require_scenario
 
 _LONGEST_KIND = 300
-"""A path and a class are shown whole, so that they can be looked at before they are trusted."""
+"""Longest path and class that are shown in full, so that users can look at them before they trust
+them."""
 
 _PLAIN = frozenset({float, int, str, bool})
 
@@ -58,16 +59,17 @@ def build_scenario(
 ) -> Scenario:
     """Return the scenario in nested tables; a missing key has the default value.
 
-    Loads no code: the table of a law that is not built in is validated when the law is run.
+    No code is loaded: the table of a law that is not built in is validated when the law runs.
 
     Args:
         tables: Tables of a scenario file.
-        source: Begins error lines.
-        trust_law: Whether a law that is not built in may run: if the user named it. A recording
-            does not count as the user.
+        source: Beginning of error lines.
+        trust_law: Whether a law that is not built in may run, because the user named it. A
+            recording does not count as the user.
 
     Raises:
-        ScenarioError: If a key is wrong: `source: key: expected ..., found ...`, for the first one.
+        ScenarioError: If a key is wrong. The message describes the first wrong key: `source: key:
+            expected ..., found ...`.
     """
     law_table = tables.get("law", {})
     if not isinstance(law_table, Mapping):
@@ -105,15 +107,15 @@ def resolve_scenario(scenario: Scenario, *, trust_law: bool = False) -> Scenario
 
 
 def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
-    """Return the choice with the law's own parameters; the only place that loads a named law.
+    """Return a choice with the law's own parameters. Only this function loads a named law.
 
     Args:
-        choice: Choice of the law; returned unchanged if it has them.
+        choice: Choice of the law; returned unchanged if it already has parameters.
         trust_law: Whether a law named only by a recording may run.
 
     Raises:
-        ScenarioError: If the law is named by a recording and not trusted, does not exist, or does
-            not have these keys and values.
+        ScenarioError: If only a recording names the law and the law is not trusted, if the law does
+            not exist, or if it does not accept these keys and values.
     """
     table = choice.parameters
     if not isinstance(table, LawTable):
@@ -133,7 +135,7 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
 
 
 def _build_parameters(table: LawTable, law: AnyLaw) -> Any:
-    """Return a law's parameters, valid in a scenario file; defaults may be any value."""
+    """Return a law's parameters, valid in a scenario file. Defaults may have any value."""
     kind, source = law.Parameters, ", ".join(table.sources)
     try:
         with print_to_stderr():
@@ -151,7 +153,7 @@ def _build_parameters(table: LawTable, law: AnyLaw) -> Any:
 
 
 def _write_value(value: Any, place: str) -> Any:
-    """Return a value as it is read back from a file."""
+    """Return a value in the form in which a file returns it."""
     if isinstance(value, Mapping):
         return {key: _write_value(entry, f"{place}.{key}") for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -180,9 +182,9 @@ def nest_scenario(scenario: Scenario) -> dict[str, Any]:
 
 
 def _nest_values(value: Any) -> Any:
-    """Return a value as in a file: dataclasses as tables, tuples as lists.
+    """Return a value in the form of a file: dataclasses as tables, tuples as lists.
 
-    None is left out, and so are keys that files omit if they have their defaults.
+    Values of None are left out. Keys that files omit are left out if they have their defaults.
     """
     if type(value) in _PLAIN:
         return value
@@ -204,7 +206,7 @@ _FIELDS: Final[dict[type, list[tuple[dataclasses.Field[Any], bool]]]] = {}
 
 
 def _list_fields(kind: type) -> list[tuple[dataclasses.Field[Any], bool]]:
-    """Return the fields of a dataclass, and whether files omit each by default."""
+    """Return the fields of a dataclass, and whether files omit the default of each field."""
     if kind not in _FIELDS:
         _FIELDS[kind] = [
             (field, not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata))
@@ -214,13 +216,13 @@ def _list_fields(kind: type) -> list[tuple[dataclasses.Field[Any], bool]]:
 
 
 def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> Scenario:
-    """Return the scenario of a run. Loads no code.
+    """Return the scenario of a run. No code is loaded.
 
     Args:
         run: Run with its whole scenario.
         source: Beginning of error lines. Default: the name of the run.
-        trust_law: Whether a recorded law that is not built in may run: this runs the code that the
-            run, or the file from which it was read, names.
+        trust_law: Whether a recorded law that is not built in may run. Running it executes code
+            that the run, or its file, names.
 
     Raises:
         ScenarioError: If the run does not contain the whole scenario.
@@ -245,7 +247,7 @@ def describe_unknown_key(key: str, known: list[str]) -> str:
 
 
 def _list_unknown(run: Run) -> str:
-    """Return keys that a run lacks, those of the law first, and the number of further ones."""
+    """Return keys that a run lacks, those of the law first, and the number of keys not listed."""
     keys = sorted(flatten_scenario(Scenario()).keys() - run.parameters.keys())
     keys.sort(key=lambda key: not key.startswith("law."))
     return f"{', '.join(keys[:4])} and {len(keys[4:])} more"
@@ -265,7 +267,7 @@ def _require_law_name(kind: str, source: str) -> None:
 
 
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:
-    """Raise an error for unknown keys and for nan or inf, which msgspec accepts."""
+    """Raise an error for unknown keys and for NaN or infinity, which msgspec accepts."""
     known = _list_keys(kind)
     for key, value in table.items():
         if key not in known:
@@ -284,7 +286,7 @@ _KEYS: Final[dict[type, dict[str, tuple[type | None, bool]]]] = {}
 
 
 def _list_keys(kind: type) -> Mapping[str, tuple[type | None, bool]]:
-    """Return the keys of a table: the table below each, and whether it may be inf."""
+    """Return the keys of a table. Each key has its subtable, if any, and whether it may be inf."""
     if kind not in _KEYS:
         unlimited = {
             one.name
@@ -298,7 +300,7 @@ def _list_keys(kind: type) -> Mapping[str, tuple[type | None, bool]]:
 
 
 def _find_table(hint: Any) -> type | None:
-    """Return the dataclass that a type requires, directly or as an optional one."""
+    """Return the dataclass that a type requires, also if the dataclass is optional."""
     if dataclasses.is_dataclass(hint):
         return hint if isinstance(hint, type) else None
     kinds = [found for kind in get_args(hint) if (found := _find_table(kind)) is not None]
@@ -307,7 +309,7 @@ def _find_table(hint: Any) -> type | None:
 
 
 def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str) -> Any:
-    """Convert with msgspec, which finds the place of an error; its type says what is expected."""
+    """Convert tables with msgspec; its errors give the place, the type gives the expected value."""
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as err:
@@ -343,7 +345,8 @@ def _require_consistent(scenario: Scenario, source: str) -> None:
     """Raise an error if values contradict each other; parameters of the law are not checked.
 
     Raises:
-        ScenarioError: If a key is wrong: `source: key: expected ..., found ...`, for the first one.
+        ScenarioError: If a key is wrong. The message describes the first wrong key: `source: key:
+            expected ..., found ...`.
     """
     for judge in (_judge_places, _judge_path, *_list_judges(), _judge_dead_times):
         for key, expected, found in judge(scenario):
@@ -381,7 +384,7 @@ def _judge_path(scenario: Scenario) -> Complaints:
 
 
 def _judge_dead_times(scenario: Scenario) -> Complaints:
-    """Check that dead times of a robot are shorter than the run."""
+    """Check that the dead times of a robot are shorter than the run."""
     keys = PLANTS[scenario.plant.kind].delays
     delays = {f"plant.{key}": getattr(scenario.plant, key) for key in keys}
     yield from judge_delays(delays, scenario.max_duration_s)

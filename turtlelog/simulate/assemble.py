@@ -1,4 +1,4 @@
-"""Assembly of the loop's functions from its parts; effects at one place are chained in order.
+"""Assembly of the loop's functions from parts; effects at one place are chained in order.
 
 Arguments are passed by parameter name. The texts that are compiled here contain only such calls,
 the same for ordinary Python and compiled code.
@@ -17,7 +17,7 @@ from turtlelog.parts import Effect, Place, PlantPart
 PLACES: Final[tuple[Place, ...]] = get_args(Place)
 
 OF_TICKS: Final = frozenset({"lose_pose", "sense", "pose_travel", "push"})
-"""Places whose events are poses; the events of other places are samples."""
+"""Places whose events are poses; at all other places, events are samples."""
 
 _AT_PLACES: Final = {
     "settings": "settings",
@@ -37,7 +37,7 @@ _OF_LAW: Final = {
     "time_ns": "time_ns",
     "pose": "pose",
 }
-"""Arguments of a law's step, by the names of its parameters."""
+"""Arguments of a law's step by the names of its parameters."""
 
 Function = Callable[..., Any]
 
@@ -120,7 +120,7 @@ def bind_step(step: Function) -> Function:
 
 @lru_cache(maxsize=64)
 def bind_states(states: tuple[str, ...]) -> Function:
-    """Return a function that records the states of a law, and returns whether all are finite."""
+    """Return a function that records the states of a law and returns whether all are finite."""
     lines = ["def record(state, rows, number):"]
     if not states:
         lines.append("    return True")
@@ -145,7 +145,7 @@ def list_parameters(step: Function) -> list[str]:
 
 
 def compile_text(name: str, lines: list[str], names: dict[str, Any]) -> Function:
-    """Return the function in source lines, which calls others by name."""
+    """Return the function in source lines; it calls other functions by name."""
     scope: dict[str, Any] = {**names, "__name__": __name__}
     text = "\n".join(lines)
     exec(compile(text, f"<{name} of the loop>", "exec"), scope)

@@ -1,7 +1,7 @@
 """The law of a scenario, and laws that are classes, which are called pose by pose.
 
-A law may answer with numpy numbers, integers, or a list that it changes later: its answer is copied
-to plain numbers.
+A law may answer with numpy numbers, integers, or a list that it changes later. Therefore every
+answer is copied to plain numbers.
 """
 
 import sys
@@ -31,8 +31,7 @@ from turtlelog.simulate.rows import COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FA
 from turtlelog.simulate.step_budget import Step
 
 _FAR_M: Final = 1e300
-"""Distance up to which errors need no check [m]: squares may overflow, but distances are
-numbers."""
+"""Distance up to which errors need no check [m]. Squares may overflow, but distances are finite."""
 
 _MOST_TICKS: Final = 2**31 - 1
 """Longest block [ticks]: a year, whose nanoseconds fit into 64 bits."""
@@ -41,10 +40,11 @@ _FLOATS: Final = {float}
 
 
 class ClassLaw:
-    """Asks a law for its decision on each pose and checks it; without queues, limits or delays.
+    """Caller of a law, which checks the law's decision on each pose.
 
     Attributes:
-        stops: Stop reasons of its runs so far; a sample's `stop` is the index in it, from 1.
+        stops: Stop reasons of the law's runs so far; `stop` of a sample is an index into this list,
+            from 1.
     """
 
     __slots__ = (
@@ -100,7 +100,7 @@ class ClassLaw:
         time_ns: int,
         xyh: tuple[float, float, float],
     ) -> tuple[float, float]:
-        """Record the law's decision; return speed and turn rate. Called by the loop.
+        """Record the law's decision; return speed and turn rate. The loop calls this method.
 
         Raises:
             SimulationError: If the answer is not a decision, or one of its numbers is invalid.
@@ -122,7 +122,7 @@ class ClassLaw:
         return decision.speed_m_s, decision.turn_rate_rad_s
 
     def record(self, state: Any, rows: Any, number: int) -> bool:
-        """Return whether all states are finite; they are recorded already."""
+        """Return whether all states are finite. The states are recorded already."""
         del state, rows, number
         return True
 
@@ -153,7 +153,10 @@ class ClassLaw:
             row.reference_heading_rad = decision.reference.heading_rad
 
     def _judge(self, decision: Decision) -> int:
-        """Return the index of a decision's phase; reject what cannot be executed or recorded."""
+        """Return the index of a decision's phase.
+
+        Reject a decision that cannot be executed or recorded.
+        """
         speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
         phase = self._first_phase if decision.phase is None else decision.phase
         if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
@@ -210,7 +213,7 @@ class ClassLaw:
 
 
 def _describe_command(speed: float, turn_rate: float) -> str:
-    """Return that a command is invalid."""
+    """Return a sentence on an invalid command."""
     return (
         f"expected a finite command (below {LARGEST_FLOAT:g}),"
         f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
@@ -218,7 +221,7 @@ def _describe_command(speed: float, turn_rate: float) -> str:
 
 
 def _read_array(found: Any) -> Decision:
-    """Return a decision of an array of speed and turn rate."""
+    """Return the decision from an array of speed and turn rate."""
     if getattr(found, "shape", None) != (2,):
         expected = "a Decision, or speed and turn rate"
         raise SimulationError(f"expected {expected}, found {found!r:.60}")
@@ -229,7 +232,7 @@ def read_decision(found: object) -> Decision:
     """Return a decision with plain numbers.
 
     Raises:
-        SimulationError: If it is not a decision, or one of its numbers is invalid.
+        SimulationError: If the answer is not a decision, or one of its numbers is invalid.
     """
     if isinstance(found, tuple | list) and len(found) == 2:  # speed and turn rate
         found = Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
@@ -249,7 +252,7 @@ def read_decision(found: object) -> Decision:
 
 
 def _has_plain_errors(found: Decision) -> bool:
-    """Return whether the errors are floats with a finite distance, or all left out."""
+    """Return whether the errors are floats with a finite distance, or are all left out."""
     if found.bearing_rad is None:
         return found.heading_error_rad is found.error_x_m is found.error_y_m is None
     x_m, y_m = found.error_x_m, found.error_y_m
@@ -287,7 +290,7 @@ def _read_decision(found: Decision) -> Decision:
 
 
 def _read_number(name: str, value: Any) -> float:
-    """Return a number of any type as a float; an array with one element is not a number."""
+    """Return a number of any type as a float. An array with one element is not a number."""
     if type(value) is float:
         return value
     try:
@@ -336,7 +339,7 @@ _ERRORS: Final = (
     *("bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"),
     *("world_v_x_m_s", "world_v_y_m_s"),
 )
-"""Values of a sample that a law sets in addition to its command."""
+"""Values of a sample that a law may set in addition to its command."""
 
 
 def is_built_in(law: AnyLaw) -> bool:
@@ -348,7 +351,7 @@ def build_law(choice: LawChoice) -> Any:
     """Return the law of a scenario with its parameters.
 
     Raises:
-        SimulationError: If the law rejects them.
+        SimulationError: If the law rejects its parameters.
         ScenarioError: If `resolve_law` raises it.
         LawError: If there is no such law.
     """
@@ -381,11 +384,11 @@ def build_goal(scenario: Scenario) -> Goal:
 
 
 def describe_numbers(failure: int, row: SampleRow, states: Mapping[str, float]) -> str:
-    """Return which number of an answer cannot be executed or recorded.
+    """Return a sentence on the number of an answer that cannot be executed or recorded.
 
     Args:
-        failure: See `rows`.
-        row: Sample that the law recorded.
+        failure: Kind of failure, as in `rows`.
+        row: Sample that contains the answer.
         states: States of the sample.
     """
     if failure == COMMAND_FAILED:

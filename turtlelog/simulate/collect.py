@@ -1,4 +1,4 @@
-"""From the ticks of a loop to the columns of a run."""
+"""Conversion of a loop's ticks to the columns of a run."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -34,23 +34,23 @@ def simulate_run(
     changes: Mapping[str, Any] | None = None,
     step_budget_s: float | None = STEP_BUDGET_S,
 ) -> Run:
-    """Simulate a scenario and return its run; with a `plant` on that plant's clock.
+    """Simulate a scenario and return its run; with a `plant`, on the clock of that plant.
 
     Args:
         scenario: Scenario to simulate: a scenario, the name of a preset, or a file.
-        plant: Plant whose clock is used; None: the scenario's plant.
+        plant: Plant whose clock is used. Default: the scenario's plant.
         law: Law to use instead of the scenario's law: a class, a function of `(time_ns, pose,
             goal)` that returns speed [m/s] and turn rate [rad/s], an object with `step`, a
-            `LawPart`, or text that names one, as `my_law.py:MyLaw`.
+            `LawPart`, or the name of a law, as in `my_law.py:MyLaw`.
         changes: Values by dotted key, as in `{"law.kp_linear": 4.0}`.
-        step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
-            None: unlimited.
+        step_budget_s: Time for computing one answer of the law, by the computer's clock [s]; None:
+            unlimited.
 
     Raises:
         LawError: If `law` is not a law.
         ScenarioError: If the law cannot be loaded or may not run, or a change is wrong.
-        SimulationError: If the law fails or computes for longer, with the run so far as `run`; or
-            if no pose is answered within `max_duration_s`.
+        SimulationError: If the law fails or exceeds its time, or no pose is answered within
+            `max_duration_s`; the error's `run` is the run so far.
     """
     scenario = resolve_scenario(choose_scenario(scenario, law=law, changes=changes))
     return collect_run(scenario, iterate_ticks(scenario, plant, step_budget_s=step_budget_s))
@@ -60,7 +60,8 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
     """Return the run with a scenario's ticks.
 
     Raises:
-        SimulationError: If no pose was answered or the law fails; `run` is the run so far.
+        SimulationError: If no pose was answered or the law fails; the error's `run` is the run so
+            far.
     """
     collector = RunCollector(scenario)
     try:
@@ -74,7 +75,7 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
 
 
 class RunCollector:
-    """Collects ticks, and builds the run so far."""
+    """Collector of ticks, which builds the run so far."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = resolve_scenario(scenario)
@@ -122,7 +123,7 @@ class RunCollector:
             self._stop_reason = tick.stop_reason
 
     def end_late(self, err: StepBudgetError) -> None:
-        """Record the failure of a loop whose step could not be ended; it has no last tick."""
+        """Record the failure of a loop whose step could not be ended; there is no last tick."""
         if self._stop_reason is None and self._poses:
             last_ns = int.from_bytes(self._poses[-_POSE_ROW.size :][:8], "little", signed=True)
             text = describe_stop(STEP_BUDGET, f": {err}")
@@ -167,7 +168,7 @@ def _describe_law(kind: str) -> dict[str, str]:
 
 
 def _describe_wait(scenario: Scenario) -> str:
-    """Return the reason why the first answer has to wait."""
+    """Return why the first answer has to wait."""
     sensing, backlog = scenario.sensing, scenario.loop.start_backlog
     effects = {"dropout_probability": sensing.dropout_probability, "delay_s": sensing.delay_s}
     others = [f", sensing.{key} = {value:g}" for key, value in effects.items() if value]
@@ -175,7 +176,7 @@ def _describe_wait(scenario: Scenario) -> str:
 
 
 def _pack_sensed(ticks: Iterable[Tick], packed: bytearray) -> Iterator[Tick]:
-    """Yield ticks and collect their sensed poses; NaN for those that dropped out."""
+    """Yield ticks and collect their sensed poses; NaN for poses that dropped out."""
     for tick in ticks:
         row = tick.row
         packed += _SENSED_ROW.pack(row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad)
@@ -301,5 +302,5 @@ def _split_rows(
 
 
 def keep_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return a column; None if a row lacks a number, as errors do without a goal."""
+    """Return a column; None if a row has no number, for example an error without a goal."""
     return None if np.isnan(values).any() else values

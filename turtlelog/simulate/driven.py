@@ -1,4 +1,4 @@
-"""A plant driven with given commands by the loop's own steps, without a law."""
+"""A plant driven by given commands in the loop's own steps, without a law."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ class DrivenPlant:
     """The plant of a scenario with its transport, disturbances and sensing.
 
     Attributes:
-        taken: Number of commands that the plant took so far; a duplicate counts once.
+        taken: Number of commands that the plant took so far; a duplicated command counts once.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -68,7 +68,7 @@ class DrivenPlant:
         self._move_to(until_ns)
 
     def read(self) -> State:
-        """Return the present state."""
+        """Return the present state of the plant."""
         state: State = self._parts.read(self._state.plant)
         return state
 
@@ -79,7 +79,7 @@ class DrivenPlant:
         return row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad
 
     def _hold(self, tick: int, since_ns: int, until_ns: int) -> None:
-        """Pass on the commands that arrive."""
+        """Pass arriving commands on to the plant."""
         settings, state, rows, parts = self._settings, self._state, self._rows, self._parts
         scene, now = settings.scene, self._now
         if scene.acts_on_arrival:

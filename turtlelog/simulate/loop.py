@@ -1,11 +1,11 @@
 """The closed loop, tick by tick, for any plant, law and effects: the source of both versions.
 
 At equal times the plant moves first, then commands arrive, then the pose is delivered, then the
-controller runs. A tick lasts until the next one.
+controller runs. A tick lasts until the next tick.
 
 `parts` contains the functions of plant and law, and the chained effects of each place; `assemble`
-makes it. `rows` contains the rows of each kind by number: in Python those that are still needed, in
-compiled code all.
+creates `parts`. `rows` contains the rows of each kind by number: in Python the rows that are still
+needed, in compiled code all rows.
 """
 
 import math
@@ -58,7 +58,7 @@ def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> N
 
 
 def finish_tick(settings: Any, state: Any, rows: Any, parts: Any, tick: int, before: int) -> None:
-    """Record the changes of a tick, which began with `before` samples."""
+    """Record the changes in a tick; before the tick there were `before` samples."""
     now = state.now
     if now.stop == 0 and tick == settings.scene.last_tick:
         now.stop = MAX_DURATION
@@ -117,7 +117,7 @@ def count_lost(now: Any, losses: Any, time_ns: int) -> None:
 
 
 def end_stretch(losses: Any) -> None:
-    """End a segment of losses when something arrives; segments of a tick become one event."""
+    """End a segment of losses when something arrives. The segments of a tick become one event."""
     if losses.count > 0:
         if losses.finished == 0:
             losses.finished_since_ns = losses.since_ns
@@ -183,7 +183,7 @@ def push_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: 
 
 
 def publish(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample: int) -> None:
-    """Send the command of a sample; no command overtakes another."""
+    """Send the command of a sample. No command overtakes another."""
     now, scene, row = state.now, settings.scene, rows.samples[sample]
     now.published += 1
     now.stop = row.stop
@@ -219,7 +219,7 @@ def arrive(settings: Any, now: Any, rows: Any, until: int) -> None:
 
 
 def queue_command(settings: Any, now: Any, rows: Any, row: Any) -> None:
-    """Queue a command; a full queue drops the oldest."""
+    """Queue a command. A full queue drops the oldest command."""
     if settings.scene.newest_only:
         now.newest_command, now.queue_count = row.sequence, 1
         return
@@ -233,7 +233,7 @@ def queue_command(settings: Any, now: Any, rows: Any, row: Any) -> None:
 
 
 def take_oldest(now: Any, rows: Any) -> int:
-    """Take the oldest command of the queue; return its sample."""
+    """Take the oldest command from the queue and return its sample."""
     oldest: int = now.queue_first
     row = rows.samples[oldest]
     while row.queued == 0:
@@ -246,7 +246,7 @@ def take_oldest(now: Any, rows: Any) -> int:
 
 
 def take(settings: Any, now: Any, rows: Any, until: int) -> int:
-    """Return the sample whose command is used from the start of a step; -1 if none has arrived."""
+    """Return the sample whose command is used from the start of a step; -1 before the first."""
     if now.commands_arrived < now.published:
         arrive(settings, now, rows, until)
     if now.has_losses and now.queue_count < settings.loop.command_queue:
@@ -279,7 +279,7 @@ def hold_arrived(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int
 
 
 def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> bool:
-    """Sense the pose of a tick; return whether it arrives."""
+    """Sense the pose of a tick and return whether it arrives."""
     now, scene = state.now, settings.scene
     if parts.lose_pose(settings, state, rows, tick, 0, False):  # noqa: FBT003
         count_lost(now, now.lost_poses, tick * scene.period_ns)
@@ -299,7 +299,7 @@ def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int)
 
 @called
 def receive(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> None:
-    """Send the pose of a tick; no pose overtakes another."""
+    """Send the pose of a tick. No pose overtakes another."""
     now, time_ns = state.now, tick * settings.scene.period_ns
     arrival_ns = parts.pose_travel(settings, state, rows, tick, 0, time_ns)
     row.arrival_ns = max(arrival_ns, now.pose_arrived_ns)
@@ -307,7 +307,7 @@ def receive(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: in
 
 
 def queue_pose(settings: Any, now: Any, rows: Any, row: Any, tick: int) -> None:
-    """Queue the pose of a tick, only every n-th; a full queue drops the oldest."""
+    """Queue the pose of a tick if it is an n-th pose. A full queue drops the oldest pose."""
     loop = settings.loop
     if loop.period_ticks != 1 and tick % loop.period_ticks != 0:
         row.arrival_ns = -1
@@ -321,7 +321,7 @@ def queue_pose(settings: Any, now: Any, rows: Any, row: Any, tick: int) -> None:
 
 
 def take_pose(now: Any, rows: Any) -> int:
-    """Take the oldest pose of the queue; return its number."""
+    """Take the oldest pose from the queue and return its number."""
     oldest: int = now.poses_first
     while rows.ticks[oldest].arrival_ns < 0:
         oldest += 1
@@ -330,7 +330,7 @@ def take_pose(now: Any, rows: Any) -> int:
 
 
 def take_newest(now: Any) -> int:
-    """Take only the newest pose; return its number."""
+    """Take only the newest pose and return its number."""
     now.poses_count = 0
     newest: int = now.newest
     return newest
@@ -357,7 +357,7 @@ def find_next(now: Any, rows: Any) -> int:
 
 @called
 def deliver(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
-    """Queue the poses that have arrived; mark an answer as due when the timer fires."""
+    """Queue the poses that have arrived, and mark an answer as due when the timer fires."""
     scene = settings.scene
     while find_arrival(now, rows) <= now_ns:
         pose = now.poses_arrived
@@ -380,7 +380,7 @@ def deliver(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
 def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
     """Answer the poses that wait or arrive before the next tick, and publish the commands.
 
-    While the law blocks, poses are queued, and one firing of the timer waits.
+    While the law blocks, poses are queued, and one timer event waits.
     """
     now, scene = state.now, settings.scene
     delays_poses = scene.delays_poses
@@ -412,7 +412,7 @@ def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
 
 
 def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, number: int) -> int:
-    """Make the sample of a pose; return the number of ticks for which the law blocks."""
+    """Create the sample of a pose and return the number of ticks for which the law blocks."""
     now, scene = state.now, settings.scene
     read, sample = rows.ticks[number], now.samples
     row = begin_row(rows.samples, rows.new[0].sample, sample)
@@ -457,7 +457,7 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
 
 @called
 def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
-    """Add the missing errors to the goal, from the present position."""
+    """Compute the missing errors from the present position to the goal."""
     x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
     bearing_rad = math.atan2(y_m, x_m)
     if math.isnan(row.bearing_rad):
@@ -473,7 +473,7 @@ def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
 
 
 def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> None:
-    """Reject values that cannot be executed or recorded; without a goal there are no errors."""
+    """Reject values that cannot be executed or recorded. Without a goal there are no errors."""
     reference = row.reference_x_m + row.reference_y_m + row.reference_heading_rad
     errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m
     if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):

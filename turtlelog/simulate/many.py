@@ -1,4 +1,4 @@
-"""Simulation of many scenarios, with compiled loops if that is faster, in threads."""
+"""Simulation of many scenarios, in threads and with compiled loops if that is faster."""
 
 import threading
 from collections import deque
@@ -27,22 +27,23 @@ COST_S: Final = 1.0
 """Time to import numba and load a loop from the cache [s]."""
 
 FIRST_S: Final = 6.0
-"""The same if the loop is not in the cache [s]: numba compiles it for 4 to 6 s."""
+"""Time if the loop is not in the cache [s]: numba compiles it for 4 to 6 s."""
 
 _SAVED_S: Final = 1.2e-5
-"""Time that a compiled loop saves per sample for turtlesim, at least [s]. With the columns of its
-run, a sample takes 15 us plain and 1 us compiled; some processors are faster."""
+"""Least time that a compiled loop saves per sample for turtlesim [s]. With the columns of its run,
+a sample takes 15 us plain and 1 us compiled; some processors are faster."""
 
 _STEPPED_SAVED_S: Final = 3e-5
-"""The same for a robot model with a time constant, and for a path [s]: 33 to 44 us plain, 1 to 3 us
-compiled."""
+"""Least time saved per sample for a robot model with a time constant, and for a path [s]: 33 to 44
+us plain, 1 to 3 us compiled."""
 
 MOST_TICKS: Final = 1_000_000
 """Longest scenario that is compiled [ticks]: the arrays have 600 bytes per tick, for all ticks at
 once."""
 
 _AHEAD: Final = 4
-"""Finished runs that may wait per thread: this limits memory, and keeps all threads busy."""
+"""Largest number of finished runs that wait per thread: this limits memory, and keeps all threads
+busy."""
 
 Simulated = Run | SimulationError
 
@@ -50,12 +51,12 @@ Simulated = Run | SimulationError
 class ManyRuns(Iterator[Simulated]):
     """The runs of scenarios, in order; a failed run is replaced by its SimulationError.
 
-    Only a few runs are in memory, however many there are.
+    Only a few runs are in memory at a time.
 
     Attributes:
         compiled: Number of runs that compiled loops have simulated.
         interpreted: Number of runs simulated in ordinary Python: laws that are classes, failed
-            runs, runs without numba, or runs before a compiled loop is worth loading.
+            runs, runs without numba, and runs before loading a compiled loop is worthwhile.
         notes: Notes on the compiled loops, one line each.
     """
 
@@ -133,9 +134,9 @@ class ManyRuns(Iterator[Simulated]):
     def _simulate_both_ways(
         self, loop: CompiledLoops, scenario: Scenario, plant: Plant
     ) -> Simulated:
-        """Simulate a user law in ordinary Python and compiled; record the difference as a note.
+        """Simulate a user law in ordinary Python and compiled, and record a difference as a note.
 
-        Numba's arithmetic and Python's may differ in the last bits: for `x**3` in a quarter of
+        The arithmetic of numba and Python may differ in the last bits: for `x**3` in a quarter of
         cases.
         """
         found = self._simulate(scenario, plant)
@@ -150,7 +151,7 @@ class ManyRuns(Iterator[Simulated]):
         return again
 
     def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledLoops | None) -> Simulated:
-        """Simulate in Python; decide whether a compiled loop is worth loading for the others."""
+        """Simulate in Python, and decide whether a compiled loop is worth loading for others."""
         with self._counting:
             self.interpreted += 1
         found = self._simulate(scenario, plant)
@@ -176,7 +177,7 @@ class ManyRuns(Iterator[Simulated]):
 
 @cache
 def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoops:
-    """Return the loop of a law and a plant, which is compiled when the work justifies it."""
+    """Return the loop of a law and a plant, which is compiled when the work justifies this."""
     return CompiledLoops(
         partial(_load, law, plant, states),
         partial(_is_kept, law, plant, states),
@@ -224,7 +225,7 @@ def find_saving(scenario: Scenario) -> float:
 
 
 def describe_difference(kind: str, plain: Run, compiled: Run) -> Iterator[str]:
-    """Yield the differences of a law's first run when compiled, if there are any."""
+    """Yield the differences between a law's first compiled run and the same run in Python."""
     if len(plain.samples) != len(compiled.samples):
         counts = f"{len(compiled.samples)} samples instead of {len(plain.samples)}"
         yield f"law {kind}: its first run has {counts} when compiled"
@@ -249,14 +250,14 @@ def simulate_many(
 ) -> ManyRuns:
     """Simulate scenarios one after another, with the same bits as `simulate_run`.
 
-    With the extra `fast`, laws that are parts run in a compiled loop as soon as the work is worth
-    loading it. Laws that are classes run in ordinary Python.
+    With the extra `fast`, laws that are parts run in a compiled loop as soon as loading it is
+    worthwhile. Laws that are classes run in ordinary Python.
 
     Args:
-        scenarios: Scenarios to simulate; read as runs are requested.
-        plant: Plant whose clock is used; None: the plant of each scenario.
-        threads: Number of threads; None: one per core.
-        step_budget_s: Time that a law may compute for one answer [s]; None: unlimited.
+        scenarios: Scenarios to simulate; they are read as runs are requested.
+        plant: Plant whose clock is used. Default: the plant of each scenario.
+        threads: Number of threads. Default: one per core.
+        step_budget_s: Time for computing one answer of a law [s]; None: unlimited.
 
     Returns:
         An iterator of runs; a failed run is replaced by its SimulationError, whose `run` is the run

@@ -1,4 +1,4 @@
-"""The loop in ordinary Python: tick by tick, for a law in any Python, without a compiler."""
+"""The loop in ordinary Python, tick by tick, for a law in any Python, without a compiler."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -104,22 +104,23 @@ def iterate_ticks(
 ) -> Iterator[Tick]:
     """Return the ticks of a closed loop until the law is done or `max_duration_s` has passed.
 
-    A tick is a step of the plant, one period long; counts of ticks in the scenario refer to it.
+    A tick is a step of the plant, one period long; counts of ticks in the scenario refer to these
+    ticks.
 
     Args:
         scenario: Scenario to simulate.
-        plant: Plant whose clock is used; None: the scenario's plant.
-        step_budget_s: Time that the law may compute for one answer, by the computer's clock [s];
-            None: unlimited. From 1 s on, the steps of built-in laws are not watched, and the loop
-            of another law computes in its own thread.
+        plant: Plant whose clock is used. Default: the scenario's plant.
+        step_budget_s: Time for computing one answer of the law, by the computer's clock [s]; None:
+            unlimited. From 1 s on, the steps of built-in laws are not watched, and the loop of
+            another law computes in its own thread.
         one_by_one: Whether to compute a tick when it is requested instead of some ticks ahead.
         made: Function that receives the loop at its start.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
         SimulationError: If the budget is not a time. While iterating, if the law fails or gives an
-            invalid answer; raised after the tick in which this happens, whose stop reason is
-            `law_failed`, or `step_budget` if it computed for too long.
+            invalid answer: the error is raised after the tick in which this happens. The stop
+            reason of that tick is `law_failed`, or `step_budget` if the law exceeded its time.
     """
     scenario = resolve_scenario(scenario)
     if step_budget_s is not None:
@@ -136,7 +137,7 @@ def iterate_ticks(
 def _iterate(
     scenario: Scenario, plant: Plant | None, step_budget_s: float | None, made: list["PlainLoop"]
 ) -> Iterator[Tick]:
-    """Yield the ticks; `made` receives the loop."""
+    """Yield the ticks; `made` receives the loop at its start."""
     made.append(PlainLoop(scenario, plant, step_budget_s=step_budget_s))
     yield from made[0].iterate()
 
@@ -146,7 +147,7 @@ class PlainLoop:
 
     Attributes:
         declaration: Declaration of the law.
-        now: State of the loop, of `Progress`.
+        now: State of the loop, a `Progress`.
     """
 
     def __init__(
@@ -161,9 +162,9 @@ class PlainLoop:
 
         Args:
             scenario: Scenario with a resolved law.
-            plant: Plant whose clock is used; None: the scenario's plant.
-            law: Law to use instead of the scenario's law. Its declaration uses its attribute
-                `parameters`, otherwise those of the scenario.
+            plant: Plant whose clock is used. Default: the scenario's plant.
+            law: Law to use instead of the scenario's law. If this law has an attribute
+                `parameters`, its declaration uses them; otherwise the parameters of the scenario.
             step_budget_s: Time limit of a step; a step beyond it fails with a StepBudgetError. A
                 short budget is measured here, a longer one by a `LimitedLoop`.
         """
@@ -208,7 +209,7 @@ class PlainLoop:
         """Yield the ticks until the law is done or the run is over.
 
         Raises:
-            SimulationError: If the law fails, after the tick in which it does.
+            SimulationError: If the law fails; raised after the tick in which the law fails.
         """
         settings, state, rows, parts = self.settings, self.state, self.rows, self.parts
         now, scene = self.now, settings.scene
@@ -262,7 +263,7 @@ class PlainLoop:
         return tuple([self.take_states(sample.sequence) for sample in computed])
 
     def answer_pose(self, time_ns: int, number: int, pose: Pose) -> SampleRow:
-        """Return the sample for a pose to which this loop did not move.
+        """Return the sample for a pose that is not a result of this loop's motion.
 
         Raises:
             SimulationError: If the law fails or gives an invalid answer.
@@ -306,7 +307,7 @@ class PlainLoop:
         return self._law.stops[stop - 1]  # type: ignore[union-attr]
 
     def describe_late(self, what: str) -> str:
-        """Return that the latest answer is late, and how to set a longer budget."""
+        """Return a sentence on the late answer, and how to set a longer budget."""
         number = max(self.asked - 1, 0)
         row = self.rows.samples.get(number)
         at_s = (0 if row is None else row.time_ns) / 1e9
@@ -398,7 +399,7 @@ class _Rows:
 
 
 def _drop(rows: dict[int, Any], before: int) -> int:
-    """Delete the rows before a number, which rise; return how many."""
+    """Delete the rows before a number, and return how many. Numbers of rows rise."""
     kept = list(takewhile(partial(le, before), reversed(rows)))
     count = len(rows) - len(kept)
     if count > 0:
@@ -452,7 +453,7 @@ def _find_reader(
 def describe_runaway(
     time_ns: int, state: tuple[float, float, float, float, float]
 ) -> SimulationError:
-    """Return that a plant is further or faster than a pose can contain."""
+    """Return a sentence on a plant that is further or faster than a pose can contain."""
     return SimulationError(
         f"the robot runs away: at {time_ns / 1e9:g} s x = {state[0]:g} m,"
         f" y = {state[1]:g} m, speed {state[3]:g} m/s, turn rate {state[4]:g} rad/s;"

@@ -1,6 +1,6 @@
 """The data of the loop: its settings, its state, a row of each kind, and events in words.
 
-In ordinary Python they are objects, in compiled code records with the same fields.
+In ordinary Python the data are objects, in compiled code records with the same fields.
 """
 
 import math
@@ -13,7 +13,7 @@ from turtlelog.parts import NEVER_NS
 from turtlelog.run import Event
 
 MAX_DURATION, LAW_FAILED, STEP_BUDGET = -1, -2, -3
-"""Stop reasons that do not come from the law; a law's own are numbers above 0."""
+"""Stop reasons that do not come from the law. A law's own stop reasons are numbers above 0."""
 
 COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, STATES_FAILED, RUNS_AWAY = 1, 2, 3, 4, 5
 """Kinds of failures: an invalid command, error, reference pose or state, and a plant that exceeds
@@ -35,19 +35,20 @@ class Scene:
         period_ns: Step of the plant's clock [ns].
         period_s: The same step [s].
         tick_ns: Period of the plant's own steps, for which laws block [ns].
-        block: The same period in the loop's unit: nanoseconds if poses travel, otherwise steps of
-            the clock.
+        block: The same period in the unit of the loop: nanoseconds if poses travel, otherwise steps
+            of the clock.
         watchdog_ns: Time after a command at which the plant stops [ns].
         last_tick: Number of the last tick.
         end_ns: End of the run plus 1 [ns].
-        timer_ns: Period of the controller's timer [ns]; 0: it answers poses.
+        timer_ns: Period of the controller's timer [ns]; 0: the controller answers poses.
         first_s: Time before the first sample [s].
-        causal_ns: Time after a pose within which an arriving command counts for its step [ns].
+        causal_ns: Time after a pose within which an arriving command counts for the pose's step
+            [ns].
         start_backlog: Number of poses before the first answer.
         is_exact: Whether poses are published in 64 bits.
         newest_only: Whether the plant takes only the newest command, and drops the others.
-        is_timed: Whether command delays are in nanoseconds, not in whole ticks.
-        acts_in_steps: Property of the plant with this name.
+        is_timed: Whether command delays are in nanoseconds instead of whole ticks.
+        acts_in_steps: Property of the plant, as in `PlantPart`.
         acts_on_arrival: Whether a command acts from its arrival on.
         delays_poses: Whether poses travel, or a timer triggers answers.
         senses: Whether sensed poses differ from published ones.
@@ -94,14 +95,14 @@ class GoalNumbers:
 
 @dataclass(slots=True)
 class Losses:
-    """Losses by segments, because an event for each would fill a log.
+    """Losses by segments; one event for each loss would fill a log.
 
     Attributes:
         kind: Kind of `_EVENT_KINDS`.
         since_ns: Start of the present segment [ns].
-        count: Number of losses in it so far.
+        count: Number of losses in the present segment so far.
         finished_since_ns: Start of the first finished segment that is not recorded yet [ns].
-        finished: Number of losses in such segments.
+        finished: Number of losses in finished segments that are not recorded yet.
     """
 
     kind: int = 0
@@ -116,22 +117,22 @@ class Progress:
     """State of the loop.
 
     Attributes:
-        ticks: Number of pose rows so far; likewise `samples` and `events`.
-        published: Number of published commands, which are those of the first samples.
-        stop: Stop reason; 0 while it runs.
-        failure: Kind of failure; 0 if there is none.
+        ticks: Number of rows of ticks so far; `samples` and `events` are counted likewise.
+        published: Number of published commands, which belong to the first samples.
+        stop: Stop reason; 0 while the loop runs.
+        failure: Kind of failure; 0 without a failure.
         waits_for: Number of poses to wait for before the first answer.
-        blocked: Sample whose command waits while the law blocks; -1: none.
+        blocked: Sample whose command waits while the law blocks; -1: no sample.
         free_at: End of the block.
-        last_ns: Time of the last answer [ns]; -1: none.
-        phase_ended: Phase ended by the last sample; -1: none.
+        last_ns: Time of the last answer [ns]; -1: no answer so far.
+        phase_ended: Phase ended by the last sample; -1: no phase.
         poses_first: First pose that may be in the queue.
         poses_count: Number of poses in the queue.
         poses_arrived: First pose that may be on its way.
         pose_arrived_ns: Arrival time of the last pose [ns].
-        poses_dropped: Number of poses that the full queue dropped; `poses_told` of them are in
-            events.
-        newest: The newest pose that arrived, for the timer; -1: none.
+        poses_dropped: Number of poses that the full queue dropped. Events contain `poses_told` of
+            them.
+        newest: Newest pose that arrived, for the timer; -1: no pose.
         fires_ns: Next time of the timer [ns].
         is_due: Whether the timer has fired.
         queue_first: First sample whose command may be in the plant's queue.
@@ -139,12 +140,12 @@ class Progress:
         commands_arrived: First sample whose command may be on its way.
         command_arrived_ns: Arrival time of the last command [ns].
         newest_command: Sample of the newest command that arrived.
-        commands_dropped: Number of commands that the full queue dropped; `commands_told` of them
-            are in events.
+        commands_dropped: Number of commands that the full queue dropped. Events contain
+            `commands_told` of them.
         has_losses: Whether a pose or command was lost so far.
         was_at_wall: Whether the plant was at the wall in the previous tick.
-        push_speed: Disturbance of the plant's speed now [m/s].
-        push_turn_rate: Disturbance of the plant's turn rate now [rad/s].
+        push_speed: Present disturbance of the plant's speed [m/s].
+        push_turn_rate: Present disturbance of the plant's turn rate [rad/s].
     """
 
     ticks: int = 0
@@ -185,14 +186,14 @@ class Progress:
 
 @dataclass(slots=True)
 class TickRow:
-    """A pose as published and as sensed (NaN: it dropped out), and the plant's motion.
+    """A pose as published and as sensed (NaN if it dropped out), and the plant's motion.
 
     Attributes:
         x_m: x in the world frame [m]; likewise `y_m`.
         heading_rad: Heading, counter-clockwise from +x [rad].
         speed_m_s: Magnitude of the applied velocity [m/s].
         turn_rate_rad_s: Applied turn rate [rad/s].
-        arrival_ns: Time of arrival at the controller [ns]; -1: it does not arrive, or is not
+        arrival_ns: Time of arrival at the controller [ns]; -1: the pose does not arrive, or is not
             queued.
     """
 
@@ -214,16 +215,18 @@ class SampleRow:
     Attributes:
         time_ns: Time at which the pose was answered [ns].
         sequence: Number of the sample, from 0.
-        pose_sequence: Number of the pose that it read, from 0.
-        published_ns: Time at which its command is published [ns]: later if the law blocks.
-        arrival_ns: Time [ns] or tick at which its command arrives; -1: never.
-        arrivals: Number of arrivals.
-        queued: Number of copies in the plant's queue.
+        pose_sequence: Number of the pose that the sample read, from 0.
+        published_ns: Time at which the command is published [ns]; later than the answer if the law
+            blocks.
+        arrival_ns: Time [ns] or tick at which the command arrives; -1: never.
+        arrivals: Number of times that the command arrives.
+        queued: Number of copies of the command in the plant's queue.
         phase: Index of the phase in the declaration's `phase_names`. The law sets this and all
             following fields except the commands.
         blocks_ticks: Number of ticks for which the law blocks before its command is published.
-        stop: Why this is the last sample: index in the law's `stops`, from 1; 0: it is not.
-        ends_phase: Whether the next sample is of another phase.
+        stop: Why this sample is the last: index into the law's `stops`, from 1; 0: it is not the
+            last.
+        ends_phase: Whether the next sample belongs to another phase.
         bearing_rad: Goal bearing [rad].
         heading_error_rad: Reference heading minus heading [rad].
         error_x_m: Goal minus position in the world frame [m]; likewise `error_y_m`.
@@ -305,7 +308,7 @@ _LOSSES: Final = {
 def describe_event(
     row: Any, period_ns: int, name_stop: Callable[[int], str], *, because: str = ""
 ) -> Event:
-    """Return an event in words.
+    """Return a sentence on an event.
 
     Args:
         row: Row of `EventRow`.
@@ -329,12 +332,12 @@ def describe_event(
 
 
 def describe_stop(stop_reason: str, because: str = "") -> str:
-    """Return the end of the run in words."""
+    """Return a sentence on the end of the run."""
     return f"The run ended: {stop_reason.replace('_', ' ')}{because}."
 
 
 def _describe_loss(kind: str, since_ns: int, lost: int) -> str:
-    """Return the losses of a segment in words."""
+    """Return a sentence on the losses of a segment."""
     who, what = _LOSSES[kind]
     when = f"{what}s from" if lost > 1 else f"{what} at"
     return f"{who} {lost} {when} {since_ns / 1e9:.3f} s{' on' if lost > 1 else ''}."

@@ -1,6 +1,6 @@
 """Notes on a scenario before it is run.
 
-The notes name gains that are unstable in theory, and settings that are not used.
+The notes name gains that are unstable in theory, and unused settings.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -28,23 +28,23 @@ from turtlelog.theory import (
 )
 
 _ROUNDING: Final = 1e-9
-"""Share of a limit up to which a gain beyond it counts as at the limit, without a note."""
+"""Share of a limit within which a larger gain counts as equal to the limit, without a note."""
 
 _DEFAULTS: Final = flatten_scenario(Scenario())
 
 
 def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> tuple[str, ...]:
-    """Return notes on a scenario before its run, one line each; empty if there are none.
+    """Return notes on a scenario before its run, one line each; empty if there is nothing to note.
 
-    A gain gets a note if theory's linear loop is unstable with it, for the plant's time constant,
-    the sampling period and the smallest dead time that the settings guarantee. The run itself may
-    still end, or oscillate within the limits. There is no note if a value is unknown: a loop
-    without theory or without a declared gain, a timing that is random or changes between samples,
-    or shaping other than a low-pass.
+    A gain gets a note if theory's linear loop is unstable with this gain. The loop includes the
+    plant's time constant, the sampling period and the smallest dead time that the settings
+    guarantee. The run itself may still end, or oscillate within the limits. No note is given for a
+    loop without theory or without a declared gain. The same holds for a timing that is random or
+    changes between samples, and for shaping other than a low-pass.
 
     Args:
-        scenario: Scenario to be run; the code of its law is loaded if needed.
-        given: Keys that the user set, also to the default, as in `goal.x_m`.
+        scenario: Scenario that will run; the code of its law is loaded if needed.
+        given: Keys that the user set, as in `goal.x_m`, also those set to the default.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
@@ -64,8 +64,8 @@ def _describe_wrong_signs(
 ) -> Iterator[str]:
     """Yield the loops whose plant inverts the feedback.
 
-    Their open loop is real and negative for real z > 1, from minus infinity at 1 up to 0: for any
-    gains, delays and lags, one pole of the closed loop lies there.
+    The open loop is real and negative for real z > 1, from minus infinity at 1 up to 0. For any
+    gains, delays and lags, one pole of the closed loop therefore lies in this range.
     """
     for loop in declaration.loops:
         for name in ("gain", "reverse_gain"):
@@ -79,7 +79,7 @@ def _describe_wrong_signs(
 
 
 def _describe_idle(scenario: Scenario) -> Iterator[str]:
-    """Yield settings without an effect, as the effects report them."""
+    """Yield notes on settings without an effect, as the effects report them."""
     for effect in EFFECTS:
         if effect.notes is not None:
             yield from effect.notes(scenario)
@@ -102,7 +102,7 @@ def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parame
 
 
 def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) -> str:
-    """Return period, dead time and lag in words."""
+    """Return a description of the period, dead time and lag."""
     words = [f"a period of {1e3 * timing.period_s:g} ms"]
     if process.lag_s > 0.0:
         words.append(f"a lag of {process.lag_s:g} s")
@@ -120,7 +120,7 @@ def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) ->
 
 
 def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTiming) -> str | None:
-    """Return the reason why a loop is unstable for every possible dead time; None otherwise."""
+    """Return why a loop is unstable for every possible dead time; None otherwise."""
     others = ((loop.integral_gain, gains.ki), (loop.derivative_gain, gains.kd))
     values = [f"{key} = {_write(value)}" for key, value in others if value > 0.0]
     named = f"{loop.gain} = {_write(gains.kp)}"
@@ -147,7 +147,7 @@ def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTim
 
 
 def _judge_each(gains: PidGains, process: Process, timing: LoopTiming, words: str) -> str | None:
-    """Return that a loop is unstable at each dead time, for limits that rise with it."""
+    """Return why a loop is unstable at each dead time, for limits that rise with the dead time."""
     for ticks in range(round((timing.most_s - timing.least_s) / timing.step_s) + 1):
         late = replace(process, dead_time_s=process.dead_time_s + ticks * timing.step_s)
         if is_pid_stable(gains, period_s=timing.period_s, process=late):
@@ -156,7 +156,7 @@ def _judge_each(gains: PidGains, process: Process, timing: LoopTiming, words: st
 
 
 def _round_towards(limit: float, kp: float) -> str:
-    """Return a limit with few digits, but enough to stay on its side of a gain."""
+    """Return a limit with few digits, but enough digits to stay on its side of a gain."""
     for digits in range(4, 17):
         text = f"{limit:.{digits}g}"
         if float(text) != kp and (float(text) < kp) == (limit < kp):
@@ -174,7 +174,7 @@ def _describe_unused(
     parameters: Mapping[str, Parameter],
     given: Collection[str],
 ) -> list[str]:
-    """Return notes on settings that the law does not use: given ones, or not the defaults."""
+    """Return notes on unused settings that the user gave or that differ from their defaults."""
     unused = [
         *([] if declaration.uses_goal else ["goal"]),
         *list_unused_keys(find_law(scenario.law.kind), scenario.law.parameters),

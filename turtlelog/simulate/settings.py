@@ -1,7 +1,7 @@
 """A scenario as numbers: settings and initial state of a loop, of its law, plant and effects.
 
-Each table has a dataclass with the numbers among its keys. A word is its index in its `Literal`; a
-key without a value is NaN, or -1 if it is a whole number. Other values are left out.
+Each table has a dataclass with the numbers among its keys. A word is represented by its index in
+its `Literal`. A missing value is NaN, or -1 for a whole number. Other values are left out.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ Convert = Callable[[Any], Any]
 
 @dataclass(slots=True)
 class NoNumbers:
-    """Settings of a law written in any Python, which reads its own parameters."""
+    """Settings of a law in any Python, which reads its own parameters."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Mirror:
     """The numbers of a dataclass of keys.
 
     Attributes:
-        kind: A dataclass with slots and defaults.
-        read: Function that returns its values from an object with the keys.
+        kind: A dataclass with slots and defaults for the numbers.
+        read: Function that returns the numbers of an object with the keys.
     """
 
     kind: type[Any]
@@ -220,7 +220,7 @@ def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant
 
 
 def needs_time(scenario: Scenario) -> bool:
-    """Return whether command delays are in nanoseconds, not in whole ticks."""
+    """Return whether command delays are in nanoseconds instead of whole ticks."""
     return (
         not PLANTS[scenario.plant.kind].acts_in_steps
         or scenario.loop.trigger == "timer"
@@ -234,7 +234,7 @@ def list_acting(scenario: Scenario) -> tuple[Effect, ...]:
 
 
 def bound_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
-    """Return the largest possible numbers of ticks and samples of a run."""
+    """Return the largest possible numbers of ticks and of samples in a run."""
     ticks = round(scenario.max_duration_s * 1e9) // plant.period_ns + 1
     period_s = scenario.loop.period_s
     return ticks, ticks if period_s is None else int(scenario.max_duration_s / period_s) + 2

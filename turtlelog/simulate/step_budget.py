@@ -1,9 +1,9 @@
-"""Time limit for one answer of a law, by the clock; also for a step that never returns.
+"""Time limit for one answer of a law, by the clock, even if a step never returns.
 
-A step beyond its limit is ended by an exception that is raised only in the thread of the law. Code
-that continues nevertheless, because it catches everything or waits in C, is left in its thread,
-which ends with the process at the latest. Only C code that never releases the interpreter's lock
-can block a run.
+A step beyond its limit is ended by an exception in the thread of the law. Code may continue
+nevertheless, because it catches everything or waits in C. Such code is left in its thread, which
+ends with the process at the latest. Only C code that never releases the interpreter's lock can
+block a run.
 """
 
 import contextvars
@@ -28,15 +28,15 @@ STEP_BUDGET: Final = "step_budget"
 """Stop reason of a run whose law exceeded its time limit."""
 
 STEP_BUDGET_S: Final = 10.0
-"""Default time limit for one answer of a user law [s]: far more than a robot waits, and short for a
-user whose law never returns."""
+"""Default time limit for one answer of a user law [s]: far longer than a robot waits, and short for
+a user whose law never returns."""
 
 TIMED_BELOW_S: Final = 1.0
-"""Budget below which each step runs and is timed in its own thread, which takes as long again as
-the loop [s]. From this budget on, the whole loop runs in a thread and is checked occasionally."""
+"""Budget below which each step runs and is timed in its own thread, which doubles the time of the
+loop [s]. From this budget on, the whole loop runs in a thread and is checked occasionally."""
 
 _LOOKS: Final = 20
-"""Checks per budget whether the step has returned: it may last a twentieth longer."""
+"""Number of checks per budget whether the step has returned: a step may last a twentieth longer."""
 
 _PIECE_S: Final = 0.02
 """Duration of the loop between two batches of ticks [s], so that progress bars move and Ctrl-C
@@ -47,13 +47,14 @@ _AT_ONCE: Final = 256
 cache."""
 
 _PATIENCE_S: Final = 1.0
-"""Additional wait after the budget [s]: if the step returns in it, the error contains its time."""
+"""Additional wait after the budget [s]. If the step returns in this time, the error contains its
+duration."""
 
 _AGAIN_S: Final = 0.05
 """Time between attempts to end a step [s]: a law may catch the exception."""
 
 _ATTEMPTS: Final = 10
-"""Attempts to end a step before the run continues without it."""
+"""Number of attempts to end a step before the run continues without it."""
 
 _LONGEST_S: Final = 3600.0
 """Longest single wait [s]: a queue refuses waits of years."""
@@ -68,25 +69,25 @@ _Item = TypeVar("_Item")
 
 
 class StepBudgetError(SimulationError):
-    """A law that computed for longer than it may."""
+    """A law that exceeded its computing time."""
 
 
 class StepEnded(SystemExit):
-    """Exception that ends a step that does not return; threads end silently with a SystemExit."""
+    """Exception that ends a step which does not return. A SystemExit ends a thread silently."""
 
 
 def require_budget(budget_s: float) -> None:
     """Raise an error for an invalid budget.
 
     Raises:
-        SimulationError: If it is not above 0, or is infinite.
+        SimulationError: If the budget is not above 0, or is infinite.
     """
     if not (isinstance(budget_s, Real) and 0.0 < budget_s < inf):
         raise SimulationError(f"step_budget_s: expected a time above 0 s, found {budget_s!r:.60}")
 
 
 def describe_excess(budget_s: float, took_s: float, *, has_returned: bool = True) -> str:
-    """Return how long a step took, or has been running [s]."""
+    """Return a sentence on the duration of a step, or on its time so far [s]."""
     took = f"{format_number(took_s * 1e3)} ms"
     more = "" if has_returned else "more than "
     return f"took {more}{took}{_OF_A_BUDGET}{format_number(budget_s * 1e3)} ms"
@@ -108,7 +109,7 @@ class _Worker(Generic[_Result]):
     """A thread that calls a function on request.
 
     Attributes:
-        start_s: Start of the present call, if there is one [s].
+        start_s: Start of the present call, if any [s].
     """
 
     def __init__(self, call: Callable[..., _Result], name: str) -> None:
@@ -134,14 +135,14 @@ class _Worker(Generic[_Result]):
         """Return the result or exception of the function, and its duration [s].
 
         Raises:
-            Empty: If it takes longer than the given time [s].
+            Empty: If the function takes longer than the given time [s].
         """
         return self._answers.get(timeout=min(most_s, _LONGEST_S))
 
     def wait_while(
         self, count: Callable[[], int], most_s: float
     ) -> tuple[_Result | None, BaseException | None, float] | None:
-        """Do the same while a count changes within a given time [s]; None if it does not."""
+        """Wait while a count changes within a given time [s]; return None if it stops changing."""
         seen, waited_s, look_s = -1, 0.0, most_s / _LOOKS
         while waited_s < most_s:
             began_s = time.perf_counter()
@@ -172,7 +173,7 @@ class _Worker(Generic[_Result]):
         self._questions.put(None)
 
     def is_debugged(self) -> bool:
-        """Return whether a debugger or profiler is active in it."""
+        """Return whether a debugger or profiler is active in the thread."""
         frame = sys._current_frames().get(self._thread.ident or 0)
         while frame is not None:
             if str(frame.f_globals.get("__name__")).partition(".")[0] in _DEBUGGERS:
@@ -182,13 +183,13 @@ class _Worker(Generic[_Result]):
 
 
 class StepBudget:
-    """Calls a law's `step` in its own thread, with a time limit.
+    """Caller of a law's `step` in its own thread, with a time limit.
 
-    A step that cannot be ended does not delay the run.
+    The run does not wait for a step that cannot be ended.
     """
 
     def __init__(self, step: Step, budget_s: float) -> None:
-        """Store a law's `step` and its time limit [s]; only the step itself is timed.
+        """Store a law's `step` and its time limit [s]. Only the step itself is timed.
 
         Raises:
             SimulationError: If the limit is not a time above 0.
@@ -201,7 +202,8 @@ class StepBudget:
         """Return the law's decision, or raise the law's exception.
 
         Raises:
-            StepBudgetError: If it took longer; the text continues after the number of the sample.
+            StepBudgetError: If the step took longer. The text continues after the number of the
+                sample.
         """
         worker = self._worker = self._worker or _Worker(self._step, "step")
         worker.ask(*question)
@@ -217,7 +219,7 @@ class StepBudget:
         return decision
 
     def _wait(self, worker: _Worker[Any]) -> tuple[Any, BaseException | None, float]:
-        """Return the answer; wait a little longer for a late step to know its time."""
+        """Return the answer. For a late step, wait a little longer to measure its duration."""
         took_s, most_s = 0.0, self._budget_s + _PATIENCE_S
         while took_s < most_s:
             try:
@@ -229,30 +231,30 @@ class StepBudget:
 
 
 def needs_watch(step_budget_s: float | None, *, is_built_in: bool) -> bool:
-    """Return whether a loop computes in a `LimitedLoop`: one with a user law does.
+    """Return whether a loop with a user law computes in a `LimitedLoop`.
 
-    Steps that are timed one by one do not need it. A debugger or profiler of a thread would miss
-    the work of another.
+    Steps that are timed one by one do not need a `LimitedLoop`. A debugger or profiler of one
+    thread would miss the work in another thread.
     """
     is_timed = step_budget_s is not None and step_budget_s < TIMED_BELOW_S
     return step_budget_s is not None and not (is_timed or is_built_in or _is_inspected())
 
 
 class WatchedLaw(Protocol):
-    """The number of answers requested from a law, as seen from another thread."""
+    """Number of answers requested from a law, readable from another thread."""
 
     @property
     def asked(self) -> int:
         """Number of requested answers."""
 
     def describe_late(self, what: str) -> str:
-        """Return that the latest answer is late."""
+        """Return a sentence on the late answer."""
 
 
 class LimitedLoop(Generic[_Item]):
-    """A loop that runs in its own thread while its steps keep their budget.
+    """A loop that runs in its own thread with a time limit for each step.
 
-    The thread hands over its items in batches, so that it is as fast as without a budget.
+    The thread passes its items on in batches, so that it is as fast as without a budget.
     """
 
     def __init__(
@@ -268,10 +270,11 @@ class LimitedLoop(Generic[_Item]):
 
         Args:
             items: Items that the loop makes, such as its ticks.
-            asked: List that contains the object that asks its law, once it has started.
+            asked: List that contains the object that asks the loop's law, once the loop has
+                started.
             budget_s: Time limit for one answer of the law [s].
             law: Kind of the law.
-            one_by_one: Whether to make each item when it is requested.
+            one_by_one: Whether to make each item only when it is requested.
         """
         self._items, self._asked, self._budget_s = items, asked, budget_s
         self._law, self._one_by_one = law, one_by_one
@@ -304,7 +307,7 @@ class LimitedLoop(Generic[_Item]):
             raise error
 
     def _advance(self) -> bool:
-        """Make items until a batch is complete; return whether there are no more."""
+        """Make items until a batch is complete; return whether all items are made."""
         self._hands_out = self._one_by_one
         made = self._made
         for item in islice(self._items, _AT_ONCE):
@@ -345,9 +348,10 @@ class LimitedLoop(Generic[_Item]):
 
 
 class WatchedCode:
-    """Calls compiled code with a user law in a thread.
+    """Thread that calls compiled code with a user law.
 
-    Such code cannot be ended. If it never returns, the thread lasts until the process ends.
+    Compiled code cannot be ended. If the code never returns, the thread lasts until the process
+    ends.
     """
 
     def __init__(self, budget_s: float) -> None:
@@ -415,7 +419,7 @@ def _work(
 
 
 def _end(thread: threading.Thread, interrupt: Callable[[], None]) -> None:
-    """Raise an exception in a thread until it ends: code that catches everything may catch some."""
+    """Raise an exception in a thread until the thread ends, as code may catch some exceptions."""
     while thread.is_alive():
         interrupt()
         thread.join(_AGAIN_S)

@@ -1,4 +1,4 @@
-"""Random numbers of effects, one stream each, so that removing one does not change the others."""
+"""Random numbers of effects, in separate streams: removing one effect changes no other effect."""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
@@ -71,7 +71,7 @@ def build_events(*, ticks: bool) -> type[Any]:
 class DrawnEvents:
     """The random numbers of the streams for poses, or for samples, by number of the event.
 
-    Streams that a scenario does not use are None.
+    The streams that a scenario does not use are None.
     """
 
     __slots__ = ("_event", "_number", "_streams")
@@ -85,7 +85,7 @@ class DrawnEvents:
         self._number = -1
 
     def __getitem__(self, number: int) -> Any:
-        """Return the numbers of an event; later calls may not go back."""
+        """Return the numbers of an event. Later calls cannot go back to earlier events."""
         if number != self._number:
             self._number = number
             for name, rows in self._streams:
@@ -108,10 +108,10 @@ class DrawnRows:
         self._rows: list[Any] = []
 
     def __getitem__(self, number: int) -> Any:
-        """Return the numbers of an event; later calls may not go back.
+        """Return the numbers of an event. Later calls cannot go back to earlier events.
 
         Raises:
-            IndexError: If a call goes back.
+            IndexError: If a call goes back to an earlier event.
         """
         while number >= self._first + len(self._rows):
             self._first += len(self._rows)

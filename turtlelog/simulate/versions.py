@@ -1,4 +1,4 @@
-"""The simulating software: the entries of `Run.simulated_by`."""
+"""The simulating software, which becomes the entries of `Run.simulated_by`."""
 
 import platform
 import sys
@@ -16,7 +16,7 @@ from turtlelog.version import __version__
 def find_software(law: str) -> dict[str, str]:
     """Return the versions, the platform and, for a user law, a digest of its code.
 
-    The C library belongs to the platform: sines and cosines may differ in their last bits.
+    The platform includes the C library, because sines and cosines may differ in their last bits.
 
     Args:
         law: Kind of the simulated law, which has been loaded.
@@ -38,7 +38,7 @@ def _find_versions() -> dict[str, str]:
 
 
 def _read_code(kind: str) -> bytes | None:
-    """Return the text of the file that defines a law; None if there is none."""
+    """Return the text of the file that defines a law; None if there is no such file."""
     if is_given(kind):
         source = read_law_source(kind)
         return None if source is None else source.encode()

@@ -1,6 +1,6 @@
 """Sweeps: one table from many scenarios or files.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

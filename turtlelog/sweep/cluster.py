@@ -15,16 +15,17 @@ from turtlelog.version import __version__
 T = TypeVar("T")
 
 _CONNECT_S: Final = 3.0
-"""Time limit for the answers of a scheduler and a worker [s]: a wrong address is an error within 10
+"""Time limit for answers of a scheduler or worker [s]: a wrong address gives an error within 10
 s."""
 
 _SILENT_S: Final = 30.0
-"""Time without an answer from which a scheduler counts as gone [s]: a busy one answers in 1 s."""
+"""Time without an answer from which a scheduler counts as gone [s]; a busy scheduler answers in 1
+s."""
 
 _EXAMPLE: Final = "tcp://host:8786"
 
 _ADDRESS: Final = re.compile(r"(?:[a-z]+://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s/:@\[\]]+):([0-9]{1,5})")
-"""An optional scheme, a host or IPv6 address, and a port."""
+"""Address of a scheduler: an optional scheme, a host or IPv6 address, and a port."""
 
 
 @contextmanager
@@ -60,10 +61,10 @@ def connect_cluster(address: str) -> Iterator[Executor]:
 
 
 def _require_address(address: str) -> None:
-    """Refuse an invalid address before Dask is loaded; the message contains no password.
+    """Refuse an invalid address before Dask is loaded. The message contains no password.
 
     Raises:
-        ProcessError: If it is refused; one line.
+        ProcessError: If the address is refused; the message has one line.
     """
     secrets, _, place = address.rpartition("@")
     scheme, mark, _ = secrets.partition("://")
@@ -82,10 +83,11 @@ def _require_address(address: str) -> None:
 
 
 class _Cluster(Executor, Watched):
-    """Executor on workers, which refuse work if their version of turtlelog differs.
+    """Executor on workers. A worker refuses work if its version of turtlelog differs.
 
     Attributes:
-        is_gone: Whether the scheduler has ended or was replaced by another at its address.
+        is_gone: Whether the scheduler has ended or was replaced by another scheduler at its
+            address.
     """
 
     def __init__(self, client: Any, address: str) -> None:
@@ -103,10 +105,10 @@ class _Cluster(Executor, Watched):
         return found
 
     def require_alive(self) -> None:
-        """Refuse to wait for a scheduler that has ended.
+        """Raise an error instead of waiting for a scheduler that has ended.
 
         Raises:
-            ProcessError: If it is refused; one line.
+            ProcessError: If the scheduler has ended; the message has one line.
         """
         if self._client.status != "running" or self._ask_identity() != self._identity:
             raise self._describe_end()
@@ -115,7 +117,7 @@ class _Cluster(Executor, Watched):
         """Refuse a cluster without workers or with a worker of another version.
 
         Raises:
-            ProcessError: If it is refused; one line.
+            ProcessError: If the cluster is refused; the message has one line.
         """
         try:
             self._client.wait_for_workers(1, timeout=_CONNECT_S)
@@ -139,7 +141,7 @@ class _Cluster(Executor, Watched):
                 )
 
     def _ask_identity(self) -> str | None:
-        """Return the scheduler's own id; None if it does not answer."""
+        """Return the scheduler's own id; None if the scheduler does not answer."""
         ask = self._client.scheduler.identity
         try:
             return str(self._client.sync(ask, callback_timeout=_SILENT_S)["id"])
@@ -155,7 +157,7 @@ class _Cluster(Executor, Watched):
 
 
 def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) -> T:
-    """Do work on a worker; refuse if its version of turtlelog differs."""
+    """Do work on a worker, or refuse the work if the worker's version of turtlelog differs."""
     if version != __version__:
         raise ProcessError(
             f"expected turtlelog {version} on every worker, found {__version__} on one"
@@ -170,7 +172,10 @@ def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) ->
 def _connect(distributed: Any, address: str) -> Any:
     class Client(distributed.Client):  # type: ignore[misc]
         def start(self, **options: Any) -> None:
-            """Connect within a time limit, or clean up so that nothing blocks the exit."""
+            """Connect within a time limit.
+
+            If that fails, clean up so that nothing blocks the exit.
+            """
             try:
                 # Without this limit it would wait for ever for a server that is not a scheduler.
                 super().start(callback_timeout=2 * _CONNECT_S, **options)

@@ -25,7 +25,8 @@ from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 Values = NDArray[np.float64]
 
 _MOST_DRAWN: Final = 48
-"""Largest number of places of a sampled key at which theory is computed: one per 2 mm."""
+"""Largest number of places of a sampled key at which theory is computed: one per 2 mm of a
+figure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,8 +35,9 @@ class ColumnLimits:
 
     Attributes:
         stable: Intervals of the gain in which the loop is stable.
-        overshoot: Gain from which the loop overshoots; None if it is not purely proportional.
-        grown: The same intervals with the longer dead time of full queues; None if it cannot grow.
+        overshoot: Gain from which the loop overshoots; None if the loop is not purely proportional.
+        grown: Stable intervals with the longer dead time of full queues; None if the dead time
+            cannot grow.
     """
 
     stable: tuple[tuple[float, float], ...]
@@ -56,7 +58,7 @@ class LoopLimits:
         loop: Name of the loop.
         gain: Axis of its gain.
         columns: Limits for each place of the other axis; None if theory gives no limits.
-        notes: Reasons for missing limits, and omissions, in sentences.
+        notes: Reasons for missing limits, and parts that theory leaves out, in sentences.
     """
 
     loop: str
@@ -71,11 +73,11 @@ class Border:
 
     Attributes:
         place: Place of the column on the other axis.
-        last_stable: Largest gain below the border that was measured as stable; None if there is
-            none.
-        first_unstable: Smallest gain that was measured as unstable; None if there is none.
+        last_stable: Largest gain below the border that was measured as stable; None if no gain was.
+        first_unstable: Smallest gain that was measured as unstable; None if no gain was.
         theory: Gain from which the loop is unstable in theory; None if theory gives no limit.
-        is_near: Whether the two borders are within one cell; None if one is unknown.
+        is_near: Whether the measured and the theoretical border are within one cell; None if one is
+            unknown.
     """
 
     place: int
@@ -107,7 +109,7 @@ def find_loop_limits(view: SweptView) -> list[LoopLimits]:
 
 
 def choose_limits(limits: Sequence[LoopLimits], metric: SweptMetric) -> LoopLimits | None:
-    """Return the limits for a metric: of its loop, or for metrics of the run of the first."""
+    """Return the limits for a metric: of its loop, or of the first loop for metrics of the run."""
     own = [one for one in limits if one.loop == metric.loop]
     if own:
         return own[0]
@@ -160,7 +162,7 @@ def _tell_places(axis: SweptAxis, places: Sequence[int]) -> str:
 
 
 def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopModel | str:
-    """Return the theoretical loop in one of the rows, or why theory gives no limit for it."""
+    """Return the theoretical loop in one of the rows, or why theory gives no limit for this row."""
     reason = "no row makes a scenario"
     for row in rows.tolist():
         try:
@@ -183,7 +185,7 @@ def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopMod
 
 
 def _hides(text: str, parameters: Mapping[str, Parameter]) -> bool:
-    """Return whether an omission of the theory, as `key = value`, may stabilise the loop."""
+    """Return whether a part that theory leaves out, as `key = value`, may stabilise the loop."""
     key = text.partition(" = ")[0]
     return hides_stability({key: parameters[key]})
 
@@ -193,8 +195,7 @@ def _compute(model: LoopModel) -> ColumnLimits:
     process, period_s = settings["process"], settings["period_s"]
     grown = None
     if model.most_dead_time_s is not None:
-        longest = replace(process, dead_time_s=model.most_dead_time_s)
-        grown = find_stable_gains(pid, period_s=period_s, process=longest)
+        grown = find_stable_gains(pid, **model.require_latest())
     is_proportional = not pid.ki and not pid.kd
     design = LoopDesign(process=process, period_s=period_s, filter_s=pid.filter_s)
     return ColumnLimits(
@@ -211,12 +212,12 @@ def find_borders(
 
     Args:
         view: Rows that are shown.
-        metric: One of its results.
+        metric: One of the view's metrics.
         limits: Result of `find_loop_limits`.
 
     Returns:
-        A border for each value of the other axis. None if the metric is not true or false, if its
-            loop's gain is not an axis, or if rows were chosen at random.
+        A border for each value of the other axis. The result is None if the metric is not true or
+            false, if its loop's gain is not an axis, or if rows were chosen at random.
     """
     own = next((one for one in limits if one.loop == metric.loop), None)
     if not metric.is_verdict or own is None or view.results.is_sampled:
@@ -230,7 +231,7 @@ def find_borders(
 
 
 def tell_borders(borders: Sequence[Border]) -> str:
-    """Return a comparison of borders with theory, in words."""
+    """Return a comparison of borders with theory, as sentences."""
     known = [border.is_near for border in borders if border.is_near is not None]
     if not known:
         return "no border beside a limit of theory"

@@ -16,23 +16,23 @@ from turtlelog.scenario import Scenario, override_scenario, parse_assignments
 from turtlelog.sweep.table.result_table import ColumnType, choose_type
 
 MOST_DRAWN: Final = 10_000_000
-"""Largest number of rows of a sample, which is drawn at once: 80 MB for each key."""
+"""Largest number of rows of a sample. A sample is drawn at once and takes 80 MB for each key."""
 
 KP: Final = "kp"
-"""Name used as a key for all gains of the law together, as `--kp` sets them."""
+"""Name that stands for all gains of the law together, as in `--kp`."""
 
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampling:
-    """Settings of rows sampled at random instead of all combinations.
+    """Settings of rows that are sampled at random, instead of all combinations.
 
     Attributes:
         count: Number of rows.
         seed: Seed of the random numbers.
-        is_latin: Whether to use Latin hypercube sampling: each of `count` equal parts of a key's
-            range gets one value.
+        is_latin: Whether to use Latin hypercube sampling: the range of a key is divided into
+            `count` equal parts, and each part gets one value.
     """
 
     count: int
@@ -58,7 +58,7 @@ class KeyValues:
         key: Dotted scenario key.
         text: Values as typed, without the key.
         values: Values of one kind: numbers, texts, or truth values.
-        is_open: Whether it is a range `A:B`; sampling may choose any number in it.
+        is_open: Whether the values are a range `A:B`, in which sampling may choose any number.
     """
 
     key: str
@@ -77,13 +77,13 @@ class KeyValues:
 class SweepPlan:
     """The rows of a sweep.
 
-    The rows are all combinations of `grid` and of the steps of `zipped`, the last key fastest, or a
-    random sample.
+    The rows are a random sample, or all combinations of `grid` and the steps of `zipped`, with the
+    last key changing fastest.
 
     Attributes:
         grid: Keys that vary independently.
         zipped: Keys that vary together, as the last axis of the grid.
-        sampling: Random sampling of rows; None: all combinations.
+        sampling: Random sampling of rows. None: all combinations.
     """
 
     grid: tuple[KeyValues, ...]
@@ -136,7 +136,7 @@ class SweepPlan:
         return choose_type((values[0], values[-1]) if isinstance(values, EqualSteps) else values)
 
     def _find(self, key: str) -> tuple[int, tuple[KeyValues, ...], KeyValues]:
-        """Return the index of a key's axis, the axis, and the key's values."""
+        """Return the index of a key's axis, the axis, and the values of the key."""
         return next(
             (number, axis, one)
             for number, axis in enumerate(self._axes)
@@ -145,7 +145,7 @@ class SweepPlan:
         )
 
     def list_probes(self) -> tuple[int, ...]:
-        """Return the numbers of representative rows: the first, one in the middle, the last."""
+        """Return the numbers of representative rows: the first, a middle and the last row."""
         return tuple(dict.fromkeys((0, self.row_count // 2, self.row_count - 1)))
 
     def with_reals(self, keys: Container[str]) -> "SweepPlan":
@@ -157,7 +157,7 @@ class SweepPlan:
         )
 
     def spread_gains(self, gains: Sequence[str]) -> "SweepPlan":
-        """Return the plan with the key `kp` replaced by the law's gains, varied together.
+        """Return the plan with the key `kp` replaced by the law's gains, which vary together.
 
         Raises:
             SweepError: If the law declares no gain, or other keys already vary together.
@@ -195,7 +195,7 @@ def build_plan(
     """Return the plan from texts such as `law.kp_linear=0.5:12:0.25`.
 
     Raises:
-        SweepError: If a text cannot be parsed, or there is nothing to vary.
+        SweepError: If a text cannot be parsed, or nothing varies.
     """
     return SweepPlan(
         grid=tuple(
@@ -270,7 +270,7 @@ def build_row_scenario(
     source: str = "grid",
     trust_law: bool | None = None,
 ) -> Scenario:
-    """Return the scenario of a row, named after the row. Loads no code.
+    """Return the scenario of a row, named after the row. No code is loaded.
 
     Args:
         base: Scenario that the rows vary.
@@ -278,7 +278,7 @@ def build_row_scenario(
         values: Values of the row.
         row: Row number.
         source: Prefix of error messages.
-        trust_law: See `override_scenario`.
+        trust_law: Whether a law may run, as in `override_scenario`.
 
     Raises:
         ScenarioError: If the values do not form a valid scenario.
@@ -294,17 +294,17 @@ def build_row_scenario(
 _NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?"
 _RANGE: Final = re.compile(rf"({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?")
 MOST_ROWS: Final = 100_000_000
-"""Largest number of rows of a table: six hours of one core if compiled code takes 0.2 ms for each,
-and a file of some gigabytes. The memory of a sweep hardly grows with them."""
+"""Largest number of rows of a table: six hours of one core if compiled code takes 0.2 ms for each
+row, and a file of some gigabytes. The memory of a sweep hardly grows with the rows."""
 
 _EXPECTED: Final = "KEY=A:B, KEY=A:B:STEP or KEY=VALUE,VALUE"
 
 
 @dataclass(frozen=True, slots=True)
 class EqualSteps(Sequence[float]):
-    """Equally spaced numbers, both ends included, computed on demand.
+    """Equally spaced numbers including both ends, computed on demand.
 
-    Each is the double nearest to the decimal number, as if typed.
+    Each number is the double nearest to the decimal number, as if typed.
     """
 
     first: Fraction
@@ -335,10 +335,10 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
     Args:
         text: A key, an equals sign, and a range with both ends included, or values.
         source: Prefix of error messages.
-        is_sampled: Whether any number in `A:B` is allowed, so that steps need not end at B.
+        is_sampled: Whether any number in `A:B` is allowed, so that the steps need not end at B.
 
     Raises:
-        SweepError: If the text contains nothing to sweep over.
+        SweepError: If the text contains no values to vary.
     """
     key, equals, rest = (part.strip() for part in text.partition("="))
     if not equals or not all(key.split(".")) or not rest:
@@ -360,7 +360,7 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
 
 
 def _is_meant_as_range(text: str) -> bool:
-    """Return whether at least one end is a number: `path.py:Class` is a value."""
+    """Return whether at least one end is a number; `path.py:Class` is a value, not a range."""
     words = [word.strip() for word in text.split(":")]
     is_number = re.compile(rf"{_NUMBER}|[-+]?(?:nan|inf)", re.IGNORECASE).fullmatch
     return 1 < len(words) < 4 and any(map(is_number, words))

@@ -1,10 +1,10 @@
 """The sensitivity of a metric to each key of a sweep: ranges in a grid, ranks in a sample.
 
-In a grid, the sensitivity is the metric along each key with the other keys fixed. In a sample, it
-is Spearman's rank correlation of each key with the metric (C. Spearman, American Journal of
-Psychology 15 (1904) 72-101), and the share of the variance of the metric's ranks explained by a
-linear regression on the ranks of all keys (R. L. Iman and W. J. Conover, Technometrics 21 (1979)
-499-509): the rest is due to interactions, non-monotonic dependence and noise.
+In a grid, the sensitivity is the range of the metric along each key with the other keys fixed. In a
+sample, it is Spearman's rank correlation of each key with the metric (C. Spearman, American Journal
+of Psychology 15 (1904) 72-101). In addition, a linear regression on the ranks of all keys explains
+a share of the variance of the metric's ranks (R. L. Iman and W. J. Conover, Technometrics 21 (1979)
+499-509). The rest is due to interactions, non-monotonic dependence and noise.
 """
 
 import math
@@ -21,8 +21,8 @@ from turtlelog.sweep.table.swept_views import find_usual_place
 Values = NDArray[np.float64]
 
 _LEAST_ROWS: Final = 10
-"""Smallest number of rows with a value in a sample: with fewer, chance alone gives correlations of
-0.65 in one of 20 cases."""
+"""Smallest number of rows with a value in a sample. With fewer rows, chance alone gives
+correlations of 0.65 in one of 20 cases."""
 
 _NORMAL_95: Final = 1.959964
 """Half-width of the central 95 % of the normal distribution. By chance, ranks of n independent rows
@@ -34,15 +34,15 @@ class Sensitivity:
     """Range of a metric along one key.
 
     Attributes:
-        axis: The key, or keys that vary together.
+        axis: The key, or the keys that vary together.
         least: Smallest value of the metric along the key; None for a sample.
-        most: Largest value; None for a sample.
+        most: Largest value of the metric along the key; None for a sample.
         least_place: Place of the smallest value on the axis; None for a sample.
         most_place: Place of the largest value; None for a sample.
         correlation: Spearman's rank correlation; None for a grid.
         left_out: Number of rows along the key without a value.
-        others: Smallest and largest range (`most` minus `least`) along the key with the others
-            fixed at other values; None if there are no other values, or for a sample.
+        others: Smallest and largest range (`most` minus `least`) along the key, with the other keys
+            fixed at other values. None for a sample, or if there are no other values.
     """
 
     axis: SweptAxis
@@ -72,12 +72,12 @@ class Sensitivities:
         center: Value of the metric at the fixed values of all keys; None for a sample, or if there
             is no value.
         held: Values at which all keys are fixed, in words; empty for a sample.
-        chance: Magnitude below which 95 % of the correlations of independent keys are; None for a
+        chance: Magnitude below which 95 % of the correlations of independent keys lie; None for a
             grid.
         explained: Share of the variance of the metric's ranks explained by the ranks of all keys, 0
             to 1; None for a grid, or if a key has words.
         rows: Number of rows with a value, for a sample.
-        notes: Omissions, in sentences.
+        notes: Parts left out, in sentences.
     """
 
     metric: SweptMetric
@@ -97,9 +97,9 @@ def find_sensitivities(
 
     Args:
         results: Results of a grid or a sample.
-        metric: One of its metrics.
-        held: Places at which keys of a grid are fixed; other keys are fixed at the base's values,
-            otherwise in the middle.
+        metric: One of the metrics of the results.
+        held: Places at which keys of a grid are fixed. Other keys are fixed at the base's values,
+            or else in the middle.
     """
     if results.is_sampled:
         return _correlate(results, metric)
@@ -125,7 +125,7 @@ def find_sensitivities(
 
 
 def list_varied(results: SweptResults) -> list[SweptAxis]:
-    """Return the axes that may affect a metric; in a grid, the metric is averaged over seeds."""
+    """Return the axes that may affect a metric. In a grid, the metric is averaged over seeds."""
     axes = [axis for axis in results.axes if len(axis) > 1]
     return [axis for axis in axes if results.is_sampled or axis.keys != (SEED,)]
 
@@ -209,7 +209,7 @@ def _correlate(results: SweptResults, metric: SweptMetric) -> Sensitivities:
 
 
 def _rank(values: Values) -> Values:
-    """Return ranks from 0; equal values share their mean."""
+    """Return ranks from 0. Equal values share the mean of their ranks."""
     _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
     ends = np.cumsum(counts)
     return np.asarray((ends - (counts + 1) / 2.0)[places], dtype=np.float64)

@@ -1,7 +1,7 @@
 """Simulation and measurement of chunks of sweep rows.
 
-A chunk contains all its inputs, and the results of a row do not depend on its chunk: any process on
-any machine with the same version of turtlelog returns the same results.
+A chunk contains all its inputs, and the results of a row do not depend on the chunk. Therefore any
+process on any machine with the same version of turtlelog returns the same results.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,7 +39,7 @@ class RowRecords:
 
     Attributes:
         folder: Folder of the recordings, named like `row-000123.mcap`; a URL is a prefix.
-        where: Condition on metrics, keys and `stop_reason`; None: all runs are recorded.
+        where: Condition on metrics, keys and `stop_reason`. None: all runs are recorded.
     """
 
     folder: str
@@ -55,10 +55,10 @@ class RowChunk:
         keys: Varied keys.
         first: Number of the first row.
         values: Values of the keys, per row.
-        metrics: Metric ids or patterns; None: those of `list_row_metrics`.
+        metrics: Metric ids or patterns. Default: those of `list_row_metrics`.
         records: Runs to record; None: no run is recorded.
-        ahead: Approximate number of rows still to be done by this process, which decides whether
-            the compiled loop is worth loading.
+        ahead: Approximate number of rows still to be done by this process; it decides whether the
+            compiled loop is worth loading.
         threads: Number of threads, if the chunk is a batch.
         step_budget_s: Longest computing time of the law per step [s].
     """
@@ -80,7 +80,7 @@ class MetricCells:
 
     Attributes:
         units: Units of the values; several if laws differ.
-        values: Value per row; None if there is no value.
+        values: Value per row; None for a missing value.
         statuses: Status per row; None if the row's law has no such metric, or the row failed.
     """
 
@@ -94,10 +94,10 @@ class RowResults:
     """Results of a chunk, row by row.
 
     Attributes:
-        first: Number of its first row.
+        first: Number of the first row.
         stop_reasons: Stop reason of each row; None for rows that failed.
         failed: Reason of each failure; None for rows that did not fail.
-        samples: Total number of samples of its runs.
+        samples: Total number of samples of the runs.
         recorded: Number of recorded runs.
         metrics: Metrics by id.
         notes: Notes on the compiled loops, one line each.
@@ -115,13 +115,13 @@ class RowResults:
         return len(self.failed)
 
     def find_late(self) -> str | None:
-        """Return the first row whose law took longer than its budget, and why it failed."""
+        """Return the first row whose law exceeded its time, with the reason of the failure."""
         late = [(row, one) for row, one in enumerate(self.failed) if one and is_late(one)]
         return f"row {self.first + late[0][0]}: {late[0][1]}" if late else None
 
 
 class _Scenarios(Iterator[Scenario]):
-    """The scenarios of a chunk, with the number of rows in later chunks."""
+    """The scenarios of one chunk, and the number of rows that the later chunks contain."""
 
     def __init__(self, scenarios: Sequence[Scenario], ahead: int) -> None:
         self._rest, self._count = iter(scenarios), max(len(scenarios), ahead)
@@ -134,7 +134,7 @@ class _Scenarios(Iterator[Scenario]):
 
 
 def simulate_rows(chunk: RowChunk) -> RowResults:
-    """Simulate and measure the rows of a chunk; failed rows get a reason."""
+    """Simulate and measure the rows of a chunk. A failed row gets a reason."""
     base = parse_scenario(chunk.base)
     kinds = _list_batch_metrics(base, chunk)
     if kinds:
@@ -170,7 +170,7 @@ def is_batch(chunk: RowChunk) -> bool:
 
 
 def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricKind]:
-    """Return the metrics of a chunk by id if the batch covers all of them, otherwise nothing."""
+    """Return the metrics of a chunk by id if the batch covers all of them, else nothing."""
     if chunk.records or any(k.startswith(_DECIDING) for k in chunk.keys):
         return {}
     try:
@@ -251,8 +251,8 @@ def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None
 def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -> tuple[str, ...]:
     """Return the ids of the requested metrics of a law.
 
-    Default: the essential metrics without dead times. The scenario already sets the delays, and
-    identifying them from the log of each run would take most of the time.
+    The default is the essential metrics without dead times. The scenario already sets the delays,
+    and identifying dead times from the log of each run would take most of the time.
     """
     if patterns is not None:
         return choose_metrics(patterns, declaration)
@@ -293,11 +293,11 @@ def _list_asked(condition: expressions.Expression) -> list[str]:
 
 
 def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]) -> bool:
-    """Return whether a condition holds; False if it needs a missing value.
+    """Return whether a condition holds; False if a value that it needs is missing.
 
     Raises:
-        ExpressionError: If it contains an unknown name.
-        SweepError: If it is not a condition.
+        ExpressionError: If the condition contains an unknown name.
+        SweepError: If the expression is not a condition.
     """
     truth = expressions.evaluate_expression(condition, values)
     if truth is not None and not isinstance(truth, bool):
@@ -309,12 +309,12 @@ def require_condition(records: RowRecords | None, parameters: Mapping[str, Any])
     """Refuse a condition that cannot be evaluated for any row.
 
     Args:
-        records: Settings with the condition, if there is one.
+        records: Settings with the condition, if any.
         parameters: Parameters of a row, by key.
 
     Raises:
-        ExpressionError: If it cannot be parsed, or contains an unknown name.
-        SweepError: If it is not a condition.
+        ExpressionError: If the condition cannot be parsed, or contains an unknown name.
+        SweepError: If the expression is not a condition.
     """
     condition = _parse_condition(records)
     if condition is not None:

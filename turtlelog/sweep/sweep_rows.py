@@ -54,10 +54,11 @@ _CHUNK_S: Final = 0.5
 """Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
 
 _MOST_IN_CHUNK: Final = 1024
-"""Largest number of rows in other chunks: all their results are in the memory of a process."""
+"""Largest number of rows in an ordinary chunk, because a process keeps all results of a chunk in
+memory."""
 
 _MOST_IN_BATCH: Final = 4096
-"""Largest number of rows in a compiled chunk: half a second of usual rows, and a few hundred
+"""Largest number of rows in a compiled chunk: half a second for usual rows, and a few hundred
 calls."""
 
 
@@ -86,12 +87,12 @@ class SweepSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """A sweep that can be run; `prepare_sweep` creates it.
+    """A sweep that can be run, as returned by `prepare_sweep`.
 
     Attributes:
-        base: The scenario that the rows vary, as text.
-        plan: Plan of its rows.
-        metrics: Metric ids or patterns; None: the essential metrics of each row's law except
+        base: Scenario that the rows vary, as text.
+        plan: Plan of the rows.
+        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
             `dead_time`.
         records: Runs to record; None: no run is recorded.
         law_code: Checksum of the files of a law that is not built in; empty otherwise.
@@ -151,9 +152,9 @@ def run_sweep(
     Args:
         sweep: Result of `prepare_sweep`.
         output: Path of the Parquet file.
-        jobs: Number of processes, or an executor; None: one per core if that is faster.
-        watch: Called with the number of finished rows.
-        tell: Called once, with the first row whose law exceeds the step budget.
+        jobs: Number of processes, or an executor. Default: one per core if that is faster.
+        watch: Function that is called with the number of finished rows.
+        tell: Function that is called once, with the first row whose law exceeds the step budget.
 
     Raises:
         SweepError: If the file belongs to another sweep, another process is writing it, or the disk
@@ -182,9 +183,9 @@ def _ignore(_: object) -> None:
 
 
 def _begin_records(sweep: Sweep, kept: KeptParts[RowResults]) -> None:
-    """Create the folder of recordings; refuse a folder with files unless the sweep is resumed.
+    """Create the folder of recordings. Refuse a folder with files unless the sweep is resumed.
 
-    If it is resumed, incomplete files of a killed sweep are removed.
+    When a sweep is resumed, incomplete files of the killed sweep are removed.
     """
     if sweep.records is None:
         return
@@ -221,7 +222,7 @@ def _simulate(
     jobs: "int | Executor | None",
     watch: "_Telling",
 ) -> None:
-    """Simulate the remaining rows, the first two alone to measure the time per row."""
+    """Simulate the remaining rows; the first two run alone to measure the time per row."""
     watch(rows.count)
     for _ in range(2):  # the first row includes loading times
         gaps = rows.list_gaps(sweep.plan.row_count)
@@ -306,7 +307,7 @@ def _name_chunk(chunk: RowChunk) -> str:
 
 
 def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
-    """Return the summary of a table; at most one row group is in memory."""
+    """Return the summary of a table, with at most one row group in memory."""
     table = open_result_table(output, kind="sweep")
     failed = table.count_values("failed")
     return SweepSummary(
@@ -326,7 +327,7 @@ class SweepEstimate:
 
     Attributes:
         seconds: Duration with the given number of processes [s].
-        bytes: Size of the table [bytes]; it may be smaller if values repeat.
+        bytes: Size of the table [bytes]; the file may be smaller if values repeat.
     """
 
     seconds: float
@@ -357,15 +358,15 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
     step_budget_s: float = STEP_BUDGET_S,
     source: str = "grid",
 ) -> Sweep:
-    """Return a sweep of a base scenario; the first, a middle and the last row are checked.
+    """Return a sweep of a base scenario. The first, a middle and the last row are checked.
 
     Args:
         base: Scenario that the rows vary.
-        plan: Plan of the rows; the key `kp` means all gains of the law.
-        metrics: Metric ids or patterns; None: the essential metrics of each row's law except
+        plan: Plan of the rows; the key `kp` stands for all gains of the law.
+        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
             `dead_time`.
         records: Runs to record.
-        trust_law: Whether a law named in a recording may run, too.
+        trust_law: Whether a law named in a recording may run too.
         step_budget_s: Longest computing time of the law per step [s]; rows that exceed it fail.
         source: Prefix of error messages about the values of a row.
 
@@ -411,8 +412,8 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
 def _sum_up_code(kinds: Sequence[str]) -> str:
     """Return a checksum of the files of laws and of the modules that they import from their folder.
 
-    For a law defined in this session it is the checksum of its source text. Empty if all laws are
-    built in or modules.
+    For a law defined in this session, the checksum is that of its source text. The result is empty
+    if all laws are built in or modules.
     """
     texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
     laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 _SHOWN_ROWS: Final = 20
-"""Rows of the table shown in a notebook; the frame contains all."""
+"""Number of rows of the table shown in a notebook; the frame contains all rows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SweepTable(Tabular):
     """The results of a sweep: a table for pandas, polars and Arrow.
 
-    Its columns are the row number, the varied keys, each metric and its status, the stop reason,
+    The columns are the row number, the varied keys, each metric with its status, the stop reason,
     and the reason of a failure.
 
     Attributes:
@@ -98,7 +98,7 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
     jobs: "int | Executor | None" = None,
     step_budget_s: float = STEP_BUDGET_S,
 ) -> SweepTable:
-    """Simulate and measure all combinations of values, the last key fastest.
+    """Simulate and measure all combinations of values, with the last key changing fastest.
 
     The column `failed` gives the reason of a failed row; a failed row does not end the sweep.
 
@@ -106,18 +106,19 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         scenario: Scenario that the rows vary: a scenario, the name of a preset, or a file.
         grid: Values by dotted key, as in `{"law.kp_linear": np.linspace(1, 4, 30)}`; the key `kp`
             sets all gains of the law.
-        metrics: Metric id or pattern, or several; None: the essential metrics except `dead_time`.
+        metrics: One or several metric ids or patterns. Default: the essential metrics except
+            `dead_time`.
         law: Law to use instead of the scenario's law, as in `simulate_run`. A law defined in a
-            notebook runs in several processes only on Linux, otherwise in one. A cluster receives
-            it with the work.
+            notebook runs in several processes only on Linux, elsewhere in one. A cluster receives
+            the law with the work.
         changes: Values by dotted key, the same for all rows.
-        output: Path of the .parquet file; the same call resumes an interrupted sweep. None: no
+        output: Path of the .parquet file; the same call resumes an interrupted sweep. Default: no
             file.
-        jobs: Number of processes, or an executor; None: one per core if that is faster.
+        jobs: Number of processes, or an executor. Default: one per core if that is faster.
         step_budget_s: Longest computing time of the law per step [s].
 
     Raises:
-        SweepError: If `grid` contains nothing to sweep over, or the file belongs to another sweep.
+        SweepError: If `grid` contains no values to vary, or the file belongs to another sweep.
         MeasureError: If `metrics` contains an unknown metric.
         LawError: If `law` is not a valid law.
         ScenarioError: If the scenario does not exist, or no row forms a valid scenario.
@@ -139,7 +140,7 @@ def read_sweep_table(path: str | Path) -> SweepTable:
     """Return the table of a sweep in a file.
 
     Raises:
-        LogError: If it is not a table of a sweep.
+        LogError: If the file is not a table of a sweep.
         LibraryError: If pyarrow is not installed.
     """
     table = open_result_table(path, kind="sweep").load()
@@ -149,7 +150,7 @@ def read_sweep_table(path: str | Path) -> SweepTable:
 
 
 def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None) -> SweptResults:
-    """Return the rows of a table in memory for charts; see `read_swept_results`."""
+    """Return the rows of a table in memory for charts, as `read_swept_results` does."""
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
         file = Path(folder, "sweep.parquet")
         write_result_table(table.table, file)

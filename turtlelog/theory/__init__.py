@@ -1,6 +1,6 @@
 """The plant, the ideal loop and the sampled loop: responses, poles, margins, limits.
 
-Only functions that say so load python-control.
+python-control is loaded only by functions whose docstrings name it.
 
 The public names are in `__init__.pyi` and load on first use.
 """

@@ -32,11 +32,12 @@ PLANT_INPUTS: Final = ("impulse", "step", "ramp")
 
 
 _DECAYED: Final = 750.0
-"""exp(-750) is 0 in double precision: later times need no product that could overflow."""
+"""Exponent from which exp(-x) counts as 0: exp(-750) is 0 in double precision, and no later product
+overflows."""
 
 
 class FinalValueStatus(Enum):
-    """Whether a signal has a final value."""
+    """Whether a signal has a final value, and if not, why."""
 
     OK = "ok"
     UNBOUNDED = "unbounded"
@@ -49,7 +50,8 @@ class FinalValue:
 
     Attributes:
         value: Limit for t to infinity; None if the signal has no limit.
-        status: Whether the signal has a final value, and why not: unbounded, or oscillating.
+        status: Whether the signal has a final value; if not, whether it is unbounded or
+            oscillating.
         reason: Explanation in one sentence.
     """
 
@@ -82,7 +84,7 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
         1, t or t^2 / 2, shape (n,).
 
     Raises:
-        TheoryError: If there is no such input, or times are not evenly spaced.
+        TheoryError: If `kind` is no such input, or times are not evenly spaced.
     """
     control, times = load_library("control"), require_even_times(time_s)
     _require_kind(kind)
@@ -99,7 +101,7 @@ def find_plant_final_value(kind: str) -> FinalValue:
     """Return the final value of the response of 1/s to an impulse, a step or a ramp.
 
     Raises:
-        TheoryError: If there is no such input.
+        TheoryError: If `kind` is no such input.
     """
     _require_kind(kind)
     numerator, denominator = PLANT
@@ -109,15 +111,15 @@ def find_plant_final_value(kind: str) -> FinalValue:
 def find_final_value(numerator: ArrayLike, denominator: ArrayLike) -> FinalValue:
     """Return the limit of a signal for t to infinity from its Laplace transform Y(s).
 
-    By the final value theorem, it is the limit of s Y(s) for s to 0, if all poles of s Y(s) lie in
-    the open left half plane. Otherwise the theorem does not apply.
+    By the final value theorem, this is the limit of s Y(s) for s to 0. The theorem applies only if
+    all poles of s Y(s) lie in the open left half plane.
 
     Args:
         numerator: Numerator of Y(s), highest power first.
         denominator: Denominator of Y(s), highest power first.
 
     Raises:
-        TheoryError: If these are not coefficients, or the denominator is 0.
+        TheoryError: If the arguments are not coefficients, or the denominator is 0.
     """
     above, below = _cancel(_require_polynomial(numerator), _require_polynomial(denominator))
     if below[-1] == 0.0:
@@ -140,14 +142,15 @@ def find_final_value(numerator: ArrayLike, denominator: ArrayLike) -> FinalValue
 def judge_bibo(numerator: ArrayLike, denominator: ArrayLike) -> BiboVerdict:
     """Return whether a transfer function is stable from bounded inputs to bounded outputs.
 
-    It is stable if it is proper and all its poles lie in the open left half plane.
+    The transfer function is stable if it is proper and all its poles lie in the open left half
+    plane.
 
     Args:
         numerator: Coefficients of the numerator, highest power first.
         denominator: Coefficients of the denominator, highest power first.
 
     Raises:
-        TheoryError: If these are not coefficients, or the denominator is 0.
+        TheoryError: If the arguments are not coefficients, or the denominator is 0.
     """
     above, below = _cancel(_require_polynomial(numerator), _require_polynomial(denominator))
     poles = np.roots(below)
@@ -192,8 +195,9 @@ def compute_exact_settling_time(kp: float) -> float:
 def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> float:
     """Return the 2 % settling time [s] of the ideal loop whose command is clipped to a limit.
 
-    While Kp e > limit the error falls at that rate; then it decays: with E = limit / Kp < step it
-    takes (step - E) / limit + tau ln(E / (0.02 step)), or 0.98 step / limit if E is within 2 %.
+    While Kp e > limit, the error falls at the rate `limit`; then it decays. With E = limit / Kp <
+    step, the settling time is (step - E) / limit + tau ln(E / (0.02 step)), or 0.98 step / limit if
+    E is within 2 %.
 
     Args:
         kp: Gain [1/s].
@@ -201,7 +205,7 @@ def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> 
         limit: Largest rate, > 0, in the same unit per second.
 
     Raises:
-        TheoryError: If one of these is not a positive number.
+        TheoryError: If an argument is not a positive number.
     """
     tau_s = compute_time_constant(kp)
     step, limit = require_positive("step", step), require_positive("limit", limit)
@@ -253,8 +257,8 @@ def compute_step_response(
 ) -> NDArray[np.float64]:
     """Return the ideal loop's response to a step of its reference at time 0.
 
-    y(t) = reference + (initial - reference) exp(-Kp t): the inverse Laplace transform of
-    Kp / (s + Kp) 1 / s. Before time 0 it is `initial`.
+    y(t) = reference + (initial - reference) exp(-Kp t): the inverse Laplace transform of Kp / (s +
+    Kp) 1 / s. Before time 0 the response is `initial`.
 
     Args:
         kp: Gain [1/s].
@@ -263,7 +267,7 @@ def compute_step_response(
         reference: Level after the step, in the same unit.
 
     Returns:
-        Response in that unit, in the shape of `time_s`.
+        Response in the same unit, in the shape of `time_s`.
 
     Raises:
         TheoryError: If the gain is not positive or a number is not finite.
@@ -298,7 +302,7 @@ def _require_polynomial(coefficients: Any) -> NDArray[np.float64]:
 def _cancel(
     numerator: NDArray[np.float64], denominator: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both without their common powers of s; 0 becomes 0 / 1."""
+    """Return numerator and denominator without common powers of s; 0 becomes 0 / 1."""
     if not len(denominator):
         raise TheoryError("transfer function: expected a denominator other than 0, found 0")
     if not len(numerator):

@@ -1,6 +1,6 @@
-"""Gains that give a sampled loop a wanted overshoot or phase margin, exactly.
+"""Gains that give a sampled loop exactly a wanted overshoot or phase margin.
 
-With L1 the open loop in z at Kp = 1, G the process and W the phase margin:
+Let L1 be the open loop in z at Kp = 1, G the process and W the phase margin:
 
     P    overshoot     the smallest Kp whose motion overshoots by as much
     P    phase margin  Kp = 1 / |L1| where L1 has the phase W - pi
@@ -9,15 +9,15 @@ With L1 the open loop in z at Kp = 1, G the process and W the phase margin:
     PD   phase margin  Kd puts the controller's zero on the pole of the slowest lag
     PD   overshoot     both at once: the first on the way from that PD to P
 
-C = Kp + Ki T / (z - 1) gives one Kp and one Ki at each frequency. The largest Ki leaves the least
-integrated error, 1 / Ki, after a constant disturbance; K. J. Astrom, H. Panagopoulos and T.
-Hagglund maximise it under another constraint (Automatica 34 (1998) 585-601). Kp + Kd / (Tf + T) (z
-- 1) / (z - a) has its zero at e = exp(-T / tau) if Kd = Kp (Tf + T) (e - a) / (1 - e); it too gives
-one Kp and one Kd at each frequency.
+C = Kp + Ki T / (z - 1) gives one Kp and one Ki at each frequency. The largest Ki gives the smallest
+integrated error, 1 / Ki, after a constant disturbance. K. J. Astrom, H. Panagopoulos and T.
+Hagglund maximise Ki under another constraint (Automatica 34 (1998) 585-601). Kp + Kd / (Tf + T) (z
+- 1) / (z - a) has its zero at e = exp(-T / tau) if Kd = Kp (Tf + T) (e - a) / (1 - e); this also
+gives one Kp and one Kd at each frequency.
 
 P has no overshoot up to the Kp at which its two slowest poles meet on the real axis: the maximum of
--1 / L1(z) between the slowest lag's pole and 1. `sampled_loop` has it in closed form for an
-integrator. The overshoot is that of the motion, also between samples.
+-1 / L1(z) between the slowest lag's pole and 1. For an integrator, `sampled_loop` has this Kp in
+closed form. The overshoot is measured on the motion, also between samples.
 """
 
 import cmath
@@ -47,23 +47,23 @@ from turtlelog.theory.process import Process, SampledProcess, sample_process
 _Array = NDArray[np.float64]
 
 _MOST_SAMPLES: Final = 2000
-"""Of lag, low-pass and dead time together, up to which overshoots are measured: beyond it the 10 to
-40 responses of some ten thousand samples each take several seconds."""
+"""Largest sum of lag, low-pass and dead time [samples] for which overshoots are measured. Beyond
+this sum, the 10 to 40 responses of some ten thousand samples each take several seconds."""
 
 _CLOSE: Final = 1e-6
-"""In % of the step: to this an overshoot is met, and a smaller one is none."""
+"""Tolerance of an overshoot [% of the step]; a smaller overshoot counts as none."""
 
 _CLOSE_PHASE: Final = 1e-9
-"""In rad, to which a phase margin is met; rounding leaves 1e-12."""
+"""Tolerance of a phase margin [rad]; rounding leaves 1e-12."""
 
 _STEP: Final = 1.25
 """Factor from one gain to the next while the overshoot is too small."""
 
 _LARGEST_OVERSHOOT: Final = 1e3
-"""In %, of a response that runs away: every wanted overshoot is below 100 %."""
+"""Overshoot of a response that diverges [%]: every wanted overshoot is below 100 %."""
 
 _PARTS: Final = 8
-"""Between the crossovers of P and of the PD that cancels the lag, at which PD is tried."""
+"""Number of PD gains tried between the crossovers of P and of the PD that cancels the lag."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ class LoopDesign:
 
     @property
     def is_slow(self) -> bool:
-        """Whether its responses are too long to measure."""
+        """Whether the responses of the loop are too long to measure."""
         process = self.process
         slow_s = process.lag_s + process.low_pass_s + process.dead_time_s
         return slow_s > _MOST_SAMPLES * self.period_s
@@ -102,7 +102,7 @@ class LoopDesign:
         return build_shape(gains, self.sampled, self.period_s)
 
     def measure(self, gains: PidGains, *, to_rest: bool = True) -> StepMotion | None:
-        """Return the motion after a step; None if it is too slow or diverges."""
+        """Return the motion after a step; None if the loop is too slow or diverges."""
         if self.is_slow:
             return None
         return measure_step_motion(
@@ -121,7 +121,7 @@ class LoopDesign:
         )[-1][1]
 
     def find_lag_ratio(self) -> float | None:
-        """Return the Kd / Kp that cancels the slowest lag; None if there is no such value."""
+        """Return the Kd / Kp that cancels the slowest lag; None if no such ratio exists."""
         gaps = self.sampled.gaps
         if not gaps:
             return None
@@ -147,7 +147,7 @@ def find_p_without_overshoot(design: LoopDesign) -> float:
 
 
 def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
-    """Return the P with an overshoot, or why there is none."""
+    """Return the P controller with an overshoot, or the reason why there is no such controller."""
     if design.is_slow:
         return _SLOW
     start = find_p_without_overshoot(design)
@@ -161,7 +161,7 @@ def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
 
 
 def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
-    """Return the PI with an overshoot, or why there is none."""
+    """Return the PI controller with an overshoot, or the reason why there is no such controller."""
     if percent == 0.0:
         return (
             "on a plant that integrates, an integral always overshoots: it comes to rest only when"
@@ -180,7 +180,7 @@ def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
 
 
 def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) -> PidGains | str:
-    """Return the PD with an overshoot and a phase margin, or why there is none."""
+    """Return the PD with an overshoot and a phase margin, or the reason for its absence."""
     whole = find_pd_of_margin(design, margin_rad)
     alone = find_p_of_margin(design, margin_rad)
     if isinstance(whole, str) or isinstance(alone, str):
@@ -193,7 +193,7 @@ def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) 
     )
 
     def follow(angle: float) -> PidGains:
-        """Return the only PD whose open loop passes through the margin's point at an angle w T."""
+        """Return the only PD whose open loop has the phase margin at an angle w T."""
         z = cmath.exp(1j * angle)
         wanted = cmath.exp(1j * (margin_rad - math.pi)) / complex(evaluate_open_loop(shape, angle))
         difference = (z - 1.0) / (z - keep)
@@ -219,18 +219,18 @@ def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) 
 
 
 def find_p_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
-    """Return the P with a phase margin, or why there is none."""
+    """Return the P controller with a phase margin, or the reason why there is none."""
     return _find_pd(design, 0.0, margin_rad)
 
 
 def find_pd_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
-    """Return the PD with a phase margin whose Kd cancels the lag, or why there is none."""
+    """Return the PD with a phase margin whose Kd cancels the lag, or the reason for its absence."""
     ratio_s = design.find_lag_ratio()
     return _tell_no_lag(design) if ratio_s is None else _find_pd(design, ratio_s, margin_rad)
 
 
 def find_pi_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
-    """Return the PI with a phase margin and the largest Ki, or why there is none."""
+    """Return the PI with a phase margin and the largest Ki, or the reason for its absence."""
     alone = find_p_of_margin(design, margin_rad)
     if isinstance(alone, str):
         return alone
@@ -260,7 +260,7 @@ _SLOW: Final = (
 
 
 def _find_pd(design: LoopDesign, ratio_s: float, margin_rad: float) -> PidGains | str:
-    """Return the largest P or PD with a phase margin and Kd / Kp, or why there is none."""
+    """Return the largest P or PD with a phase margin and a Kd / Kp, or the reason for absence."""
     unit = PidGains(kp=design.unit_gain, kd=ratio_s * design.unit_gain, filter_s=design.filter_s)
     shape = design.build_shape(unit)
     turn = cmath.exp(1j * (math.pi - margin_rad))
@@ -306,7 +306,7 @@ def _tell_no_lag(design: LoopDesign) -> str:
 
 
 def _rate(design: LoopDesign, gains: PidGains) -> float:
-    """Return an overshoot that can be compared, also for a loop that diverges."""
+    """Return the overshoot as a number that can be compared, also for a loop that diverges."""
     motion = design.measure(gains, to_rest=False)
     return (
         _LARGEST_OVERSHOOT if motion is None else min(motion.overshoot_percent, _LARGEST_OVERSHOOT)
@@ -316,7 +316,7 @@ def _rate(design: LoopDesign, gains: PidGains) -> float:
 def _find_first(
     measure: Callable[[float], float], none: float, first: float, percent: float
 ) -> float:
-    """Return the first gain with an overshoot, from a given gain up, above one without it.
+    """Return the first gain with an overshoot, searching upward from a gain without it.
 
     At the limit of stability the overshoot is 100 %, so every smaller overshoot occurs below it.
     """
@@ -332,10 +332,11 @@ def _solve(
     end: tuple[float, float],
     target: float,
 ) -> float:
-    """Return where a measure meets its target between two points on either side of it.
+    """Return the point at which a measure meets its target, between two points on either side.
 
-    Regula falsi, with the value at an end that stays halved each time (the Illinois method: M.
-    Dowell and P. Jarratt, BIT 11 (1971) 168-174); bisection if that is no nearer.
+    The method is regula falsi in the Illinois variant, which halves the value at an end that does
+    not move (M. Dowell and P. Jarratt, BIT 11 (1971) 168-174). If a step gets no nearer, bisection
+    follows.
     """
     (at, value), (other, far) = (start[0], start[1] - target), (end[0], end[1] - target)
     for _ in range(80):
@@ -352,7 +353,7 @@ def _solve(
 
 
 def _maximise(compute: Callable[[_Array], _Array], low: float, high: float) -> tuple[float, float]:
-    """Return where a function with one maximum between two ends is largest, and its value there."""
+    """Return the place and value of the maximum of a function with one maximum between two ends."""
     for _ in range(9):  # a 50th each time: 1e-15 of the interval
         places = np.linspace(low, high, 102)[1:-1]
         values = compute(places)

@@ -10,14 +10,15 @@ from turtlelog.errors import TheoryError
 
 SMALLEST: Final = 1e-100
 LARGEST: Final = 1e100
-"""Magnitudes in the unit of each number: a product or quotient of two, 1e-200 to 1e200, neither
-overflows a double (1.8e308) nor loses digits (2.2e-308)."""
+"""Largest magnitude of a number, in its own unit. A product or quotient of two such numbers is
+within 1e-200 to 1e200, so that it neither overflows a double (1.8e308) nor loses digits
+(2.2e-308)."""
 
 MAX_DEAD_TIME_TICKS: Final = 1000
-"""In samples: 16 s at turtlesim's tick of 16 ms."""
+"""Largest dead time [samples]: 16 s at turtlesim's tick of 16 ms."""
 
 MAX_COUNT: Final = 100_000_000
-"""In samples: 800 MB as doubles."""
+"""Largest number of samples of a response: 800 MB as doubles."""
 
 
 def require_gain(kp: Any) -> float:

@@ -1,6 +1,6 @@
 """The declared loops of a law as models of theory, or the reason why there is no model.
 
-A run and a scenario have the same dotted keys, so both are read here.
+This module reads both runs and scenarios, because they have the same dotted keys.
 """
 
 import math
@@ -45,7 +45,7 @@ class MeasuredTiming:
     Attributes:
         period_s: Sampling period [s].
         dead_time_s: Dead time from a pose to the plant [s].
-        sources: Source of each value, in words, by `period_s` and `dead_time_s`.
+        sources: Sources of the values, in words, by `period_s` and `dead_time_s`.
     """
 
     period_s: float
@@ -59,14 +59,14 @@ class LoopModel:
 
     Attributes:
         loop: Loop as the law declares it.
-        gains: Gains of the controller; None if there is a reason.
-        process: Plant with all dead time; None if there is a reason.
-        period_s: Sampling period T [s]; None if there is a reason.
-        most_dead_time_s: Largest possible dead time [s]; None if it cannot grow.
+        gains: Gains of the controller; None if there is no model.
+        process: Plant with all dead time; None if there is no model.
+        period_s: Sampling period T [s]; None if there is no model.
+        most_dead_time_s: Largest possible dead time [s]; None if the dead time cannot grow.
         growth: Possible cause of a longer dead time, in words.
         ramp_s: Increase of the time constant in large steps due to acceleration limits [s], which
             recommended gains allow for.
-        reason: Why theory has no model of the loop; empty if it has one.
+        reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
     """
@@ -92,7 +92,7 @@ class LoopModel:
         return analyse_pid_loop(gains, **settings)
 
     def require(self) -> tuple[PidGains, Settings]:
-        """Return the gains, and the other arguments of theory's functions.
+        """Return the gains and the other arguments of theory's functions.
 
         Raises:
             TheoryError: If there is no model; the message is the reason.
@@ -107,11 +107,20 @@ class LoopModel:
         Raises:
             TheoryError: If there is no model; the message is the reason.
         """
+        settings = self.require_latest()
+        process = settings["process"]
+        settings["process"] = replace(process, lag_s=process.lag_s + self.ramp_s)
+        return settings
+
+    def require_latest(self) -> Settings:
+        """Return period and process with the largest possible dead time.
+
+        Raises:
+            TheoryError: If there is no model; the message is the reason.
+        """
         _, settings = self.require()
-        process, most_s = settings["process"], self.most_dead_time_s
-        late_s = process.dead_time_s if most_s is None else most_s
-        slow_s = process.lag_s + self.ramp_s
-        settings["process"] = replace(process, dead_time_s=late_s, lag_s=slow_s)
+        if self.most_dead_time_s is not None:
+            settings["process"] = replace(settings["process"], dead_time_s=self.most_dead_time_s)
         return settings
 
 
@@ -140,8 +149,9 @@ def model_loop(
     Args:
         loop: Loop of a law.
         parameters: Parameters of a run or a scenario, by dotted key.
-        timing: Measured timing, or the reason why it is missing; None: that of the scenario.
-        sources: Sources of gains and plant, if not the scenario.
+        timing: Measured timing, or the reason why it is missing. Default: the timing of the
+            scenario.
+        sources: Sources of gains and plant. Default: the scenario.
     """
     told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
     most_s: float | None = None
@@ -176,7 +186,7 @@ def model_loop(
 
 
 def _refuse_numbers(model: LoopModel) -> LoopModel:
-    """Return a model with numbers in theory's range, or one with the reason why they are not."""
+    """Return the model, or if its numbers are out of theory's range, a model with the reason."""
     try:
         gains, settings = model.require()
         is_pid_stable(gains, **settings)
@@ -186,25 +196,25 @@ def _refuse_numbers(model: LoopModel) -> LoopModel:
 
 
 def list_known(models: Sequence[LoopModel]) -> list[LoopModel]:
-    """Return the models that have no reason."""
+    """Return the models without a reason against them."""
     return [model for model in models if not model.reason]
 
 
 _LONGEST_HOLD_TICKS: Final = WATCHDOG_NS // TURTLESIM.period_ns + 1
-"""A command is held for so many ticks; in the next the turtle stops by itself."""
+"""Number of ticks for which a command is held; in the next tick the turtle stops by itself."""
 
 _WHOLE: Final = 1e-6
-"""Of a period: times in whole nanoseconds that are meant as its multiple are nearer than that."""
+"""Share of a period within which a time in whole nanoseconds counts as a multiple of the period."""
 
 _OF_SPEED: Final = ("speed_m_s", "noise_speed", "acceleration_m_s2", "jerk_m_s3")
-"""How keys end that concern the speed alone."""
+"""Endings of keys that concern only the speed."""
 
 _OF_PLANT: Final = ("gain", "dead_time_s", "lag_s")
 
 _SLOPES: Final[Mapping[str, str]] = MappingProxyType(
     {"turn_rate": "limits.turn_acceleration_rad_s2", "speed": "limits.acceleration_m_s2"}
 )
-"""Limits of how fast a command changes, by command."""
+"""Keys of the limits on the rate of change, by command."""
 
 _DEFAULTS: Final = flatten_scenario(Scenario())
 
@@ -216,7 +226,7 @@ _MODELLED: Final = frozenset(
         *(f"{key}{name}" for key in PLANT_KEYS.values() for name in _OF_PLANT),
     }
 )
-"""Keys whose part in the loop theory knows, or that have none."""
+"""Keys that theory models, and keys without influence on the loop."""
 
 _ADDED: Final = frozenset(
     {
@@ -224,18 +234,18 @@ _ADDED: Final = frozenset(
         *(key for plant in PLANTS.values() for key in plant.added),
     }
 )
-"""Keys that theory leaves out, and that make no unstable loop stable: pushes and offsets move where
-it rests, limits bound how far it swings."""
+"""Keys that theory ignores and that cannot make an unstable loop stable. Disturbances and offsets
+move the point of rest; limits bound the amplitude of an oscillation."""
 
 _RAMP: Final = 0.2
-"""Share of the time of the largest change by which a limit of the acceleration makes the time
-constant longer: the recommended gain for 5 % then overshot turns of 0.1 to 3.1 rad by 3.2 % at
-most, of 80 robots; a tenth gave 21 %."""
+"""Increase of the time constant by an acceleration limit, as a share of the time for the largest
+change. With this share, the recommended gain for 5 % overshot turns of 0.1 to 3.1 rad by at most
+3.2 %, on 80 robots. With a share of a tenth, this gain overshot by 21 %."""
 
 _KINDS: Final = (TURTLESIM.name, LAGGED)
 
 _BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
-"""What adds nothing to a loop but its gains and its reference."""
+"""Keys that add only gains and a reference to a loop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,9 +254,9 @@ class LoopTiming:
 
     Attributes:
         period_s: Sampling period T [s].
-        least_s: Smallest dead time from a pose to the plant, without that of the plant [s].
-        most_s: Dead time that is never exceeded for long [s].
-        step_s: Resolution of the dead time between the two [s]: the plant's period.
+        least_s: Smallest dead time from a pose to the plant, without the plant's own dead time [s].
+        most_s: Largest dead time that lasts [s]; longer dead times are short exceptions.
+        step_s: Resolution of the dead time between these limits [s]: the plant's period.
     """
 
     period_s: float
@@ -256,7 +266,7 @@ class LoopTiming:
 
 
 def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
-    """Return the gains of a loop for theory, or why there are none."""
+    """Return the gains of a loop for theory, or the reason why they are unknown."""
     kp = loop.read_gain(parameters)
     if not loop.is_integrator:
         words = SIGNAL_WORDS[loop.signal], COMMAND_WORDS[loop.command]
@@ -279,9 +289,9 @@ def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
 
 
 def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float) -> Process | str:
-    """Return the process that a loop's command drives, or why it is unknown.
+    """Return the process that a loop's command drives, or the reason why it is unknown.
 
-    The gain is the larger one of the two directions.
+    The gain is the larger of the gains forward and in reverse.
 
     Args:
         loop: Loop of a law.
@@ -305,9 +315,9 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
 def _find_ramp_s(loop: ControlLoop, parameters: _Parameters) -> float:
     """Return the delay of large steps by acceleration limits, as a time constant [s].
 
-    It is a fifth of the time for the largest change of the rate: that of the largest command, or
-    the bound. For a limit within the robot's loop, changes slower than the limit have no ramp.
-    Without a largest command it is 0.
+    The delay is a fifth of the time for the largest change of the rate, which the largest command
+    or the bound gives. For a limit within the robot's loop, changes slower than the limit have no
+    ramp. Without a largest command, the delay is 0.
     """
     key = PLANT_KEYS[loop.command]
     command = read_number(parameters, loop.limit_key, math.inf)
@@ -322,7 +332,7 @@ def _find_ramp_s(loop: ControlLoop, parameters: _Parameters) -> float:
 
 
 def find_timing(parameters: _Parameters) -> LoopTiming | str:
-    """Return the timing of a scenario's loops, or why theory has no such timing."""
+    """Return the timing of a scenario's loops, or the reason why theory cannot describe it."""
     kind, step_s = parameters.get("plant.kind", TURTLESIM.name), read_plant(parameters).period_s
     if kind not in _KINDS:
         return f"theory knows no plant of the kind {kind}"
@@ -363,7 +373,7 @@ def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ..
 
 
 def _is_of(command: str, key: str) -> bool:
-    """Return whether a key belongs to a command, or to both."""
+    """Return whether a key belongs to a command, or to both commands."""
     if "turn_" in key:
         return command == "turn_rate"
     is_of_speed = key.endswith(_OF_SPEED) or key.startswith(PLANT_KEYS["speed"])
@@ -371,7 +381,7 @@ def _is_of(command: str, key: str) -> bool:
 
 
 def hides_stability(parameters: _Parameters) -> bool:
-    """Return whether a neglected setting may stabilise a loop that theory calls unstable."""
+    """Return whether a neglected setting may stabilise a loop that is unstable in theory."""
     known = _MODELLED | _ADDED
     if _find_most_age(parameters, read_plant(parameters).period_s):
         return True
@@ -381,8 +391,8 @@ def hides_stability(parameters: _Parameters) -> bool:
 def _find_most_age(parameters: _Parameters, step_s: float) -> float:
     """Return the largest age of the pose that a timer reads [s].
 
-    The timer starts when a pose arrives. If its period is no multiple of the plant's, a later pose
-    may be up to one plant period old.
+    The timer starts when a pose arrives. If the timer's period is not a multiple of the plant's
+    period, a later pose may be up to one plant period old.
     """
     if parameters.get("loop.trigger") != "timer":
         return 0.0

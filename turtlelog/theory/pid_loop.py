@@ -6,7 +6,7 @@ The controller, as the law `sequential-pid` computes it, with e = r - y:
     I[k+1] = I[k] + Ki T e[k],  I[0] = 0
     D[k] = a D[k-1] - Kd / (Tf + T) (y[k] - y[k-1]),  a = Tf / (Tf + T),  D[0] = 0
 
-The integral is a forward difference, so it acts one sample later. The derivative is that of the
+The integral is a forward difference and acts one sample later. The derivative is that of the
 measurement, a backward difference behind a filter of first order: K. J. Astrom and B. Wittenmark,
 Computer-Controlled Systems, 3rd edition, chapter 8; K. J. Astrom and T. Hagglund, Advanced PID
 Control, chapters 3 and 13. On an integrator, y[k+1] = y[k] + T u[k-d], the z transform of that
@@ -14,15 +14,14 @@ gives the characteristic polynomial
 
     z^d (z - 1)^2 (z - a) + Kp T (z - 1) (z - a) + Ki T^2 (z - a) + b (z - 1)^2
 
-with b = Kd T / (Tf + T). Without an integral it has one factor z - 1 less, without a derivative the
-factor z - a is missing. Lag, fractional dead time and low-pass are added in `process` and
-`pid_stability`. P alone on an integrator is computed by `sampled_loop`, whose numbers are returned
-here.
+with b = Kd T / (Tf + T). Without an integral, the polynomial has one factor z - 1 less. Without a
+derivative, it has no factor z - a. Lag, fractional dead time and low-pass are added in `process`
+and `pid_stability`. For P alone on an integrator, the numbers come from `sampled_loop`.
 
 Poles are the roots of z^d A(z) + B(z), found together by Aberth's method (O. Aberth, "Iteration
 methods for finding all zeros of a polynomial simultaneously", Mathematics of Computation 27 (1973)
-339-344). It needs only the polynomial's value and slope, which come from A and B: 1000 poles take a
-third of a second, whereas the eigenvalues of a companion matrix take many seconds.
+339-344). The method needs only the polynomial's value and slope, which come from A and B. 1000
+poles take a third of a second; the eigenvalues of a companion matrix would take many seconds.
 """
 
 import math
@@ -66,7 +65,7 @@ class PidLoop:
         process: Plant that the command drives.
         poles: Complex poles in the z plane, largest magnitude first: d + 1 for P, and one more each
             for an integral, a derivative, a time constant, a low-pass, or a fractional dead time.
-            If two poles meet, half their digits are accurate.
+            If two poles meet, only half of their digits are accurate.
         stable: Whether all poles lie inside the unit circle, by more than rounding.
         stable_gains: Intervals of Kp [1/s] in which the loop is stable with its other gains
             unchanged; () if there is no such interval.
@@ -101,8 +100,8 @@ class PidLoop:
     def to_control(self) -> Any:
         """Return the open loop as a `control.TransferFunction` in z, without approximation.
 
-        Close it with `control.feedback`. The derivative acts on the measurement, so the closed loop
-        has the same response to the reference only for P and PI.
+        `control.feedback` closes this loop. The derivative acts on the measurement, so the closed
+        loop has the same response to the reference only for P and PI.
 
         Raises:
             LibraryError: If python-control is not installed.
@@ -169,8 +168,8 @@ def compute_pid_poles(
 ) -> NDArray[np.complex128]:
     """Return the poles of a closed PID loop in the z plane, largest magnitude first.
 
-    If two poles meet, they are accurate to half the digits, about 1e-8, as every double root of a
-    polynomial. The verdict of `is_pid_stable` does not depend on them.
+    If two poles meet, only half of their digits are accurate, about 1e-8, as for every double root
+    of a polynomial. The verdict of `is_pid_stable` does not depend on them.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -191,7 +190,8 @@ def compute_pid_locus(
 ) -> NDArray[np.complex128]:
     """Return the poles of a closed PID loop for several Kp with its other gains fixed, in rows.
 
-    Each row is as from `compute_pid_poles`; for P on an integrator it is much faster.
+    Each row equals the result of `compute_pid_poles`; for P on an integrator this function is much
+    faster.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -214,8 +214,8 @@ def is_pid_stable(
 ) -> bool:
     """Return whether all poles of a closed PID loop lie inside the unit circle.
 
-    They are counted by the argument principle, which is as accurate at 1000 ticks as at 0. At the
-    stability limit, or so close that rounding could decide (1e-10), the answer is False.
+    The poles are counted by the argument principle, which is as accurate at 1000 ticks as at 0. At
+    the stability limit, or so close that rounding could decide (1e-10), the answer is False.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -232,8 +232,9 @@ def find_stable_gains(
 ) -> tuple[tuple[float, float], ...]:
     """Return the intervals of Kp [1/s] in which a loop is stable with its other gains fixed.
 
-    For P and PD they begin at 0. An integral needs some Kp, so for PI and PID they begin above 0;
-    with a too large integral there is no interval. The ends themselves are unstable.
+    For P and PD the first interval begins at 0. For PI and PID it begins above 0, because an
+    integral needs some Kp; with a too large integral there is no interval. The loop is unstable at
+    both ends of an interval.
 
     Args:
         gains: Gains of the controller; Kp is ignored.
@@ -284,7 +285,7 @@ def compute_open_loop(
 def _prepare(
     gains: PidGains, period_s: float, dead_time_ticks: int, process: Process
 ) -> tuple[LoopShape, int | None]:
-    """Return a loop, and its dead time [samples] if it is P on an integrator."""
+    """Return a loop, and the dead time [samples] if the loop is P on an integrator."""
     sampled = sample_process(process, period_s, dead_time_ticks)
     is_known = gains.is_proportional and sampled.is_integrator
     return build_shape(gains, sampled, period_s), sampled.whole if is_known else None
@@ -297,13 +298,14 @@ def _judge(shape: LoopShape, whole: int | None) -> bool:
 
 
 _MOST_ROUNDS: Final = 300
-"""Where several roots meet, each round halves what is left: after 50 no digit changes any more."""
+"""Largest number of iterations. Where several roots meet, each iteration halves the error; after 50
+iterations no digit changes any more."""
 
 _SMALLEST_STEP: Final = 1e-15
-"""Of a root's magnitude: it moves by its last digit only."""
+"""Smallest step as a share of a root's magnitude: the root moves only by its last digit."""
 
 _ON_AXIS: Final = 1e-12
-"""Imaginary part of a root, as a share of its magnitude, that is rounding."""
+"""Imaginary part of a root, as a share of its magnitude, that counts as rounding."""
 
 
 def _find_poles(shape: LoopShape) -> NDArray[np.complex128]:
@@ -313,7 +315,7 @@ def _find_poles(shape: LoopShape) -> NDArray[np.complex128]:
 
 
 def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the poles of a loop with two poles: exact if they meet, in s = z - 1."""
+    """Return the poles of a loop with two poles, computed in s = z - 1; exact if the poles meet."""
     c0, c1, *_ = _expand_zeros(shape)
     gaps = shape.gaps if shape.a is None else (1.0 - shape.a, *shape.gaps)
     half = 0.5 * (c1 + sum(gaps) + shape.delay + shape.lift)
@@ -324,7 +326,7 @@ def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
 
 
 def _expand_zeros(shape: LoopShape) -> list[float]:
-    """Return B and its factor from the process, in rising powers of z - 1."""
+    """Return the polynomial B and its factor from the process, in rising powers of z - 1."""
     weights = [1.0, shape.ahead]
     if shape.lift:
         weights = [1.0, 1.0 + shape.ahead - shape.behind, shape.ahead]
@@ -333,10 +335,10 @@ def _expand_zeros(shape: LoopShape) -> list[float]:
 
 
 def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the roots by Newton's steps with the other roots divided out.
+    """Return the roots by Newton's iterations with the other roots divided out.
 
-    The start values lie on a circle, rotated slightly so that no two are conjugate. It takes some
-    10 to 40 iterations if all roots are single, more if some are close together.
+    The start values lie on a circle, rotated slightly so that no two are conjugate. If all roots
+    are single, 10 to 40 iterations are enough; roots close together need more.
     """
     angles = 2.0 * math.pi * (np.arange(shape.degree) + 0.37) / shape.degree
     roots = 0.98 * np.exp(1j * angles)
@@ -366,7 +368,7 @@ def _mirror(roots: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def _compute_log_slope(z: NDArray[np.complex128], shape: LoopShape) -> NDArray[np.complex128]:
     """Return P' / P of the characteristic polynomial, computed such that z^d does not overflow.
 
-    It uses powers of z - 1, because slow poles are close to 1.
+    The computation uses powers of z - 1, because slow poles are close to 1.
     """
     s, d = z - 1.0, shape.delay + shape.lift
     poles, slope = s**shape.integrators, shape.integrators / s

@@ -13,17 +13,17 @@ from turtlelog.theory.process import INTEGRATOR, Process, SampledProcess, sample
 from turtlelog.theory.sampled_loop import LARGEST_DEVIATION
 
 _LONGEST: Final = 500_000
-"""In samples, of the response that overshoot and settling time are read from: about 0.2 s of
-computing, and 2.2 h at turtlesim's tick of 16 ms."""
+"""Longest response for overshoot and settling time [samples]: about 0.2 s of computing, and 2.2 h
+at turtlesim's tick of 16 ms."""
 
 _BAND: Final = 0.02
-"""Of a step: within it a response has settled."""
+"""Settling band as a share of the step."""
 
 _LONGEST_MOTION: Final = 200_000
-"""In samples, of a motion that is followed between samples: about 0.3 s of computing."""
+"""Longest motion that is followed between samples [samples]: about 0.3 s of computing."""
 
 _SETTLED: Final = 1e-9
-"""Of a step: what is left of a motion that has settled, 1e-7 % of overshoot."""
+"""Remaining motion that counts as settled, as a share of the step: 1e-7 % of overshoot."""
 
 
 def compute_pid_step_response(
@@ -37,7 +37,7 @@ def compute_pid_step_response(
 ) -> NDArray[np.float64]:
     """Return a PID loop's response to a unit reference step at sample 0, without limits.
 
-    The response begins at rest, with y[0] to y[d] = 0. An unstable response is limited: its first
+    The response begins at rest, with y[0] to y[d] = 0. An unstable response is limited. The first
     sample further than 1e9 from the reference, and all later samples, are set to a distance of 1e9
     on the same side.
 
@@ -114,7 +114,7 @@ class StepMotion:
     """Motion of a loop after a reference step, also between samples.
 
     Attributes:
-        overshoot_percent: Overshoot [% of the step]; 0: none.
+        overshoot_percent: Overshoot [% of the step]; 0: no overshoot.
         settling_time_s: Time of the first sample from which the motion stays within 2 % of the step
             [s]; None if the motion was not followed to rest.
     """
@@ -142,11 +142,12 @@ def measure_step_motion(
         period_s: Sampling period T [s].
         dead_time_ticks: Dead time in addition to that of the process [samples].
         process: Plant that the command drives. Default: an integrator.
-        to_rest: Whether to follow the motion to rest, otherwise only until the overshoot is known.
+        to_rest: Whether to follow the motion to rest; otherwise the motion is followed only until
+            the overshoot is known.
 
     Returns:
-        None if the motion goes beyond 1e9 steps, or if after 200,000 samples the motion is neither
-        at rest nor past its furthest point.
+        The motion; None if it goes beyond 1e9 steps, or if after 200,000 samples it is neither at
+        rest nor past its furthest point.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -194,7 +195,7 @@ class _Motion:
 
     Attributes:
         y: Signal value.
-        furthest: The largest value so far, at least 1.
+        furthest: Largest value so far, at least 1.
     """
 
     __slots__ = ("_gain", "_lag_s", "_pieces", "_v", "_wait_s", "furthest", "y")
@@ -212,7 +213,7 @@ class _Motion:
         self._v, self.y, self.furthest = 0.0, 0.0, 1.0
 
     def is_at(self, level: float) -> bool:
-        """Return whether it is at rest at a level, within a negligible overshoot."""
+        """Return whether the process is at rest at a level, within a negligible overshoot."""
         return abs(self.y - level) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
 
     def hold(self, *commands: float) -> None:
@@ -231,16 +232,16 @@ class _Motion:
 
 
 def compute_steady_error(gains: PidGains, push: float, *, process: Process = INTEGRATOR) -> float:
-    """Return r - y that a constant disturbance leaves in a stable loop: -push / (K Kp), 0 with Ki.
+    """Return r - y after a constant disturbance in a stable loop: -push / (K Kp), 0 with Ki.
 
-    At rest the plant's input is 0, so K times the command is -push. Without an integral Kp e must
-    produce it; with an integral, the integral does, and is at rest only if e = 0. A derivative is 0
-    at rest.
+    At rest the plant's input is 0, so K times the command is -push. Without an integral, Kp e must
+    produce this command. With an integral, the integral produces the command, and is at rest only
+    if e = 0. A derivative is 0 at rest.
 
     Args:
         gains: Gains of the controller.
         push: Disturbance added to the plant's rate, in the signal's unit per second.
-        process: Plant that the command drives; only its gain is used.
+        process: Plant that the command drives; only the gain of the plant is used.
 
     Returns:
         Error in the signal's unit.

@@ -1,7 +1,7 @@
 """Stability of a PID controller with a process, by counting poles; stability margins.
 
 The open loop at the frequency w is L(exp(j w T)), with the hold, the fractional dead time and the
-controller as programmed: exact up to pi / T, above which it repeats. Its margins are taken where it
+controller as programmed. L is exact up to pi / T, and periodic above. The margins are read where L
 crosses the unit circle and the negative real axis.
 """
 
@@ -22,13 +22,15 @@ _Array = NDArray[np.float64]
 
 NEAREST: Final = 1e-10
 """Distance |1 + L| of the open loop from -1 below which rounding could decide: with 1000 ticks of
-dead time its phase is known to some 1e-12. A loop that is nearer counts as unstable."""
+dead time the phase of L is accurate to some 1e-12. A nearer loop counts as unstable."""
 
 _NO_POWER: Final = 1e-20
-"""A highest coefficient that is less beside the others changes no sign for x up to 2."""
+"""Share of the other coefficients below which a highest coefficient changes no sign for x up to
+2."""
 
 _SMALLEST_X: Final = 1e-60
-"""Of x = 1 - cos(w T): below every crossover, which is above (Kp T)^2 / 8, at least 1e-19."""
+"""Smallest x = 1 - cos(w T), below every crossover: crossovers are above (Kp T)^2 / 8, at least
+1e-19."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,7 @@ class LoopShape:
         i: K Ki T^2; 0: no integral.
         b: K Kd T / (Tf + T).
         a: Tf / (Tf + T), from 0 up to 1; None: no derivative.
-        delay: Dead time d [samples]; with a low-pass one less, so it may be -1.
+        delay: Dead time d [samples]; with a low-pass one sample less, so the value may be -1.
         gaps: 1 - e for each pole e of lag and low-pass.
         ahead: Weight w1, see `process`.
         behind: Weight w2, see `process`.
@@ -83,12 +85,12 @@ class LoopShape:
 
 
 def is_stable(shape: LoopShape) -> bool:
-    """Return whether all poles lie inside the unit circle, by more than rounding."""
+    """Return whether all poles lie inside the unit circle by more than rounding."""
     return _count_unstable(shape) == 0
 
 
 def _count_unstable(shape: LoopShape) -> int | None:
-    """Return the number of poles outside the unit circle; None if one is on it within rounding."""
+    """Return the number of poles outside the unit circle; None if rounding could decide."""
     crossings = _find_crossovers(shape)
     halves = [0.5 * _compute_phase(shape, x) for x in crossings]
     # |1 + L| = 2 cos(half the phase) where |L| = 1.
@@ -112,7 +114,7 @@ def find_stable_intervals(
 
     Args:
         build: Function that returns the loop for a Kp T.
-        held: Loop with the other parameters; its own `p` is ignored.
+        held: Loop with the other parameters; the `p` of this loop is ignored.
     """
     edges = sorted({0.0, *(p for p in _list_boundaries(held) if p > 0.0)})
     found: list[tuple[float, float]] = []
@@ -124,7 +126,7 @@ def find_stable_intervals(
 
 
 def _find_crossovers(shape: LoopShape) -> list[float]:
-    """Return the points with |L| = 1, as x = 1 - cos(w T) strictly between 0 and 2, rising."""
+    """Return the points with |L| = 1 as x = 1 - cos(w T), strictly between 0 and 2, rising."""
     coefficients = _list_coefficients(shape)
     slope = [power * value for power, value in enumerate(coefficients)][1:]
     while len(slope) > 1 and abs(slope[-1]) < _NO_POWER * max(map(abs, slope[:-1])):
@@ -139,7 +141,7 @@ def _find_crossovers(shape: LoopShape) -> list[float]:
 
 
 def _bisect(shape: LoopShape, low: float, high: float) -> float:
-    """Return where |A| = |B| between two x, to the last digit at any magnitude."""
+    """Return the x between two x at which |A| = |B|, to the last digit at any magnitude."""
     is_above = _compare(shape, low) > 0.0
     for _ in range(64):  # 8 halvings of the exponent, 52 of the digits, some to spare
         middle = math.sqrt(low * high)
@@ -197,7 +199,7 @@ def _compare(shape: LoopShape, x: float) -> float:
 def _turn_zeros(shape: LoopShape, x: float) -> float:
     """Return the phase of B at x, continuous along the half circle.
 
-    The imaginary part of B / z, (c1 - c0) sin(w T), has one sign; so has that of W.
+    The imaginary part of B / z, (c1 - c0) sin(w T), has one sign, as has the imaginary part of W.
     """
     c0, c1, c2 = shape.numerator
     sine = math.sqrt(x * (2.0 - x))
@@ -242,15 +244,15 @@ def _weigh_end(shape: LoopShape) -> float:
 
 
 def _list_boundaries(held: LoopShape) -> list[float]:
-    """Return every Kp T at which a pole lies on the unit circle, and 0 if none does there.
+    """Return every Kp T at which a pole lies on the unit circle, and 0 if no pole lies there at 0.
 
-    There Kp T = -(z^d (z - 1) V + Ki T^2 / (z - 1) + b (z - 1) / (z - a)), which must be real; V is
-    the product of (z - e) / (1 - e) over the poles e, divided by W.
+    At such a pole Kp T = -(z^d (z - 1) V + Ki T^2 / (z - 1) + b (z - 1) / (z - a)), which must be
+    real; V is the product of (z - e) / (1 - e) over the poles e, divided by W.
     """
     d, a = held.delay, held.a or 0.0
 
     def split(angle: _Array) -> tuple[_Array, _Array]:
-        """Return the real part of it, and the imaginary part divided by -sin(angle)."""
+        """Return the real part of Kp T, and the imaginary part divided by -sin(angle)."""
         sine, cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
         x = 2.0 * sine * sine
         size, turn = _invert_process(held, angle, x)
@@ -288,7 +290,7 @@ def list_angles(shape: LoopShape) -> _Array:
 
 
 def find_sign_changes(compute: Callable[[_Array], _Array], angles: _Array) -> _Array:
-    """Return where a function of the angle changes sign."""
+    """Return the angles at which a function changes its sign."""
     is_above = compute(angles) > 0.0
     at = np.flatnonzero(is_above[1:] != is_above[:-1])
     low, high, rises = angles[at], angles[at + 1], is_above[at + 1]
@@ -301,8 +303,8 @@ def find_sign_changes(compute: Callable[[_Array], _Array], angles: _Array) -> _A
 
 
 _LARGEST_FACTOR: Final = 1e12
-"""And one over it the smallest: beyond them is rounding, where L is 0 at pi, or grows without bound
-towards 0 with a phase that goes to -180 deg."""
+"""Largest factor; its reciprocal is the smallest. Beyond these, crossings are rounding: L is 0 at
+pi, or grows without bound towards 0 with a phase that goes to -180 deg."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -310,15 +312,15 @@ class Margins:
     """Stability margins of a loop.
 
     Attributes:
-        gain_margin: Smallest factor above 1 on all gains that makes it unstable; None if there is
-            none.
-        gain_reduction: Largest factor below 1 on all gains that makes it unstable; None if there is
-            none.
+        gain_margin: Smallest factor above 1 on all gains that makes the loop unstable; None if no
+            factor does.
+        gain_reduction: Largest factor below 1 on all gains that makes the loop unstable; None if no
+            factor does.
         gain_frequency_rad_s: Frequency at which the open loop has the phase -180 deg for
-            `gain_margin` [rad/s]; None if there is none.
-        phase_margin_rad: Smallest phase loss that makes it unstable where the open loop's magnitude
-            is 1 [rad]; None if it is 1 nowhere.
-        crossover_rad_s: Frequency of the phase margin [rad/s]; None without one.
+            `gain_margin` [rad/s]; None without a gain margin.
+        phase_margin_rad: Smallest loss of phase, at an open-loop magnitude of 1, that makes the
+            loop unstable [rad]; None if the magnitude is never 1.
+        crossover_rad_s: Frequency of the phase margin [rad/s]; None without a phase margin.
         delay_margin_ticks: Additional dead time [samples] up to which the loop is stable, rounded
             down to whole ticks. None without a crossover.
     """
@@ -366,7 +368,7 @@ def find_margins(shape: LoopShape, period_s: float) -> Margins:
 
 
 def _list_factors(shape: LoopShape) -> list[tuple[float, float]]:
-    """Return each factor for which L passes through -1, and the angle w T of the crossing."""
+    """Return each factor for which L passes through -1, with the angle w T of the crossing."""
 
     def read_imaginary(angle: NDArray[np.float64]) -> NDArray[np.float64]:
         return evaluate_open_loop(shape, angle).imag
@@ -379,8 +381,8 @@ def _list_factors(shape: LoopShape) -> list[tuple[float, float]]:
 
 _SMALLEST_LOOP_GAIN: Final = 1e-9
 _LARGEST_LOOP_GAIN: Final = 1e9
-"""Of K Kp T, K Ki T^2 and K Kd T / (Tf + T), of all but P on an integrator: their squares and
-fourth powers keep their digits. No stable loop comes near the upper end."""
+"""Largest K Kp T, K Ki T^2 and K Kd T / (Tf + T) of any loop except P on an integrator: squares and
+fourth powers keep their digits. Stable loops stay far below this limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -391,10 +393,11 @@ class PidGains:
         kp: Proportional gain [1/s].
         ki: Integral gain [1/s^2]; 0: no integral.
         kd: Derivative gain [1]; 0: no derivative.
-        filter_s: Time constant Tf of the derivative's filter [s]; 0: a plain difference.
+        filter_s: Time constant Tf of the derivative's filter [s]; 0: the difference of two samples
+            without a filter.
 
     Raises:
-        TheoryError: If a gain is not finite, negative, or Kp not positive.
+        TheoryError: If a gain is negative or not finite, or Kp is not positive.
     """
 
     kp: float

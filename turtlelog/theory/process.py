@@ -1,19 +1,19 @@
-"""The process from command to signal: K exp(-L s) / ((tau s + 1) s), and a low-pass.
+"""The process from command to signal: K exp(-L s) / ((tau s + 1) s), with an optional low-pass.
 
-It is sampled every T with zero-order hold. Dead time may include any fraction of a sample: L = d T
-+ m with 0 <= m < T. Between two samples the plant then receives one command for m and the next for
-T - m, so its response is exact, without a Pade approximation (K. J. Astrom and B. Wittenmark,
-Computer-Controlled Systems, 3rd edition, section 2.6 and the modified z transform of chapter 2).
-With a = T / tau, c = m / tau and e = exp(-a):
+The process is sampled every T with zero-order hold. Dead time may include any fraction of a sample:
+L = d T + m with 0 <= m < T. Between two samples the plant then receives one command for m and the
+next for T - m. The response is therefore exact, without a Pade approximation (K. J. Astrom and B.
+Wittenmark, Computer-Controlled Systems, 3rd edition, section 2.6 and the modified z transform of
+chapter 2). With a = T / tau, c = m / tau and e = exp(-a):
 
     y / u = K T / (z - 1)  (1 - e) / (z - e)  z^-d (w1 z + w0 + w2 / z)
 
     w1 = G(c - a) / (a (1 - e)),  w2 = e G(c) / (a (1 - e)),  w0 = 1 - w1 - w2,
     G(v) = exp(v) - 1 - v
 
-Without lag e = 0, and (w1 z + w0 + w2 / z) / z is (T - m) / T + m / (T z).
+Without lag, e = 0, and (w1 z + w0 + w2 / z) / z is (T - m) / T + m / (T z).
 
-The low-pass is in the controller, before the plant: v += (1 - exp(-T / Tl)) (u - v), once per
+The low-pass acts in the controller, before the plant: v += (1 - exp(-T / Tl)) (u - v), once per
 sample.
 """
 
@@ -39,18 +39,20 @@ if TYPE_CHECKING:
 
 
 _WHOLE: Final = 1e-9
-"""Of a sample: a dead time so near to a whole number of samples is one. 0.688 / 0.016 is no 43 in
-binary: it lacks 7e-15."""
+"""Largest distance from a whole number of samples, as a share of a sample, at which a dead time
+counts as whole. 0.688 / 0.016 is not exactly 43 in binary: 7e-15 are missing."""
 
 _LONGEST_LAG: Final = 1e9
-"""In samples, of a lag and of a low-pass: gaps 1 - e of 1e-9 and their squares keep their digits
-beside a gain of the same size."""
+"""Longest lag or low-pass [samples]: gaps 1 - e of 1e-9 and their squares keep their digits beside
+a gain of the same size."""
 
 _SHORTEST_LAG: Final = 1e-3
-"""In samples: exp(-1000) is 0 in double precision, so a shorter lag changes no sample."""
+"""Shortest lag [samples]: exp(-1000) is 0 in double precision, so a shorter lag changes no
+sample."""
 
 _SERIES_BELOW: Final = 0.5
-"""Of |v|: below it exp(v) - 1 - v cancels digits, and its series needs 14 terms."""
+"""Magnitude of v below which exp(v) - 1 - v loses digits, and a series of 14 terms is used
+instead."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +62,8 @@ class Process:
     Attributes:
         gain: Gain K, rate divided by command [1].
         lag_s: Time constant tau of the rate [s]; 0: no lag.
-        dead_time_s: Time until a command begins to act [s], in addition to whole samples.
+        dead_time_s: Time until a command begins to act [s], which is added to dead times in whole
+            samples.
         low_pass_s: Time constant of a first-order filter of the command in the controller [s]; 0:
             no filter.
 
@@ -82,8 +85,8 @@ class Process:
         """Return a continuous `control.TransferFunction` from the command to the signal.
 
         Args:
-            pade_order: Order of the rational function that approximates the dead time; 0: no dead
-                time.
+            pade_order: Order of the rational function that approximates the dead time; 0: the dead
+                time is left out.
 
         Raises:
             TheoryError: If the order is negative.
@@ -102,7 +105,7 @@ def build_delayed(
         numerator: Coefficients in falling powers of s.
         denominator: Coefficients in falling powers of s.
         dead_time_s: Dead time [s].
-        pade_order: Order of the Pade approximation of the dead time; 0: no dead time.
+        pade_order: Order of the Pade approximation of the dead time; 0: the dead time is left out.
 
     Raises:
         TheoryError: If the order is negative.
@@ -150,7 +153,7 @@ class SampledProcess:
 
     @property
     def delay(self) -> int:
-        """Number of poles at z = 0, d; the zero of a low-pass cancels one."""
+        """Number of poles at z = 0: d, or one less with a low-pass, whose zero cancels one pole."""
         return self.whole - (self.filter_gap is not None)
 
     @property
@@ -167,7 +170,7 @@ class SampledProcess:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether it is an integrator with a whole number of samples of dead time."""
+        """Whether the process is an integrator whose dead time is a whole number of samples."""
         return not (self.gaps or self.behind)
 
 
@@ -180,8 +183,7 @@ def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) 
         dead_time_ticks: Dead time in addition to that of the process [samples].
 
     Raises:
-        TheoryError: If a number is out of its range, or dead times add up to more than 1000
-            samples.
+        TheoryError: If a number is out of its range, or the total dead time exceeds 1000 samples.
     """
     period_s = require_period(period_s)
     whole, part = _split_dead_time(process, period_s, dead_time_ticks)
@@ -244,9 +246,10 @@ def _rest(value: float) -> float:
 def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
     """Return the open loop of a sampled PID loop as a discrete `control.TransferFunction`.
 
-    It is exact, because dead time is a power of z. Close it with `control.feedback`. The derivative
-    acts on the measurement, so the closed loop has the exact response to a disturbance of the
-    command, and with P and PI to the reference as well.
+    The open loop is exact, because dead time is a power of z. Close the loop with
+    `control.feedback`. The derivative acts on the measurement, so the closed loop has the exact
+    response to a disturbance of the command. With P and PI, the response to the reference is exact
+    too.
 
     Raises:
         LibraryError: If python-control is not installed.
@@ -271,7 +274,7 @@ def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
 
 
 def _shift(coefficients: Sequence[float]) -> Any:
-    """Return a polynomial in z - 1 as a polynomial in z, rising powers."""
+    """Return a polynomial in z - 1 as a polynomial in z, in rising powers."""
     from numpy.polynomial import polynomial  # few theories need it
 
     total = np.zeros(1)

@@ -1,7 +1,7 @@
-"""Recommended gains: exact ones for a wanted overshoot or phase margin, and published rules.
+"""Recommended gains: exact gains for a wanted overshoot or phase margin, and published rules.
 
-The published rules are for continuous time. T / 2 of the hold counts as dead time, as Skogestad
-(2003) proposes. Each rule returns gains, or the reason why it does not apply.
+The published rules apply to continuous time. Half a sampling period T counts as dead time of the
+hold, as Skogestad (2003) proposes. Each rule returns gains, or the reason why it does not apply.
 """
 
 import math
@@ -19,26 +19,26 @@ from turtlelog.theory.pid_stability import Margins, PidGains
 from turtlelog.theory.process import INTEGRATOR, Process
 
 OVERSHOOT_PERCENT: Final = 5.0
-"""Unless asked otherwise [% of the step]: that of a second-order loop with a damping of 0.69, the
-fastest to stay within 5 %."""
+"""Default of the wanted overshoot [% of the step]: the overshoot of a second-order loop with a
+damping of 0.69, which stays within 5 % earliest."""
 
 PHASE_MARGIN_RAD: Final = math.pi / 3.0
-"""Unless asked otherwise: 60 deg, the cautious end of the usual 45 to 60 deg, for dead time and
-time constant of a robot are known to some ten percent."""
+"""Default of the wanted phase margin: 60 deg, the cautious end of the usual 45 to 60 deg. Dead time
+and time constant of a robot are known only to some ten percent."""
 
 _EXACT: Final = "exact, of the sampled loop"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recommendation:
-    """Gains from one rule, or why it gives none.
+    """Gains from one rule, or the reason why the rule gives none.
 
     Attributes:
         rule: `overshoot`, `phase-margin`, `simc`, `ziegler-nichols`, or `given`: gains in use.
         controller: `P`, `PI`, `PD`; for given gains also `PID`.
         source: Publication of the rule.
-        gains: Gains of the controller; None if there are none.
-        reason: Why there are no gains; empty if there are.
+        gains: Gains of the controller; None if the rule gives no gains.
+        reason: Reason why the rule gives no gains; empty if it gives gains.
         motion: Motion after a step, also between samples; None without gains, or if the loop is
             unstable or too slow to measure.
         margins: Stability margins; None without gains, or if the loop is unstable.
@@ -66,10 +66,11 @@ def recommend_gains(
     Args:
         process: Plant that the command drives, with all dead time. Default: an integrator.
         period_s: Sampling period T [s].
-        filter_s: Time constant of the derivative's filter [s]; 0: a plain difference.
+        filter_s: Time constant of the derivative's filter [s]; 0: the difference of two samples
+            without a filter.
         overshoot_percent: Wanted overshoot [% of the step], from 0 to below 100; None: any.
-        phase_margin_rad: Wanted phase margin [rad], above 0 and below pi; None: any. The PD for an
-            overshoot then has 60 deg.
+        phase_margin_rad: Wanted phase margin [rad], above 0 and below pi; None: any. Without this
+            margin, the PD for an overshoot has a phase margin of 60 deg.
 
     Returns:
         The exact gains for the wanted values, then those of published rules.
@@ -125,8 +126,9 @@ def measure_gains(
 def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     """Return whether given gains are as good as recommended ones.
 
-    They are if they have at most the overshoot, or at least the phase margin, of the recommended
-    gains, and settle no later. Recommended gains rounded to three digits count as equal.
+    Given gains are as good if they have at most the overshoot, or at least the phase margin, of the
+    recommended gains. They must also settle as early. Recommended gains rounded to three digits
+    count as equal.
 
     Args:
         given: Gains in use.
@@ -151,13 +153,13 @@ _EQUAL_S: Final = 1e-9
 """Rounding of a settling time, which is a whole number of periods [s]."""
 
 _EQUAL_PERCENT: Final = 0.005
-"""In % of the step: half of the last digit that is printed of an overshoot."""
+"""Half of the last printed digit of an overshoot [% of the step]."""
 
 _EQUAL_RAD: Final = math.radians(0.05)
-"""Half of the last digit that is printed of a phase margin."""
+"""Half of the last printed digit of a phase margin [rad]."""
 
 _SAME_GAIN: Final = 0.005
-"""Of a gain: what rounding to three digits changes at most."""
+"""Largest change of a gain by rounding to three digits, as a share of the gain."""
 
 
 def _are_same(given: PidGains | None, best: PidGains | None) -> bool:
@@ -218,32 +220,34 @@ _ZIEGLER_NICHOLS: Final = (
 )
 
 _INTEGRAL: Final = 8.0
-"""SIMC's tau_I = 4 (tau_c + theta) in theta, for tau_c = theta."""
+"""SIMC's tau_I = 4 (tau_c + theta) as a multiple of theta, for tau_c = theta."""
 
 Rule = Callable[[LoopDesign], PidGains | str]
 
 
 def _compute_simc_p(design: LoopDesign) -> PidGains:
-    """Return SIMC without integral: Kp = 1 / (K (tau_c + theta)), tau_c = theta.
+    """Return the P gain of the SIMC rule, without integral: Kp = 1 / (K (tau_c + theta)).
 
-    By the half rule, half the largest lag and all of the other count as dead time.
+    The tuning constant tau_c equals the dead time theta. By the half rule, half of the largest lag
+    and all of the other lag count as dead time.
     """
     theta_s, _ = _reduce(design, kept=0)
     return PidGains(kp=0.5 / (design.process.gain * theta_s))
 
 
 def _compute_simc_pi(design: LoopDesign) -> PidGains:
-    """Return SIMC for an integrator with dead time: its Kp, and tau_I = 4 (tau_c + theta)."""
+    """Return the PI gains of the SIMC rule for an integrator with dead time."""
     kp = _compute_simc_p(design).kp
     theta_s, _ = _reduce(design, kept=0)
     return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s))
 
 
 def _compute_simc_pd(design: LoopDesign) -> PidGains | str:
-    """Return SIMC for an integrator with lag and dead time, without integral: tau_D = the lag.
+    """Return the PD gains of the SIMC rule for an integrator with lag and dead time.
 
-    The larger of two lags is kept. Half of the other is added to it, half to the dead time. The
-    paper recommends a derivative only if the lag exceeds the dead time.
+    The derivative time tau_D is the lag. The larger of two lags is kept. Half of the smaller lag is
+    added to the larger lag, half to the dead time. The paper recommends a derivative only if the
+    lag exceeds the dead time.
     """
     theta_s, lag_s = _reduce(design, kept=1)
     if lag_s <= theta_s:
@@ -254,12 +258,12 @@ def _compute_simc_pd(design: LoopDesign) -> PidGains | str:
 
 
 def _compute_ziegler_nichols_p(design: LoopDesign) -> PidGains:
-    """Return half of the ultimate gain, for a gain margin of 2."""
+    """Return half of the ultimate gain, which gives a gain margin of 2."""
     return PidGains(kp=0.5 * design.find_ultimate_gain())
 
 
 def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
-    """Return dead time theta and the remaining lag [s], 0 if there is none, by the half rule."""
+    """Return dead time theta and remaining lag [s] by the half rule; 0 if no lag remains."""
     process = design.process
     lags = sorted((process.lag_s, process.low_pass_s), reverse=True)
     left = [*lags[:kept], 0.0][0]
@@ -274,4 +278,4 @@ _RULES: Final[tuple[tuple[tuple[str, str, str], Rule], ...]] = (
     (("simc", "PD", _SKOGESTAD), _compute_simc_pd),
     (("ziegler-nichols", "P", _ZIEGLER_NICHOLS), _compute_ziegler_nichols_p),
 )
-"""Name, controller, source and function of each."""
+"""Name, controller, source and function of each rule."""

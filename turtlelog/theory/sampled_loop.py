@@ -1,16 +1,16 @@
 """The sampled loop: y[k+1] = y[k] + Kp T (r - y[k-d]), an integrator with zero-order hold.
 
-T is the sampling period, d the dead time in samples. Its poles are the roots of
-z^(d+1) - z^d + Kp T. Its open loop is Kp T / (z^d (z - 1)), with the magnitude
-Kp T / (2 sin(w T / 2)) and the phase -(pi / 2 + (d + 1/2) w T) at the frequency w.
+T is the sampling period, d the dead time in samples. The poles are the roots of z^(d+1) - z^d + Kp
+T. The open loop is Kp T / (z^d (z - 1)), with the magnitude Kp T / (2 sin(w T / 2)) and the phase
+-(pi / 2 + (d + 1/2) w T) at the frequency w.
 
 A companion matrix loses half the digits where two roots meet, which is exactly where overshoot
 begins. Here every root has its own equation and interval. With z = r exp(j theta), the imaginary
 part of z^d (1 - z) = Kp T gives r = sin(d theta) / sin((d + 1) theta), and the real part Kp T = r^d
-sin(theta) / sin((d + 1) theta). Between 2 pi m / d and (2 m + 1) pi / (d + 1) this rises from 0 to
-infinity, for every m >= 1 with 2 m < d: one root each, and its conjugate. For m = 0 it rises from
-d^d / (d + 1)^(d + 1), at theta = 0; below that gain two roots are real, on either side of d / (d +
-1). For even d one more root is negative.
+sin(theta) / sin((d + 1) theta). For every m >= 1 with 2 m < d, this expression rises from 0 to
+infinity between 2 pi m / d and (2 m + 1) pi / (d + 1), which gives one root and its conjugate. For
+m = 0 it rises from d^d / (d + 1)^(d + 1), at theta = 0. Below this gain two roots are real, on
+either side of d / (d + 1). For even d, one more root is negative.
 """
 
 import math
@@ -31,17 +31,18 @@ from turtlelog.theory.inputs import (
 )
 
 LARGEST_DEVIATION: Final = 1e9
-"""Size at which the response of an unstable loop is stopped, in steps from the reference."""
+"""Distance from the reference at which the response of an unstable loop is limited [steps]."""
 
 _NEGLIGIBLE_DEVIATION: Final = 1e-20
-"""In steps from the reference: far below the last digit of a double near 1, 2e-16."""
+"""Distance from the reference that counts as 0 [steps]: far below the last digit of a double near
+1, 2e-16."""
 
 _ROUNDING: Final = 1e-9
-"""More than adding the reference to a response can change, as a share of it."""
+"""Share of a response that is larger than any rounding error of an addition."""
 
 _LONGEST: Final = 2_000_000
-"""In samples, of the response that overshoot and settling time are read from: 16 MB as doubles, and
-8.9 h at turtlesim's tick of 16 ms."""
+"""Longest response for overshoot and settling time [samples]: 16 MB as doubles, and 8.9 h at
+turtlesim's tick of 16 ms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,10 +63,10 @@ class SampledLoop:
         settling_time_s: Time of the first sample after a step from which the response stays within
             2 % of the step [s]; None under the same conditions.
         gain_margin: Factor on Kp at the stability limit; below 1 if the loop is unstable.
-        phase_margin_rad: Phase above -pi where the open loop's magnitude is 1 [rad]; None if Kp T >
-            2, because the magnitude is then above 1 at all frequencies.
-        delay_margin_ticks: Additional dead time up to which the loop is stable: phase margin
-            divided by crossover frequency [samples], rounded down to whole ticks. None as for the
+        phase_margin_rad: Phase above -pi at an open-loop magnitude of 1 [rad]. None if Kp T > 2,
+            because the magnitude is then above 1 at all frequencies.
+        delay_margin_ticks: Additional dead time up to which the loop is stable [samples]: phase
+            margin divided by crossover frequency, rounded down to whole ticks. None if there is no
             phase margin.
     """
 
@@ -91,7 +92,7 @@ class SampledLoop:
     def to_control(self) -> Any:
         """Return the open loop as a `control.TransferFunction` in z, Kp T / (z^d (z - 1)).
 
-        It is exact. Close it with `control.feedback`.
+        The function is exact. Close the loop with `control.feedback`.
 
         Raises:
             LibraryError: If python-control is not installed.
@@ -163,11 +164,12 @@ def compute_sampled_step_response(
 ) -> NDArray[np.float64]:
     """Return the sampled loop's response to a reference step at sample 0, without limits.
 
-    y[k+1] = y[k] + Kp T (reference - y[k-d]), at rest before: the command that answers sample 0
+    y[k+1] = y[k] + Kp T (reference - y[k-d]), starting at rest. The command that answers sample 0
     first moves the plant between samples d and d + 1, so y[0] to y[d] are `initial`.
 
-    An unstable response is limited: its first sample further than 1e9 steps from the reference, and
-    all later samples, are set to that distance on the same side. Less than 1e-20 steps count as 0.
+    An unstable response is limited. The first sample further than 1e9 steps from the reference, and
+    all later samples, are set to this distance on the same side. Distances below 1e-20 steps count
+    as 0.
 
     Args:
         kp: Gain [1/s].
@@ -178,7 +180,7 @@ def compute_sampled_step_response(
         reference: Level after the step, in the same unit.
 
     Returns:
-        Response in that unit at the times 0, T, 2 T ..., shape (count,).
+        Response in the same unit at the times 0, T, 2 T ..., shape (count,).
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -202,8 +204,8 @@ def interpolate_sampled_response(
 ) -> NDArray[np.float64] | None:
     """Return the sampled loop's response at times after the step [s], shape (n,), rising.
 
-    Its samples are at 0, T, 2 T ... and are joined by lines. None if the loop is unstable and goes
-    beyond `LARGEST_DEVIATION` before the last of the times. The arguments are those of
+    The samples at 0, T, 2 T ... are joined by lines. The result is None if the loop is unstable and
+    goes beyond `LARGEST_DEVIATION` before the last time. The arguments are those of
     `compute_sampled_step_response`.
     """
     count = int(np.ceil(time_s[-1] / period_s)) + 2
@@ -225,7 +227,7 @@ def interpolate_sampled_response(
 def _compute_stability_loop_gain(dead_time_ticks: int) -> float:
     """Return Kp T = 2 sin(pi / (2 (2 d + 1))), at which the slowest poles cross the unit circle.
 
-    There r = 1, so d theta + (d + 1) theta = pi, and Kp T = |1 - exp(j theta)|.
+    At the crossing r = 1, so d theta + (d + 1) theta = pi, and Kp T = |1 - exp(j theta)|.
     """
     return 2.0 * math.sin(math.pi / (2 * (2 * dead_time_ticks + 1)))
 
@@ -267,9 +269,9 @@ def _measure_step(
 def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> NDArray[np.float64]:
     """Return e[k+1] = e[k] - Kp T e[k-d] from e[0] = 1 and e[k] = 0 before it, shape (count,).
 
-    Each iteration doubles the known samples. By superposition, the samples after sample n are the
-    sum of this same response, once for every sample that the recursion still uses at n: scaled by
-    e[n] and starting there, and scaled by -Kp T e[n-j] and starting d + 1 - j later.
+    Each iteration doubles the known samples. By superposition, the samples after sample n are a sum
+    of copies of this response, one for every sample that the recursion still uses at n. One copy is
+    scaled by e[n] and starts at n; the others are scaled by -Kp T e[n-j] and start d + 1 - j later.
     """
     deviation = np.ones(max(count, dead_time_ticks + 2))
     deviation[dead_time_ticks + 1] -= loop_gain
@@ -291,7 +293,7 @@ def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> ND
 
 
 def _find_stop(deviation: NDArray[np.float64]) -> int | None:
-    """Return the first sample that is too far away; None if there is none."""
+    """Return the first sample that is too far away; None if no sample is."""
     beyond = np.abs(deviation) > LARGEST_DEVIATION
     return int(np.argmax(beyond)) if beyond.any() else None
 
@@ -312,7 +314,7 @@ def compute_sampled_poles(
 def compute_sampled_locus(
     kp: Sequence[float], *, period_s: float, dead_time_ticks: int = 0
 ) -> NDArray[np.complex128]:
-    """Return the poles of the sampled loop at n gains, shape (n, d + 1), a row for each gain.
+    """Return the poles of the sampled loop at n gains, shape (n, d + 1), one row for each gain.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
@@ -331,7 +333,7 @@ def compute_sampled_locus(
 def _compute_meeting_gain(dead_time_ticks: int) -> float:
     """Return Kp T = d^d / (d + 1)^(d + 1), at which the two slowest poles meet; 1 for d = 0.
 
-    It is the maximum of z^d (1 - z) between 0 and 1, at z = d / (d + 1).
+    This gain is the maximum of z^d (1 - z) between 0 and 1, at z = d / (d + 1).
     """
     d = dead_time_ticks
     return float((d / (d + 1)) ** d / (d + 1))

@@ -49,7 +49,7 @@ def test_what_was_done_is_said_in_words() -> None:
     times = time_poses(poses, commands=Stamps(log_ns=poses.log_ns[::4]))
     text = times.notes[CLOCK]
     assert text.startswith("poses are timed by their stamps - 0.778 s, mapped to the recorder's")
-    assert "usually it takes 3.7 ms more; their clock drifts by +500 ppm, taken out" in text
+    assert "usually others take 3.7 ms more; their clock drifts by +500 ppm, taken out" in text
     assert text.endswith("; commands by the recorder's clock")
     assert (times.commands.time_ns == poses.log_ns[::4]).all()
 

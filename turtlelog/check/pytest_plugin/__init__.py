@@ -1,4 +1,4 @@
-"""The pytest plugin: recordings as fixtures, and located failures. See docs/checking.md.
+"""The pytest plugin: recordings as fixtures, and messages that locate failures (docs/checking.md).
 
 pytest loads this module in every session. Before a test uses a recording, the module imports
 neither numpy nor rerun, nor any part of turtlelog that imports them.
@@ -42,8 +42,9 @@ NAME: Final = "turtlelog.check.pytest_plugin"
 class Entry:
     """The entry point of an installed turtlelog, with the name that `-p no:turtlelog` blocks.
 
-    The entry point loads the plugin under the name of its module, so that `-p
-    turtlelog.check.pytest_plugin`, which works without an installation, does not load it again.
+    The entry point loads the plugin under the name of its module. Therefore `-p
+    turtlelog.check.pytest_plugin`, which works without an installation, does not load the plugin
+    again.
     """
 
     @staticmethod
@@ -98,7 +99,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Make one test item per recording."""
+    """Create one test item per recording."""
     marker = metafunc.definition.get_closest_marker("recordings")
     if marker is None or "turtlelog_recording" not in metafunc.fixturenames:
         return
@@ -110,7 +111,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def turtlelog_recording(request: pytest.FixtureRequest) -> "Recording":
-    """Recording from the test's marker, read on first use."""
+    """Recording from the test's marker, which is read on first use."""
     if not hasattr(request, "param"):
         raise pytest.UsageError(
             f'{request.node.nodeid}: the test needs @pytest.mark.recordings("runs/*.mcap")'
@@ -134,7 +135,7 @@ def turtlelog_reference(
 def turtlelog_simulate(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> "Callable[..., Recording]":
-    """Simulate, record and read back: `turtlelog_simulate("paper", kp=4)`, or a law of your own."""
+    """Simulate, record and read back: `turtlelog_simulate("paper", kp=4)`, also with an own law."""
     from turtlelog.check.recording import SimulatedRuns
 
     return SimulatedRuns(tmp_path, request.config.stash[SESSION].watch).simulate

@@ -1,4 +1,4 @@
-"""Message of a failure; this module is loaded when a test fails."""
+"""Messages of failures. This module is loaded only when a test fails."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -36,7 +36,7 @@ def explain_comparison(operator: str, left: object, right: object) -> list[str] 
 def explain_failures(
     recording: "Recording", results: Sequence[CheckResult], *, explains: bool
 ) -> list[str]:
-    """Return the complete message for the failed checks on a recording, and why it differs."""
+    """Return the complete message for failed checks, with the reason why the recording differs."""
     try:
         if explains:
             results = recording.explain_failures(results)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Session:
-    """State of the session of one process; with xdist, of one worker."""
+    """State of the session in one process; with xdist, in one worker."""
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
@@ -63,7 +63,7 @@ class Session:
 
         Args:
             path: File of the reference.
-            scratch: Folder of this session; with xdist, a folder in that of all workers.
+            scratch: Folder of this session; with xdist, a folder inside that of all workers.
         """
         from turtlelog.check.reference import ReferenceFile
 
@@ -83,7 +83,7 @@ class Session:
         self._used, self._results = {}, []
 
     def watch(self, recording: "Recording", result: "CheckResult | None") -> None:
-        """Note that a recording was used, or the result of a check."""
+        """Note that a recording was used, or note the result of a check."""
         self._used[recording.file] = recording
         if result is not None:
             self._results.append((recording, result))
@@ -111,7 +111,7 @@ class Session:
             yield f"{prefix}{metric.id}{unit}", value
 
     def complete_report(self, item: pytest.Item, report: pytest.TestReport) -> None:
-        """Add its checks to a report, and its message and artifacts to one of a failure."""
+        """Add the checks of a test to its report; for a failure, also message and artifacts."""
         if not self._used:
             return
         has_failed = report.failed
@@ -187,7 +187,7 @@ class SessionSummary:
         self._checks: list[dict[str, Any]] = []
 
     def add(self, told: dict[str, Any] | None) -> None:
-        """Add the data of one report, if it has any."""
+        """Add the data of one report, if it has data."""
         if not told:
             return
         self._recordings.update(told["recordings"])
@@ -232,7 +232,7 @@ _PACKAGE = Path(__file__).parents[1]
 def end_at_test(error: BaseException) -> None:
     """Cut the traceback of a deliberate turtlelog error at the point where turtlelog begins.
 
-    pytest reads tracebacks anew, so frames can be left out only here.
+    pytest reads tracebacks again, so frames can be left out only here.
     """
     if not isinstance(error, TurtlelogError):
         return
@@ -305,7 +305,7 @@ def _require_settings(settings: Mapping[str, Any], place: str) -> None:
 
 
 def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
-    """Return a name for every file, as short as is unique."""
+    """Return a unique name for every file, as short as possible."""
     names = [find_stem(path) for path in paths]
     counts = Counter(names)
     pairs = zip(paths, names, strict=True)
@@ -313,7 +313,7 @@ def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
 
 
 def find_stem(path: Path) -> str:
-    """Return a file's name without its suffix; for FILE:TOPIC with the topic, valid for a file."""
+    """Return a file's name without suffix, valid for a file; for FILE:TOPIC, with the topic."""
     from turtlelog.log.read_choice import split_topic
 
     head, topic = split_topic(path)
@@ -324,7 +324,7 @@ def find_reference(request: pytest.FixtureRequest, stem: str | None) -> Path:
     """Return the reference file in a test's marker or the ini option.
 
     Raises:
-        UsageError: If neither contains one, or a placeholder of the name cannot be filled in.
+        UsageError: If neither names a file, or a placeholder of the name cannot be filled in.
     """
     marker = request.node.get_closest_marker("reference")
     given: Any = request.config.getini("turtlelog_reference") or None

@@ -45,8 +45,8 @@ Values = NDArray[np.float64]
 
 _WORDS_POINTS: Final = 7.0
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower figures have their panels one above the other: beside each other, both would be smaller
-than their text [inch]."""
+"""Width below which panels are one above the other [inch]. Side by side, both panels would be
+smaller than their text."""
 
 _BAR: Final = 0.62
 """Height of a bar, as a share of its row."""
@@ -77,9 +77,9 @@ class Explained:
 
     Attributes:
         run: Recorded run.
-        found: Attribution; it has contributions, or nothing to divide.
-        ghost: The run without all acting causes; None if none acts.
-        ghost_name: Causes that the ghost lacks, in words.
+        found: Attribution, with contributions or with nothing to divide.
+        ghost: The run without all acting causes; None if no cause acts.
+        ghost_name: Causes that the ghost does not have, in words.
     """
 
     run: Run
@@ -99,11 +99,11 @@ def explain_for_figure(
     Args:
         runs: Sequence of one run.
         metric: Id of the metric. Default: the choice of `explain`.
-        report: Function called with the numbers of simulations done and in total.
+        report: Function that is called with the numbers of simulations done and in total.
 
     Raises:
-        ShowError: If there is not exactly one run, or it has no contributions; the message says
-            why.
+        ShowError: If there is not exactly one run, or the run has no contributions. The message
+            says why.
     """
     if len(runs) != 1:
         raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
@@ -125,7 +125,7 @@ def explain_for_figure(
 
 
 def _tell(found: Attribution) -> str:
-    """Return the reason why there are no contributions, as one clause."""
+    """Return why there are no contributions, as one clause."""
     if found.withheld:
         return found.withheld
     if found.without_value:
@@ -142,7 +142,7 @@ def draw_attribution(
     Args:
         figure: Figure to draw on.
         runs: Sequence of one run.
-        explained: Result of `explain_for_figure`; it is called if this is None.
+        explained: Result of `explain_for_figure`, which is called if this is None.
     """
     told = explained or explain_for_figure(runs)
     waterfall = draw_up_attribution(told.found)
@@ -204,7 +204,7 @@ def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
 
 
 def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: float) -> float:
-    """Return the width of the axis for the text beside the bars, in the unit of the bars."""
+    """Return the width of the axis for the text next to the bars, in the unit of the bars."""
     span = least
     for text, right in zip(texts, rights, strict=True):
         words_inch = max(map(measure_text_mm, text.split("\n"))) / 25.4 + 0.08
@@ -225,7 +225,7 @@ def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:
 
 
 def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
-    """Draw a signal of the run and of its ghost, from where it approaches its reference."""
+    """Draw a signal of the run and of its ghost, from the approach to its reference on."""
     for level in {level.value for level in list_levels(told.run, signal)} or {0.0}:
         axes.axhline(level, **REFERENCE)
     lines = [(told.run, choose_lines(1)[0], "recorded")]
@@ -255,9 +255,10 @@ def _find_rows(time_s: Values, window_s: tuple[float, float] | None) -> NDArray[
 
 
 def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
-    """Return from when a loop's signal stays visible near its reference, and its end [s].
+    """Return the time from which a loop's signal stays visibly near its reference, and its end [s].
 
-    The signal is near within a tenth of its step. None if it has no step or never comes near.
+    Near means within a tenth of the step. The result is None if the signal has no step or never
+    comes near.
     """
     curve = read_curve(told.run, signal)
     steps = [step for step in find_steps(told.run, signal) if curve is not None]
@@ -308,7 +309,7 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
 
 
 def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> WordSpace:
-    """Set the limits of the panel: those of the close-up, or of the whole paths."""
+    """Set the limits of the panel: those of the close-up, or those of the whole paths."""
     if close_up is not None:
         center, half_m = np.array(close_up.goal_xy_m), close_up.half_m
     else:

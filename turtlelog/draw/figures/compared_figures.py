@@ -32,7 +32,7 @@ _LINE_INCH = 0.27
 """Height of a bar with its text [inch]."""
 
 _BARS = 0.72
-"""Width of the bars with the text beside them, as a share of the figure's."""
+"""Width of the bars with the text next to them, as a share of the figure's width."""
 
 
 def write_difference_figure(
@@ -42,7 +42,7 @@ def write_difference_figure(
 
     Args:
         found: Result of `turtlelog.explain_difference`.
-        path: File name that ends in .pdf, .png or .svg.
+        path: File name with the suffix .pdf, .png or .svg.
         page: Page format.
 
     Raises:
@@ -68,8 +68,8 @@ def write_robot_figure(
 
     Args:
         model: Result of `turtlelog.identify_robot`.
-        run: Run whose motion is drawn: an identified one, or another.
-        path: File name that ends in .pdf, .png or .svg.
+        run: Run whose motion is drawn: an identified run, or another run.
+        path: File name with the suffix .pdf, .png or .svg.
         page: Page format.
 
     Raises:
@@ -95,7 +95,7 @@ _STACKED_HEIGHT: Final = 2.6
 """Height of the figure as a share of its width, for panels side by side and stacked."""
 
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower figures have their panels stacked: side by side, their labels would collide [inch]."""
+"""Width below which panels are stacked [inch]. Side by side, their labels would collide."""
 
 _BAND: Final[Mapping[str, Any]] = MappingProxyType(
     {"alpha": 0.25, "linewidth": 0.0, "label": "central 95 % of simulated errors"}
@@ -112,7 +112,7 @@ def write_prediction_figure(
 
     Args:
         found: Result of `turtlelog.compare.compare_robot`.
-        path: File name that ends in .pdf, .png or .svg.
+        path: File name with the suffix .pdf, .png or .svg.
         page: Page format.
 
     Raises:
@@ -201,7 +201,7 @@ def write_trajectory_figure(
 
     Args:
         found: Result of `turtlelog.compare.compare_trajectories`.
-        path: File name that ends in .pdf, .png or .svg.
+        path: File name with the suffix .pdf, .png or .svg.
         page: Page format.
 
     Raises:

@@ -28,8 +28,8 @@ from turtlelog.theory import (
 Values = NDArray[np.float64]
 
 _MOST_SWINGS: Final = 8.0
-"""Largest path of a curve up and down over its height; along a longer path the marks would hide
-it."""
+"""Largest path of a curve up and down, relative to its height. Along a longer path, the marks would
+hide the curve."""
 
 _RING_POINTS: Final = 2.4
 """Half the width of rings, for poles of several loops at one place [points]."""
@@ -57,13 +57,13 @@ class Pole:
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
-    """Draw a curve, as steps if it is held; a long one is thinned."""
+    """Draw a curve, as steps if its values are held. A long curve is thinned."""
     drawstyle = "steps-post" if curve.holds else "default"
     draw_thinned(axes, curve.time_s, curve.values, curve.values, drawstyle=drawstyle, **looks)
 
 
 def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
-    """Draw a line; if points are left out, extremes of `kept` remain and a note is added."""
+    """Draw a line. If points are left out, extremes of `kept` remain and a note is added."""
     across, up = _thin(axes, across, up, kept)
     if len(up) == 1:  # a line needs two points
         looks |= {"marker": "o", "ms": 3.0, "markevery": None}
@@ -145,7 +145,7 @@ def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
 
 
 def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
-    """Draw the ideal closed loops' poles s = -Kp, from the plant's pole at 0 to the left."""
+    """Draw the poles s = -Kp of the ideal closed loops, from the plant's pole at 0 to the left."""
     left = 1.25 * min(float(pole.values.real.min()) for pole in poles)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
     axes.text(-0.12 * left, 0.6, "unstable", ha="center", fontsize=7.0, color="0.4")
@@ -167,7 +167,7 @@ def list_paper_poles() -> list[Pole]:
 
 
 def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
-    """Draw poles; if some are equal, the first are larger discs below the others."""
+    """Draw poles. Of equal poles, the first are larger discs below the others."""
     for number, pole in enumerate(poles):
         later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
         looks = {"marker": "o", "ms": 4.5, **pole.looks, "markevery": None, "linestyle": ""}
@@ -177,7 +177,7 @@ def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of loops known to theory, increasing; without runs, those of the paper."""
+    """Return the gains of loops known to theory, increasing; without runs, the paper's gains."""
     if not runs:
         return PAPER_GAINS
     found = {

@@ -39,7 +39,7 @@ DrawFigure = Callable[[Figure, Sequence[Run]], None]
 Arrange = Callable[[Figure, Sequence[Run], Sequence[Draw]], None]
 
 MOST_STATES: Final = 12
-"""Largest number of state panels in a figure; more would be higher than any page."""
+"""Largest number of state panels in a figure; with more, it would be higher than any page."""
 
 _ROW_HEIGHT: Final = 0.25
 """Height of a row of two panels, as a share of their total width."""
@@ -59,11 +59,11 @@ class Panel:
     Attributes:
         name: Content, in a word or two.
         needs: Data that a run must contain.
-        draw: Function that draws it for several runs.
-        loop: Signal that a loop of a run must control; for a usual panel, a run with unknown loops
-            is assumed to do so. Empty: any.
-        is_usual: Whether it is reported as missing if no run has data for it.
-        plot: Name of the plot over time that it shows; empty for another panel.
+        draw: Function that draws the panel for several runs.
+        loop: Signal that a loop of the run must control; empty: any. For a usual panel, a run with
+            unknown loops is assumed to have such a loop.
+        is_usual: Whether the panel is reported as missing if no run has data for it.
+        plot: Name of the plot over time that the panel shows; empty for another panel.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Panel:
     is_usual: bool = True
 
     def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
-        """Return the data that each run lacks for the panel; empty if none."""
+        """Return the data that each run lacks for the panel; empty if nothing is missing."""
         if self.loop and not any(self._is_of(run) for run in runs):
             return (_LOOPS[self.loop],) * len(runs)
         return find_lacks(runs, self.needs)
@@ -91,14 +91,14 @@ class FigureKind:
 
     Attributes:
         title: Content, for captions.
-        paper: The corresponding figure of the paper; empty if there is none.
-        height: Height divided by width, with all of its usual panels.
+        paper: The corresponding figure of the paper; empty if the paper has none.
+        height: Height divided by width, with all usual panels of the figure.
         needs: Data that at least one run must contain; panels have further needs.
-        draw: Function that draws it for several runs, if it has no panels.
+        draw: Function that draws the figure for several runs, if it has no panels.
         panels: Panels; those without data in any run are left out.
         list_more: Function that returns further panels, which depend on the declarations of laws.
-        is_usual: Whether it is reported as missing if no run has data for it.
-        is_extra: Whether it is drawn only if it is requested by name.
+        is_usual: Whether the figure is reported as missing if no run has data for it.
+        is_extra: Whether the figure is drawn only if requested by name.
         arrange: Function that places the panels.
     """
 
@@ -114,7 +114,7 @@ class FigureKind:
     arrange: Arrange = draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
-        """Return the data that the figure lacks; None if it can be drawn; theory needs no runs."""
+        """Return the data that the figure lacks; None if it can be drawn. Theory needs no runs."""
         if not runs:
             return (find_lack_of_gain(()) or None) if self.needs in OF_THEORY else "a recording"
         if self.draw is not None:
@@ -132,7 +132,7 @@ class FigureKind:
         return (*found, *self.list_more(runs))
 
     def find_height(self, runs: Sequence[Run]) -> float:
-        """Return the height divided by the width: smaller for fewer panels, larger with a plane."""
+        """Return height divided by width: smaller for fewer panels, larger with a plane."""
         if self.draw is draw_plane and has_one_plane(runs):
             return 1.0
         if self.arrange is draw_overview:
@@ -178,7 +178,7 @@ def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = Non
 
 
 def _panels(figure: str) -> tuple[Panel, ...]:
-    """Return the panels of a figure, which are the plots that name it."""
+    """Return the panels of a figure, which are the plots that list this figure."""
     return tuple(_panel(name) for name, plot in TIME_PLOTS.items() if plot.figure == figure)
 
 
@@ -429,7 +429,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = MappingProxyType(
 
 
 def _list_figures() -> dict[str, FigureKind]:
-    """Return the figures above, and one for each plot over time that is in none of them."""
+    """Return the figures above, and one figure for each plot over time that they do not contain."""
     others = {
         plot.figure: FigureKind(
             title=plot.title.capitalize(),

@@ -36,15 +36,15 @@ from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 Values = NDArray[np.float64]
 
 _MOST_LINES: Final = 3
-"""Largest number of dead times with a line each; more become a band from least to greatest
-limit."""
+"""Largest number of dead times with a line each. More dead times become a band from the smallest to
+the largest limit."""
 
 _MOST_LOOPS: Final = 4
-"""Largest number of loops of several laws; more would be higher than a page."""
+"""Largest number of loops of several laws; with more, the figure would be higher than a page."""
 
 _FAR: Final = 2.5
 """Largest limit that is drawn, as a multiple of the largest gain. Larger limits are written as
-text: otherwise all runs would crowd at the left."""
+text, because otherwise all runs would be crowded at the left."""
 
 _MOST_NAMED: Final = 8
 """Largest number of runs with a name at each point; more names would hide the points."""
@@ -56,8 +56,8 @@ _GAINS: Final = 48
 """Number of gains of a theoretical curve: one per millimetre of a panel."""
 
 _COLUMN_INCH: Final = 1.5
-"""Smallest width of a panel [inch]; in narrower ones the values of two limits touch. Loops with
-narrower panels are stacked."""
+"""Smallest width of a panel [inch]; in narrower panels the values of two limits touch. Panels that
+would be narrower are stacked."""
 
 _ROW_INCH: Final = 1.45
 
@@ -85,7 +85,7 @@ def draw_gains(
 
     Args:
         figure: Figure to draw on.
-        runs: Runs; those without a known gain are left out.
+        runs: Runs; runs without a known gain are left out.
         metrics: Ids, patterns, or names of metrics of any loop. Default: overshoot, settling time
             and final position error.
 
@@ -137,7 +137,7 @@ class GainLimits:
         overshoot: Kp above which the loop overshoots [1/s]; None if the loop is not proportional.
         stability: Kp above which the loop is unstable [1/s]; None if no Kp is stable.
         design: Loop for computing responses.
-        gains: Gains of one of its runs, for which the limits of Kp are valid.
+        gains: Gains of one of the runs, for which the limits of Kp are valid.
     """
 
     dead_time_s: float
@@ -156,8 +156,8 @@ class LoopGains:
         name: Name of the loop.
         gains: Kp of each run [1/s]; NaN if unknown.
         limits: Limits from theory, one for each timing, in order of dead time.
-        step: Size of the step [rad or m] and limit of the command [rad/s or m/s]. None if runs
-            differ in them, or theory does not know the loop.
+        step: Size of the step [rad or m] and limit of the command [rad/s or m/s]. None if they
+            differ between runs, or theory does not know the loop.
     """
 
     name: str
@@ -259,7 +259,7 @@ def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
 
 
 def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], name: str) -> None:
-    """Draw a line for each limit; for many limits, a band."""
+    """Draw a line for each limit, or a band for many limits."""
     if len(limits) > _MOST_LINES:
         band = {"color": looks["color"], "alpha": 0.25, "linewidth": 0.0, "label": name}
         axes.axvspan(limits[0], limits[-1], **band)
@@ -269,7 +269,7 @@ def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], n
 
 
 def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bool) -> None:
-    """Write the values of limits above their lines; two values at the left end at the last line.
+    """Write the values of limits above their lines; the second at the left is at the last line.
 
     In a column figure, the least and greatest limits of overshoot would touch those of stability.
     """
@@ -312,7 +312,7 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
 
 
 def _overshoot(limit: GainLimits, kp: float) -> float:
-    """Return the overshoot of the linear sampled loop [%]; NaN if none, or if it is unstable."""
+    """Return the overshoot of the linear sampled loop [%]; NaN for none, or if unstable."""
     if limit.stability is None or kp >= limit.stability:
         return math.nan
     motion = limit.design.measure(replace(limit.gains, kp=kp), to_rest=False)
@@ -328,13 +328,14 @@ def _name_points(axes: Axes, runs: Sequence[Run], gains: Values, values: Values)
 
 
 _ALIKE: Final = 0.02
-"""Share by which steps may differ to share a curve of settling times; the curve's error equals it.
+"""Share by which steps may differ to share a curve of settling times. The curve's error has the
+same size.
 
-It is half the width of the settling band."""
+The share is half the width of the settling band."""
 
 
 def find_loop_gains(runs: Sequence[Run]) -> list[LoopGains]:
-    """Return the loops of runs that have a known gain, with theory's limits for each."""
+    """Return the loops of runs with a known gain, with theory's limits for each loop."""
     names = dict.fromkeys(loop.name for run in runs for loop in run.declaration.loops)
     found = [_find_loop(name, runs) for name in names]
     return [loop for loop in found if np.isfinite(loop.gains).any()]

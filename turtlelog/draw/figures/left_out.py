@@ -1,4 +1,4 @@
-"""Data of runs that figures and tables do not show, and why."""
+"""Data of runs that figures and tables do not show, with reasons."""
 
 import sys
 from collections.abc import Iterable, Sequence
@@ -23,7 +23,7 @@ from turtlelog.measure import measure_run
 from turtlelog.run import Run
 
 _MOST_NAMED: Final = 3
-"""Number of runs that are named as missing from a figure; more are only counted."""
+"""Largest number of runs that are named as missing from a figure; more runs are only counted."""
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 
@@ -34,11 +34,11 @@ _DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PA
 
 
 def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
-    """Return what figures leave out of some runs, and why, one line for each reason.
+    """Return what figures leave out of some runs and why, one line for each reason.
 
     Args:
         runs: Runs to draw, with the names of legends in these lines.
-        names: Names of the requested figures; None: all, and the tables.
+        names: Names of the requested figures. Default: all figures, and the tables.
     """
     runs = order_by_gain(runs)
     left_out: dict[tuple[str, tuple[int, ...]], list[str]] = {}
@@ -58,7 +58,7 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
 
 
 def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
-    """Return one line on the figures whose curves have no characteristics, if there are any.
+    """Return one line on the figures whose curves have no characteristics, if any.
 
     Args:
         runs: Runs to draw.
@@ -93,7 +93,7 @@ def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
 
 
 def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
-    """Return the reason why there is no close-up; empty for runs without samples and goal."""
+    """Return why there is no close-up; empty for runs without samples and goal."""
     if "plane" not in shown or not has_one_plane(runs):
         return []
     if lack_samples(runs) and not any(run.goal_xy_m for run in runs):
@@ -105,7 +105,7 @@ def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
 
 
 _Left = dict[tuple[str, tuple[int, ...]], list[str]]
-"""Omitted figures and panels, by the missing data and the runs that lack them."""
+"""Omitted figures and panels, by missing data and by the runs without these data."""
 
 
 def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:

@@ -24,29 +24,30 @@ _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
 
 _OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, AIMED, BEARING_NOW})
-"""Labels of lines in the colour of each run, which are colourless in a legend."""
+"""Labels of lines that have each run's colour, and are therefore colourless in a legend."""
 
 _ALIKE: Final = (
     ("goal bearing", "goal heading", "goal", "zero"),
     ("tolerance", "limit"),
     ("applied", "|applied|"),
 )
-"""Labels that share a style in different panels, each of which shows its own."""
+"""Labels that share a style in different panels; each panel shows its own label."""
 
 _CURVES: Final = 2.0
 """Order in which matplotlib draws lines by default; references are below."""
 
 _MOST_NAMED: Final = 12
-"""Largest number of theoretical lines with an entry each: six rows of two in a column."""
+"""Largest number of theoretical lines with an entry each: six rows of two entries in a column."""
 _SOME: Final = 7
-"""Number of entries if there are more, in even steps; colours show the lines between."""
+"""Number of entries if there are more lines, in even steps. Colours identify the lines in
+between."""
 
 
 def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
-    """Add a legend above the panels; the figure grows by its lines.
+    """Add a legend above the panels, which makes the figure higher.
 
-    Labels shown elsewhere are left out, and so is a single entry if nothing is. Curves come first,
-    and curves with the same style in several panels share an entry.
+    Labels shown elsewhere are left out. If nothing else is left out, a single entry is left out
+    too. Curves come first; curves with the same style in several panels share an entry.
     """
     named: dict[tuple[str, bool], Any] = {}
     for axes in figure.axes:
@@ -75,7 +76,7 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
 
 
 def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:
-    """Return labels of lines for a legend; if there are many, only some, and the legend says so."""
+    """Return labels of lines for a legend. Of many lines, only some, with a note in the legend."""
     if len(labels) <= _MOST_NAMED:
         return list(labels)
     shown = {*np.linspace(0, len(labels) - 1, _SOME).round().astype(int).tolist()}
@@ -92,7 +93,7 @@ def _join_alike(named: Mapping[tuple[str, bool], Any]) -> list[tuple[str, Any]]:
 
 
 def _describe_looks(label: str, handle: Any) -> Any:
-    """Return the key that merged entries share: the style; for dashed lines also the name."""
+    """Return the key that merged entries share: the style, and for dashed lines also the name."""
     if not isinstance(handle, Line2D):
         return label
     alike = next((names for names in _ALIKE if label in names), label)
@@ -116,7 +117,7 @@ def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
 _BAR_INCH: Final = 0.42
 """Height of a bar with its numbers and its name [inch]."""
 _MOST_TICKS: Final = 7
-"""Largest number of labels: gains of three digits that fit a column."""
+"""Largest number of labels with three digits that fit a column."""
 
 
 def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:

@@ -1,4 +1,4 @@
-"""Effect of chance on a run: the ends of its starts and their values, with and without effects."""
+"""Effect of chance on a run: the ends and values of its starts, with and without effects."""
 
 import re
 from collections.abc import Sequence
@@ -32,8 +32,8 @@ _LINE_INCH: Final = 1.3 * _TITLE_POINTS / 72.0
 _LABEL_INCH: Final = 1.25 * _POINTS / 72.0
 
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower figures have their panels one above the other: beside each other, both would be smaller
-than their text [inch]."""
+"""Width below which panels are one above the other [inch]. Side by side, both panels would be
+smaller than their text."""
 
 _PANEL_INCH: Final = 2.4
 """Smallest height of the curves [inch]; five labels beside them take a quarter of it."""
@@ -46,7 +46,7 @@ _GHOST_WORDS: Final = (0.35, 0.35, 0.35)
 """Colour of a ghost's text; a lighter grey would not be visible on paper."""
 
 _DARKER: Final = 0.7
-"""Factor that darkens a colour for text on paper, because its strokes are thin."""
+"""Factor by which a colour for text on paper is darkened, because its strokes are thin."""
 
 _DOT_MM: Final = 1.2
 """Half the size of the run's own mark in print [mm]."""
@@ -72,7 +72,7 @@ def measure_luck_for_figure(
         work: Settings of the simulation.
 
     Raises:
-        ShowError: If there is not exactly one run, or nothing can be shown; the message says why.
+        ShowError: If there is not exactly one run, or nothing can be shown. The message says why.
     """
     if len(runs) != 1:
         raise ShowError(f"figure luck: expected one recording, found {len(runs)}")
@@ -86,12 +86,12 @@ def measure_luck_for_figure(
 
 
 def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) -> None:
-    """Draw the ends of a run's starts, and its value over them.
+    """Draw the ends of a run's starts, and the value over the starts.
 
     Args:
         figure: Figure to draw on.
         runs: Sequence of one run.
-        luck: Result of `measure_luck_for_figure`; it is called if this is None.
+        luck: Result of `measure_luck_for_figure`, which is called if this is None.
     """
     shown = build_luck_picture(luck or measure_luck_for_figure(runs))
     width = float(figure.get_figwidth())
@@ -116,7 +116,7 @@ def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) 
 
 
 def _wrap(sentences: Sequence[str], width_mm: float) -> str:
-    """Return sentences on one line if they fit, otherwise each on its own line."""
+    """Return sentences on one line if they fit, else each on its own line."""
     whole = _break_lines(" ".join(sentences), width_mm)
     parts = [line for text in sentences for line in _break_lines(text, width_mm)]
     return "\n".join(whole if len(whole) == 1 else parts)

@@ -37,21 +37,22 @@ from turtlelog.sweep.table.swept_views import SweptView, fill_cells
 Values = NDArray[np.float64]
 
 _MOST_VECTORS: Final = 2_500
-"""Largest number of cells stored as shapes in a PDF or SVG, 100 bytes each; more become pixels."""
+"""Largest number of cells stored as shapes in a PDF or SVG, 100 bytes each. More cells become
+pixels."""
 
 _MOST_WORDS: Final = 12
 """Largest number of labels along a side: each takes 4 mm of a column."""
 
 _FEW_NUMBERS: Final = 6
-"""Largest number of values with a label below each cell; a scale would suggest cells between
-them."""
+"""Largest number of values with a label below each cell. With few values, a scale would suggest
+cells in between."""
 
 _LONGEST: Final = 16
 """Longest label [letters]."""
 
 _MOST_EDGED: Final = 1_000
-"""Largest number of dots with an edge: more dots are so small that only their edges would be
-visible."""
+"""Largest number of dots with an edge. With more dots, they are so small that only the edges would
+be visible."""
 
 _HALO: Final = 1.4
 """Width of the white border around a line, which separates it from any colour below [points]."""
@@ -71,7 +72,7 @@ LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         },
     }
 )
-"""Styles of theory's limits, by their names in a legend."""
+"""Styles of theory's limits, by their legend names."""
 
 
 def draw_map_panel(
@@ -86,7 +87,7 @@ def draw_map_panel(
     Args:
         axes: Axes to draw on.
         view: View with two axes.
-        metric: Metric among its results.
+        metric: One of the view's metrics.
         limits: Limits from theory, as from `find_loop_limits`.
         reasons: Text and hatch for each reason for a missing value, as from `group_reasons`.
 
@@ -118,7 +119,7 @@ def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis along a side; if there are many, every second, third ...
+    """Write the values of an axis along a side; of many values, every second, third ...
 
     A few numbers are written at their positions; more numbers get a scale.
     """
@@ -237,7 +238,7 @@ def _hatch_cells(
     hatched: Mapping[int, tuple[str, str]],
     looks: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Draw cells without a value, with a hatch for each reason."""
+    """Draw cells without a value, with one hatch for each reason."""
     groups: dict[tuple[str, str], list[int]] = {}
     for cell, one in hatched.items():
         groups.setdefault(one, []).append(cell)
@@ -251,7 +252,7 @@ def _hatch_cells(
 
 
 def _join_cells(edges: tuple[Values, Values], cells: NDArray[np.int64]) -> list[Values]:
-    """Return the corners of rectangles that cover cells; vertical neighbours are joined."""
+    """Return the corners of rectangles that cover cells. Vertical neighbours are joined."""
     x, y = edges
     column, row = np.divmod(np.sort(cells % (len(x) - 1) * len(y) + cells // (len(x) - 1)), len(y))
     is_first = np.r_[True, (np.diff(row) != 1) | (np.diff(column) != 0)]
@@ -292,14 +293,14 @@ def _draw_limits(
 
 
 def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
-    """Return the legend text of a limit; the metric of a loop already names the loop."""
+    """Return the legend text of a limit. The metric of a loop already names the loop."""
     return name if metric.loop == found.loop else f"{found.loop}: {name}"
 
 
 _SHADES: Final = 256
 
 _HATCHES: Final = ("", "////", "....", "xxxx")
-"""Hatches of the reasons for missing values; the last is for all other reasons."""
+"""Hatches for the reasons of missing values. The last hatch is for all other reasons."""
 
 _VALUELESS: Final[Mapping[str, Any]] = MappingProxyType({"facecolor": "0.93", "edgecolor": "0.6"})
 
@@ -316,7 +317,7 @@ def build_scale(values: Values) -> ColorScale:
 
 
 def group_reasons(metrics: Sequence[SweptMetric]) -> dict[str, tuple[str, str]]:
-    """Return legend text and hatch for each reason for a missing value, the most frequent first.
+    """Return legend text and hatch for each reason for a missing value, most frequent first.
 
     If there are more reasons than hatches, rare ones share the last hatch.
     """

@@ -27,7 +27,7 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 MOST_WORDED: Final = 4
-"""Largest number of runs with guides and a table of values; for more runs, text gives only the
+"""Largest number of runs with guides and a table of values. With more runs, text gives only the
 extremes, because a table would cover the curves."""
 
 _GUIDE: Final[Mapping[str, Any]] = MappingProxyType(
@@ -46,15 +46,15 @@ _BAND: Final[Mapping[str, Any]] = MappingProxyType(
 _ROOM: Final = 0.04
 """Margin before and after a phase to which an axis is cut, as a share of the phase."""
 _LEAST_OVERSHOOT: Final = 0.1
-"""Smallest overshoot that is marked among many marks [% of the step]; less is thinner than the
-curve's line."""
+"""Smallest overshoot that is marked among many marks [% of the step]; smaller overshoots are
+thinner than the curve's line."""
 
 _LEAST_PAUSE: Final = 0.005
 """Smallest visible pause as a share of an axis: a third of a millimetre in a column."""
 
 _DEAD_WORDS: Final = "#8a4f1d"
 _CUT: Final = 0.8
-"""Largest share of the whole axis for a phase to which the axis is cut."""
+"""Largest share of the whole axis that a phase may have for the axis to be cut to it."""
 
 _COORDINATES: Final = frozenset({"x", "y", "error_x", "error_y"})
 _WAYS: Final = frozenset({"along_track", "distance"})
@@ -70,13 +70,13 @@ _OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "headi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Marked:
-    """A panel with the marks of one run.
+    """A panel with the marks of one of the runs.
 
     Attributes:
         axes: Axes of the panel.
-        curve: Curve of the run in it.
+        curve: Curve of the run in the panel.
         is_error: Whether the panel shows the difference from the reference.
-        is_magnitude: Whether it shows the magnitude.
+        is_magnitude: Whether the panel shows the magnitude.
         is_alone: Whether no other run is in the panel.
         has_guides: Whether lines lead from dots to the axes.
         color: Colour of the run.
@@ -100,9 +100,9 @@ def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
     """Mark characteristics in the panels of controlled signals.
 
     Args:
-        figure: Figure with its legend; panels to be marked have the name of their signal.
-        runs: Runs of the figure, in its order.
-        is_cut: Whether its time axes are already cut.
+        figure: Figure with its legend. Panels to be marked have the name of their signal.
+        runs: Runs in the order of the figure.
+        is_cut: Whether the time axes of the figure are already cut.
     """
     panels = [axes for axes in list_time_axes(figure) if axes.get_label()]
     if not panels:
@@ -122,7 +122,7 @@ def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
 def _mark_panel(
     axes: Axes, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]
 ) -> tuple[list[Word], list[Table]]:
-    """Draw the guides of a panel; return its text, or tables for several runs."""
+    """Draw the guides of a panel, and return its text, or tables for several runs."""
     label = str(axes.get_label())
     signal = label.strip("|")
     height = axes.get_ylim()
@@ -179,7 +179,7 @@ def _mark_run(panel: _Marked, marks: Sequence[Characteristic]) -> Iterator[_Told
 
 
 def _is_end(panel: _Marked, mark: Characteristic) -> bool:
-    """Return whether a mark at the end of a coordinate shows its value instead of the distance."""
+    """Return whether a mark at the end of a coordinate shows the value instead of the distance."""
     is_coordinate = str(panel.axes.get_label()) in _COORDINATES
     return is_coordinate and mark.kind == "position_error"
 
@@ -190,7 +190,7 @@ def _word(panel: _Marked, mark: Characteristic, text: str) -> Word:
 
 
 def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> list[Table]:
-    """Return a table with a line for each run, if there are few, and one with the extremes."""
+    """Return a table with a line for each of a few runs, and a table with the extremes."""
     low, high = axes.get_xlim()
     seen = {
         name: (color, [one for one in drawn if low <= one[0].at_s <= high])
@@ -275,7 +275,7 @@ _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Character
     "largest_error": _mark_point,
     "cross_track_max": _mark_point,
 }
-"""Functions that draw a metric and return its text, by kind; a peak is drawn with its overshoot."""
+"""Functions that draw a metric and return its text, by kind. A peak is drawn with its overshoot."""
 
 
 def _guide(
@@ -283,7 +283,7 @@ def _guide(
 ) -> None:
     """Draw a mark on the curve, with dotted lines to the time axis and along the curve's level.
 
-    For several runs only settling times have a line, because their times differ.
+    For several runs, only settling times have a line, because the times differ.
     """
     at_s = mark.marked_s if at_s is None else at_s
     axes, level = panel.axes, panel.read(at_s)
@@ -331,7 +331,7 @@ def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[Word]
 
 
 def _cut_to_phase(axes: Axes, found: Sequence[Sequence[Characteristic]]) -> None:
-    """Cut an axis of its own to the segments of the loops that it shows."""
+    """Cut an axis to the segments of its loops, if no other panel shares the axis."""
     if len(axes.get_shared_x_axes().get_siblings(axes)) > 1:
         return
     signal = str(axes.get_label()).strip("|")

@@ -20,16 +20,16 @@ OF_TRACKING: Final = ("*.rms_error", "*.largest_error")
 """Default metrics if no loop responds to a step: errors of loops with a moving reference."""
 
 _LOGARITHMIC: Final = 30.0
-"""Ratio of greatest to least value from which a scale is logarithmic. On a linear scale of 30 mm
-the least value would be within 1 mm of 0."""
+"""Ratio of largest to smallest value from which a scale is logarithmic. On a linear scale of 30 mm,
+the smallest value would be within 1 mm of 0."""
 
 _LEAST_PERCENT: Final = 0.5
-"""Smallest height of a percentage axis [%]. On a smaller one, the last digits of a run without
-overshoot would look like an overshoot. It is a quarter of the settling band."""
+"""Smallest height of a percentage axis [%], a quarter of the settling band. On a smaller axis, the
+last digits of a run without overshoot would look like an overshoot."""
 
 _POINTS_PER_INCH: Final = 72.0
 _LETTER_WIDTH: Final = 0.65
-"""Width of a digit as a share of the font size: DejaVu Sans, the widest font in use, has 0.636."""
+"""Width of a digit as a share of the font size. DejaVu Sans, the widest font in use, has 0.636."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,10 +39,10 @@ class MetricValues:
     Attributes:
         id: Id of the metric.
         label: Label of an axis, with the unit.
-        values: Value of each run in that unit; NaN if there is none.
-        reasons: Reason for each missing value; empty if there is a value or the run was not
+        values: Value of each run in this unit; NaN for a missing value.
+        reasons: Reason for each missing value; empty for an existing value, or if the run was not
             measured.
-        factor: Factor from the metric's own unit to that of the label.
+        factor: Factor from the metric's unit to the unit of the label.
     """
 
     id: str
@@ -81,10 +81,11 @@ def measure_for_figure(
     Args:
         figure: Name of the figure, for errors.
         runs: Runs to measure.
-        names: Ids, patterns, or names of metrics of any loop (`overshoot`); None: the usual ones.
+        names: Ids, patterns, or names of metrics of any loop (`overshoot`). Default: the usual
+            metrics.
 
     Raises:
-        ShowError: If no run has a value of any metric; the message has the first reason.
+        ShowError: If no run has a value of any metric. The message has the first reason.
         MeasureError: If a name is not a metric.
     """
     patterns = [complete_name(name) for name in names] if names else [*USUAL]
@@ -105,7 +106,7 @@ def measure_for_figure(
 
 
 def complete_name(name: str) -> str:
-    """Return an id or a pattern unchanged, and `overshoot` as that of any loop."""
+    """Return an id or pattern unchanged, and `overshoot` as the overshoot of any loop."""
     is_bare = "." not in name and find_metric_kind(name) is None
     return f"*.{name}" if is_bare else name
 
@@ -158,7 +159,7 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
-    """Place the ticks of the lower axis at the values that have room."""
+    """Place the ticks of the lower axis at the values that have enough room."""
     axes.xaxis.set_major_locator(FixedLocator(_choose_places(axes, sorted({*values}))))
     axes.xaxis.set_minor_locator(NullLocator())
     formatter: Any = "{x:.4g}"
@@ -166,7 +167,7 @@ def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
 
 
 def _choose_places(axes: Axes, values: Sequence[float]) -> list[float]:
-    """Return the smallest and largest values, and values between whose labels do not touch."""
+    """Return the smallest and largest values, and values between them whose labels do not touch."""
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
     points = points * _POINTS_PER_INCH / axes.figure.dpi
     size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()

@@ -1,4 +1,4 @@
-"""Data that figures need from runs, and missing data in words."""
+"""Data that figures need from runs, and descriptions of missing data."""
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
@@ -23,7 +23,7 @@ _STATES: Final = "states of its law that are not always 0"
 
 
 def _lack_command(run: Run, command: Command) -> str:
-    """Return the reason why an axis cannot be drawn: no command, or no motion for it."""
+    """Return why an axis cannot be drawn: there is no command, or no motion for it."""
     found = has_own(run, TIME_PLOTS[command])
     return "" if found else f"{command.replace('_', ' ')} commands"
 
@@ -64,7 +64,7 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
 
 
 def _find_lack_of_locus(run: Run) -> str:
-    """Return the data that a root locus lacks; an ideal or a sampled loop is sufficient.
+    """Return the data that a root locus lacks. An ideal or a sampled loop is sufficient.
 
     For a loop that is not proportional, the result is the reason why theory has no model.
     """
@@ -78,7 +78,7 @@ def _find_lack_of_locus(run: Run) -> str:
 _PROPORTIONAL: Final = "a proportional loop"
 
 OF_THEORY: Final = ("gain", "integrator", "locus")
-"""Needs that are met without a run."""
+"""Data that theory provides without a run."""
 
 _LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
     {
@@ -121,9 +121,9 @@ _LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
         "wanted_turn_rate": lambda run: _lack_wanted(run, "turn_rate"),
     }
 )
-"""Functions from a run to the data that it lacks, by need; empty if it has them."""
+"""Functions from a run to the data that it lacks, by need; empty if nothing is missing."""
 
 
 def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
-    """Return the data that each run lacks for a figure; empty if none."""
+    """Return the data that each run lacks for a figure; empty if nothing is missing."""
     return tuple(_LACKS[need](run) for run in runs)

@@ -26,19 +26,19 @@ _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
 _NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
 _LEAST_DPI, _MOST_DPI = 50, 600
-"""Range of resolutions: letters of 7 points have 5 pixels at 50 dots per inch; printers resolve
+"""Range of resolutions [dots per inch]. At 50, letters of 7 points have 5 pixels; printers resolve
 600."""
 
 _DPI: Final = 300.0
 
 _SLIDE_INCH: Final = (6.4, 3.6)
-"""Size of a slide, 16:9. Letters of 8 points are 1/32 of its height, which is 17 points when
-projected [inch]."""
+"""Size of a slide, 16:9 [inch]. Letters of 8 points are 1/32 of its height, which is 17 points when
+projected."""
 _PROJECTED_INCH: Final = 40.0 / 3.0
 """Width of a slide in presentation programs [inch]."""
 _SLIDE_DPI: Final = 144.0
 _LOW_ROWS: Final = 3
-"""Rows of panels from which units on a slide are on a line of their own."""
+"""Number of rows of panels from which units on a slide are on a line of their own."""
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -85,7 +85,7 @@ if hasattr(os, "register_at_fork"):
 
 @contextmanager
 def use_looks(looks: Mapping[str, Any] = LOOKS) -> Iterator[None]:
-    """Draw with settings of matplotlib; other threads wait until these are restored."""
+    """Draw with settings of matplotlib. Other threads wait until the settings are restored."""
     with _DRAWING, rc_context(dict(looks)):
         yield
 
@@ -96,8 +96,8 @@ def to_rgb(color: Color) -> tuple[float, ...]:
 
 
 _MOST_BROAD: Final = 24
-"""Largest number of lines of usual width: in a column of 40 mm more would leave no space
-between."""
+"""Largest number of lines of usual width; with more, a column of 40 mm would have no space between
+lines."""
 _THIN: Final = 0.7
 
 STROKES: Final[Mapping[Dash, Any]] = MappingProxyType(
@@ -172,7 +172,7 @@ _NAMES: Final = frozenset(
         *(AIMED, BEARING_NOW),
     }
 )
-"""Names in figures beside those of runs."""
+"""Names in figures in addition to those of runs."""
 
 
 PageKind = Literal["column", "page", "slide"]
@@ -183,13 +183,13 @@ class Page:
     """Page format of figures, and the part of the runs that they show.
 
     Attributes:
-        kind: `column`, one of two columns of a paper; `page`, its whole width; `slide`, 16:9 with
+        kind: `column`: one of two columns of a paper. `page`: the whole width. `slide`: 16:9 with
             text and lines for a projector.
         text_width_mm: Width of the text block [mm], 120 to 1000; not used for slides.
-        dpi: Resolution of a PNG, 50 to 600; for a slide at 13.33 by 7.5 inch, as projected. None:
-            300, for a slide 144 (1920 by 1080 pixels).
-        from_s: Start of time axes, from the first sample [s]; None: the start of the runs.
-        to_s: End of time axes [s]; None: the end of the runs.
+        dpi: Resolution of a PNG [dots per inch], 50 to 600; for a slide, it refers to the size
+            13.33 by 7.5 inch. Default: 300, for a slide 144 (1920 by 1080 pixels).
+        from_s: Start of time axes, from the first sample [s]. Default: the start of the runs.
+        to_s: End of time axes [s]. Default: the end of the runs.
         has_marks: Whether characteristics are marked on the curves of controlled signals.
 
     Raises:
@@ -232,7 +232,7 @@ class Page:
 
     @property
     def height_inch(self) -> float:
-        """Height of a figure for a slide [inch]; on paper each figure has its own."""
+        """Height of a slide's figure [inch]. On paper, each figure has its own height."""
         return _SLIDE_INCH[1] if self.kind == "slide" else math.inf
 
     @property
@@ -264,12 +264,12 @@ def break_label(label: str) -> str:
 
 
 def choose_colors(count: int) -> list[tuple[float, ...]]:
-    """Return the colours of lines in order, the same as on screen."""
+    """Return the colours of lines in order; they are the same as on screen."""
     return [*map(to_rgb, choose_run_colors(count))]
 
 
 def color_runs(runs: Sequence[Run]) -> list[tuple[float, ...]]:
-    """Return the colour of each run, the same as on screen."""
+    """Return the colour of each run; it is the same as on screen."""
     return [*map(to_rgb, choose_colors_by_value(runs))]
 
 
@@ -282,8 +282,8 @@ def choose_run_lines(runs: Sequence[Run]) -> Sequence[Mapping[str, Any]]:
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     """Return colour and marker of each line.
 
-    If there are more lines than hues, the first are on top: the fast oscillations of a large gain
-    would cover all others.
+    If there are more lines than hues, the first lines are on top, because the fast oscillations of
+    a large gain would cover all others.
     """
     lines: list[dict[str, Any]] = [{"color": color} for color in choose_colors(count)]
     for number, (line, marker) in enumerate(zip(lines, choose_markers(count), strict=False)):
@@ -298,7 +298,7 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
 
 
 def label_runs(runs: Sequence[Run]) -> list[str]:
-    """Return a short printable name for each run, all different."""
+    """Return a short printable name for each run; all names are different."""
     labels = [_shorten(_clean(name)) for name in name_runs(runs)]
     if len(set(labels)) < len(labels):
         labels = [f"{number}: {label}" for number, label in enumerate(labels, start=1)]
@@ -312,7 +312,7 @@ def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
 
 
 def _clean(name: str) -> str:
-    """Return a name that matplotlib shows literally; letters missing in its font become `?`."""
+    """Return a name that matplotlib shows literally. Letters missing in its font become `?`."""
     font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
     shown = "".join(
         letter if font.get_char_index(ord(letter)) else "?" for letter in " ".join(name.split())

@@ -1,4 +1,4 @@
-"""Placement of text beside the marks that it names, where it covers least; or in a table."""
+"""Placement of text next to its marks, where the text covers least, or in a table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -24,18 +24,18 @@ _LEADER_MM: Final = 4.0
 """Distance from which a line connects text and its dot [mm]."""
 
 _NO_ROOM: Final = 150.0
-"""Points of curves from which covered text is left out: 15 mm of curve, or one other text or
-dot."""
+"""Number of covered curve points from which a text is left out: 15 mm of a curve, or one other text
+or dot."""
 
 _GUIDE_POINTS: Final = 40
-"""Points of a guide line that text avoids: a tenth of a curve's, because it may rather be
-covered."""
+"""Number of points of a guide line that text avoids: a tenth of a curve's, because covering a guide
+line matters less."""
 
 _MARK_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 12.0, 14.0, 16.0, 19.0, 22.0, 25.0, 28.0, 32.0, 38.0)
-"""Distances of text from its dot, best first [mm]: the marks of one phase end in one corner."""
+"""Distances of text from its dot, best first [mm]. The marks of one phase end in one corner."""
 
 _MOST_COVERED: Final = 12.0
-"""Points of curves that a table may cover: 1.2 mm of a curve."""
+"""Largest number of curve points that a table may cover: 1.2 mm of a curve."""
 
 _PLACES: Final = np.linspace(0.0, 1.0, 15)
 """Places of a table, from one side of the free area to the other."""
@@ -63,7 +63,7 @@ def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ())
     Args:
         axes: Panel at its final place in the figure.
         words: Texts for dots and spans of the panel.
-        tables: Tables; the first that covers no curve is written, otherwise the last.
+        tables: Tables; the first table that covers no curve is written, or else the last.
     """
     place, to_panel = _survey(axes)
     low, high = sorted(axes.get_xlim())
@@ -87,11 +87,11 @@ class _Placed:
     """Text at its place, in fractions of the panel.
 
     Attributes:
-        word: The text.
-        middle: Middle of its box, shape (2,).
+        word: Text to place.
+        middle: Middle of the text's box, shape (2,).
         is_upright: Whether the text is upright in its span.
-        leader: Line from the dot to the box if it is far, shape (2, 2).
-        cost: Number of points that it covers.
+        leader: Line from the dot to a box that is far away, shape (2, 2).
+        cost: Number of points that the text covers.
     """
 
     word: Word
@@ -111,8 +111,8 @@ class WordSpace:
 
     Attributes:
         center: Center of the panel, in data units, shape (2,).
-        half: Half of its width and height, in data units, shape (2,).
-        half_mm: The same in print [mm], shape (2,).
+        half: Half of the panel's width and height, in data units, shape (2,).
+        half_mm: Half of the panel's width and height in print [mm], shape (2,).
         taken: Points of lines and dots, shape (n, 2).
         boxes: Boxes of placed text: left, right, bottom, top, in data units.
     """
@@ -124,7 +124,7 @@ class WordSpace:
     boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def avoid_line(self, points: Values) -> None:
-        """Make text avoid a line, of which the panel may show a part."""
+        """Make text avoid a line, which may be partly outside the panel."""
         inside = np.flatnonzero((np.abs(points - self.center) <= 1.2 * self.half).all(axis=1))
         if not len(inside):
             return
@@ -170,7 +170,7 @@ class WordSpace:
         self.boxes.append((left, right, bottom, top))
 
     def count_covered(self, middle: Values, half: Values, points: Values) -> float:
-        """Return the points that a box would cover; text counts more, and the outside most."""
+        """Return the points that a box would cover. Text counts more, and the outside most."""
         over = np.abs(middle - self.center) + half - 0.98 * self.half
         outside = 1e4 * float((np.maximum(over, 0.0) / self.half).sum())
         margin = half + 0.8 * self.half / self.half_mm
@@ -196,7 +196,7 @@ class WordSpace:
 def _place_in_order(
     survey: WordSpace, to_panel: Any, marked: Sequence[tuple[Word, Values]]
 ) -> list[_Placed]:
-    """Return the places of texts, each of which avoids those before it."""
+    """Return the places of texts. Each text avoids the texts before it."""
     place = replace(survey, taken=[*survey.taken], boxes=[*survey.boxes])
     found = []
     for word, dot in marked:
@@ -236,7 +236,7 @@ def _survey(axes: Axes) -> tuple[WordSpace, Any]:
 
 
 def _write_table(axes: Axes, place: WordSpace, tables: Sequence[Table]) -> None:
-    """Write the first table that has room; each line has the colour of its run."""
+    """Write the first table that has enough room. Each line has the colour of its run."""
     points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
     for table in tables:
         width_mm = max(measure_text_mm(text, _WORDS_POINTS) for text, _ in table) + 1.0
@@ -311,16 +311,17 @@ _RING_WAYS: Final = np.radians(90.0 + 22.5 * np.array([0, 8, 1, -1, 7, -7, 4, -4
 """Angles at which the name of a ring may be placed, best first [rad]."""
 
 _APART_MM: Final = 0.1
-"""Distance of the points of a line that text avoids [mm]; a crossing curve counts hundreds."""
+"""Distance between the points of a line that text avoids [mm]; a crossing curve has hundreds of
+them."""
 
 _MOST_POINTS: Final = 4_000
 """Largest number of points on an oscillating line."""
 
 _WAY_POINTS: Final = 40
-"""Points from a dot to its text."""
+"""Number of points from a dot to its text."""
 
 _OF_A_DOT: Final = 400
-"""Points of a mark, so that text avoids it like 40 mm of a line."""
+"""Number of points of a mark, so that text avoids the mark like 40 mm of a line."""
 
 
 def measure_text_mm(text: str, points: float = 7.0) -> float:
@@ -345,7 +346,7 @@ def place_words(
 
 
 def name_ring(axes: Axes, place: WordSpace, text: str, radius: float, points: float = 6.0) -> None:
-    """Write the radius of a ring on it, where it covers least."""
+    """Write the radius of a ring on the ring, where the text covers least."""
     half = np.array([measure_text_mm(text, points), 1.3 * points * _MM_PER_POINT]) / 2.0
     half *= place.half / place.half_mm
     ring = place.center + radius * np.stack([np.cos(_RING_WAYS), np.sin(_RING_WAYS)], axis=1)

@@ -1,4 +1,4 @@
-"""The plane: paths from start to goal or along a reference, and the ends or deviations of runs."""
+"""The plane: paths from start to goal or along a reference, with ends or deviations of runs."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -61,7 +61,7 @@ _RING: Final[Mapping[str, Any]] = MappingProxyType(
 _OF_MANY: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.8", "linewidth": 0.4, "zorder": 1.6}
 )
-"""Style of the paths of very many runs, whose ends have the colours."""
+"""Style of the paths of very many runs; only their ends have colours."""
 
 _RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder": 1.7})
 """Style of runs that never come to rest, if others do."""
@@ -69,8 +69,8 @@ _RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder":
 _MOST_TICKS: Final = 5
 
 _LEAST_TOLERANCE: Final = 0.04
-"""Smallest tolerance with an entry in the legend, as a share of half a close-up: a smaller square
-is below the goal's cross, which is 3 of 90 points wide on either side."""
+"""Smallest tolerance with an entry in the legend, as a share of half a close-up. A smaller square
+is below the goal's cross, which takes 3 of 90 points on either side."""
 
 _PLANE: Final = "plane"
 """Label of axes that show paths."""
@@ -80,7 +80,7 @@ _FAINT: Final = 0.25
 
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the paths from start to goal, and beside them the ends of runs that arrive."""
+    """Draw the paths from start to goal, and next to them the ends of runs that arrive."""
     close_up = find_named_close_up(runs)
     worst = find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
@@ -98,7 +98,7 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
-    """Return the close-up of the goal, in which each of a few runs has its name."""
+    """Return the close-up of the goal in which each of a few runs has its name."""
     close_up = find_close_up(runs)
     if close_up is None or not 1 < len(runs) <= MANY:
         return close_up
@@ -106,7 +106,7 @@ def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
-    """Return whether the plane has no panel beside it: no run arrives, or leaves its path."""
+    """Return whether the plane is alone, because no run arrives, or leaves its path."""
     return find_close_up(runs) is None and find_worst_place(runs) is None
 
 
@@ -137,7 +137,7 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 
 def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
-    """Return runs with path styles: grey for very many, faint for a run that never rests."""
+    """Return runs with path styles: grey for very many runs, faint for a run that never rests."""
     if has_grey_paths(runs):
         return [(run, {**looks, **_OF_MANY}) for run, looks in style_runs(runs)]
     restless = find_restless(runs)
@@ -148,7 +148,7 @@ def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
 
 
 def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draw the ends of runs above all paths; for many per gain also the median and an outline."""
+    """Draw the ends of runs above all paths; for many per gain, also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
     colors = color_runs(runs)
     is_many = has_grey_paths(runs)
@@ -181,8 +181,8 @@ def stress_window(
 
     Args:
         figure: Figure without its legend.
-        runs: Runs of the figure, in its order.
-        window_s: Start and end, from each run's first sample [s]; None: all.
+        runs: Runs in the order of the figure.
+        window_s: Start and end, from each run's first sample [s]. None: all.
     """
     if window_s is None:
         return
@@ -265,7 +265,7 @@ def _write(axes: Axes, label: Label, color: Any) -> None:
 
 
 def _measure_letters(figure: Figure) -> Lettering:
-    """Return the size of text, for a close-up of about two fifths of the figure's width."""
+    """Return the size of text for a close-up of about two fifths of the figure's width."""
     half_points, size = 0.2 * figure.get_figwidth() * 72.0, _WORDS_POINTS
     return Lettering(
         letter=0.62 * size / half_points, line=1.5 * size / half_points, gap=8.0 / half_points
@@ -312,8 +312,8 @@ _WAY: Final[Mapping[str, Any]] = MappingProxyType(
 )
 
 _MOST_WAYS: Final = 60
-"""Largest number of deviation lines: two per centimetre of a path around half a page; more would be
-a grey area."""
+"""Largest number of deviation lines: two per centimetre of a path around half a page. More lines
+would be a grey area."""
 
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
@@ -326,7 +326,7 @@ def _draw_tracked_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 
 def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draw lines from a single run to its reference on the path at equal times."""
+    """Draw lines from a single run to the reference on the path at equal times."""
     ways_m = read_way_to_reference(runs[0]) if len(runs) == 1 else None
     if ways_m is None or has_own_way(runs[0]):
         return
@@ -346,7 +346,7 @@ def _draw_worst_place(axes: Axes, worst: WorstPlace, color: Any) -> None:
 
 
 def _choose_step(duration_s: float) -> float:
-    """Return a round time step, such that the lines of a run have room [s]."""
+    """Return a round time step with which the lines of a run have room [s]."""
     least_s = max(duration_s, 1e-3) / _MOST_WAYS
     decade = 10.0 ** np.floor(np.log10(least_s))
     return float(next(step * decade for step in _STEPS if step * decade >= least_s * (1 - 1e-9)))

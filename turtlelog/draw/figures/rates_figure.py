@@ -1,4 +1,4 @@
-"""How a robot follows its commands: command, motion and model, enlarged steps, residuals."""
+"""A robot's response to its commands: command, motion, model, enlarged steps, residuals."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 Values = NDArray[np.float64]
 
 _SIDE_BY_SIDE_INCH: Final = 5.0
-"""Narrower figures have the close-up below: half a column would not show a delay [inch]."""
+"""Width below which the close-up is below [inch]; half a column would not show a delay."""
 
 _ROW_INCH: Final = 1.25
 _LEFT_INCH: Final = 0.75
@@ -47,14 +47,14 @@ _BEFORE_S: Final = 0.25
 
 _LEAST_AFTER_S: Final = 0.8
 _LENGTHS: Final = 6.0
-"""Time shown after a step, in dead times plus time constants: after 5 time constants the response
+"""Time shown after a step, in dead times plus time constants. After 5 time constants, the response
 is within 1 %."""
 
 _FINE: Final = 600
 """Number of points of the model in the close-up."""
 
 _SHOWN_MS: Final = 2.0
-"""Smallest width of an interval that is drawn [ms]: a narrower one is a single stroke."""
+"""Smallest width of an interval that is drawn [ms]; a narrower interval is a single stroke."""
 
 _REASON_LETTERS: Final = 58
 
@@ -78,10 +78,10 @@ class DrawnAxis:
     """Data drawn for one axis.
 
     Attributes:
-        model: Result of the identification, or the reason why there is none.
+        model: Result of the identification, or the reason why it is missing.
         brackets: Meaning of the values in brackets.
         command: Held command.
-        measured: Measured rate of the robot; None if it is unknown.
+        measured: Measured rate of the robot; None if the rate is unknown.
         traces: Measured rate and model, if a model is known.
         outliers_s: End times of steps that the fit left out, shape (m,).
     """
@@ -95,15 +95,15 @@ class DrawnAxis:
 
 
 def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None = None) -> None:
-    """Draw commands and measured rates, with the identified model if there is one.
+    """Draw commands and measured rates, with the identified model, if any.
 
     Args:
         figure: Figure to draw on.
         runs: Sequence of one run.
-        model: Result of `identify_robot`; the run is identified if this is None.
+        model: Result of `identify_robot`. None: the run is identified.
 
     Raises:
-        ShowError: If there is not exactly one run, or it has no commands.
+        ShowError: If there is not exactly one run, or the run has no commands.
     """
     if len(runs) != 1:
         raise ShowError(f"figure rates: expected one recording, found {len(runs)}")
@@ -145,7 +145,7 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
 
 
 def lacks_commands(run: Run) -> bool:
-    """Return whether there is no command that the robot could follow."""
+    """Return whether the run has no command that the robot could follow."""
     return not any(_is_driven(run, name) for name in COMMAND_WORDS)
 
 
@@ -229,7 +229,7 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
 
 
 def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> None:
-    """Write above a panel the size of the outliers that the fit ignores, or of the largest."""
+    """Write above a panel the size of outliers that the fit ignores, or of the largest outlier."""
     largest = int(np.abs(values).argmax())
     told = f"left out: {values[largest]:+.3g} {unit} at {time_s[largest]:.2f} s"
     if len(values) > 1:
@@ -288,7 +288,7 @@ def _draw_followed(
     span_s: tuple[float, float],
     **looks: Any,
 ) -> None:
-    """Draw the response to a change, over time from half of the commanded change."""
+    """Draw the response to a change, over the time since half of the commanded change."""
     rows = (time_s >= span_s[0]) & (time_s <= span_s[1])
     axes.plot(time_s[rows] - change.half_s, change.scale(values[rows]), **looks)
 

@@ -1,6 +1,6 @@
 """Figures of the sampled loops of runs: Bode, Nyquist, root locus, step response.
 
-All curves are those of the exact discretisation, dead time included, and end at pi / T.
+All curves belong to the exact discretisation including dead time, and end at pi / T.
 """
 
 import math
@@ -46,24 +46,24 @@ _GAINS: Final = 160
 """Number of gains at which the poles of a root locus are computed."""
 
 _MOST_LOCI: Final = 6
-"""Largest number of root locus panels: three rows of two."""
+"""Largest number of root locus panels: three rows of two panels."""
 
 _FAR: Final = 2.5
-"""Largest visible distance from 0 in Nyquist's plane and from 1 in a step response. An open loop
-with an integrator has no bound, nor has an unstable response."""
+"""Largest visible distance from 0 in Nyquist's plane, and from 1 in a step response. An open loop
+with an integrator, and an unstable response, have no bound."""
 
 _BESIDE: Final = 0.4
-"""Smallest visible part of Nyquist's plane above and to the right of 0."""
+"""Smallest visible part of Nyquist's plane above 0 and to the right of 0."""
 
 _NO_OVERSHOOT: Final = 0.05
-"""Smallest overshoot in the digits that are shown [%]."""
+"""Smallest overshoot in the shown digits [%]."""
 
 _DECADES_BELOW: Final = 2.0
-"""Decades below the crossover at which a frequency response begins."""
+"""Number of decades below the crossover at which a frequency response begins."""
 
 _WIDER: Final = 1.2
-"""Additional width of each loop of a run below the others [points]: if two coincide, the lower one
-is visible on both sides."""
+"""Additional width of each loop of a run below the other loops [points]. If two loops coincide, the
+lower one is visible on both sides."""
 
 _DASH_POINTS: Final = 1.6
 """Width of a line to which dashes are scaled [points]."""
@@ -74,9 +74,10 @@ _LARGER: Final = 2.2
 _MOST_TOLD: Final = 6
 
 _PLANE_INCH: Final = 2.1
-"""Smallest width of a plane of poles with its text [inch]: three fit into a row of a page."""
+"""Smallest width of a plane of poles with its text [inch]; three such planes fit into a row of a
+page."""
 _LINE_SHARE: Final = 0.45
-"""Height of the axis of ideal poles, as a share of a plane's."""
+"""Height of the axis of ideal poles, as a share of the height of a plane."""
 _ROOM_INCH: Final = 0.42
 """Height of the text above and below a plane [inch]."""
 
@@ -86,8 +87,8 @@ _MOST_SAMPLES: Final = 20_000
 """Largest number of samples of a step response: more than a page resolves."""
 
 _LONGEST: Final = 5.0
-"""Largest length of the axis of step responses, as a multiple of their median: one loop near its
-limit of stability would hide the others. Of the paper's gains the slowest takes less."""
+"""Largest length of the axis of step responses, as a multiple of their median. One loop near its
+limit of stability would hide the others. The slowest of the paper's gains takes less."""
 
 _UNSTABLE_LENGTH: Final = 40.0
 """Drawn length of an unstable response, as a multiple of dead time plus sampling period."""
@@ -100,7 +101,7 @@ class _LoopCurve:
     Attributes:
         run: Name of the run; empty if there is only one.
         is_many: Whether a colour bar names the runs, because there are many.
-        layer: Index of the loop in its law; 0 is on top.
+        layer: Index of the loop in its law; loop 0 is on top.
         model: Model of the loop in theory.
         found: Properties of the loop.
         run_looks: Colour and marker of the run.
@@ -137,7 +138,7 @@ class _LoopCurve:
         return looks | ({"mfc": "none", "mew": 0.9} if self.layer else {})
 
     def tell_gain(self) -> str:
-        """Return Kp as text, and whether theory's loop is unstable with it."""
+        """Return Kp as text, and whether theory's loop is unstable with this Kp."""
         verdict = "" if self.found.stable else " (unstable)"
         return f"Kp = {self.found.gains.kp:g}{verdict}"
 
@@ -149,7 +150,7 @@ class _LoopCurve:
 
 
 def find_lack_of_theory(runs: Sequence[Run]) -> str:
-    """Return the reason why theory has no loop; empty if it has one."""
+    """Return why theory has no loop; empty if it has a loop."""
     if not runs:
         return "a recording"
     models = [model for run in runs for model in model_run_loops(run)]
@@ -184,7 +185,7 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _tell_equal_phases(axes: Axes, curves: Sequence[_LoopCurve]) -> None:
-    """Write which runs have the same curve: Kp alone does not change the phase."""
+    """Write which runs have the same curve, because Kp alone does not change the phase."""
     told = [
         f"{len(group)} runs have one phase of {group[0].model.loop.name}"
         f" ({1e3 * group[0].found.dead_time_s:.4g} ms)"
@@ -261,7 +262,7 @@ def _set_height(figure: Figure, rows: float, columns: int) -> None:
 
 
 def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of proportional loops on a plant 1/s; without runs those of the paper."""
+    """Return the gains of proportional loops on a plant 1/s; without runs, the paper's gains."""
     ideal = [run for run in runs if find_plant(run).name != LAGGED]
     return find_gains(ideal) if ideal or not runs else ()
 
@@ -279,7 +280,7 @@ def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[Pol
 
 
 def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, str]:
-    """Return the legend text of each run's poles, by its name: its gains."""
+    """Return the legend text of each run's poles by the name of the run: its gains."""
     found: dict[str, str] = {}
     for name in _name_styled(runs):
         own = [curve for curve in curves if curve.run == name]
@@ -312,7 +313,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
-    """Return the loops of runs that theory knows: runs differ in colour, loops in dashes."""
+    """Return the loops of runs that theory knows. Runs differ in colour, loops in dashes."""
     known = [list_known(model_run_loops(run)) for run in runs]
     loops = dict.fromkeys(model.loop.name for models in known for model in models)
     layers = {name: layer for layer, name in enumerate(loops)}
@@ -339,7 +340,7 @@ def _name_styled(runs: Sequence[Run]) -> list[str]:
 def _name_loops(
     axes: Axes, curves: Sequence[_LoopCurve], tell: Callable[[PidLoop], str]
 ) -> list[str | None]:
-    """Return the legend text of each loop; for many runs only the dashes of each loop."""
+    """Return the legend text of each loop; for many runs, only the dashes of each loop."""
     labels = [curve.label(tell) for curve in curves]
     if not any(curve.is_many for curve in curves):
         return name_some(axes, labels)
@@ -483,7 +484,7 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
 
 
 def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a response, cut where it leaves the axes, as unstable ones do."""
+    """Return a response, cut where it leaves the axes, as unstable responses do."""
     beyond = np.abs(values - 1.0) > _FAR
     if not beyond.any():
         return values

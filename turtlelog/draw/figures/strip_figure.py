@@ -1,4 +1,4 @@
-"""Strip plots of metrics by group: every run a point, with a box if there are many."""
+"""Strip plots of metrics by group: each run is a point, with a box if there are many runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,26 +22,26 @@ from turtlelog.run import Parameter, Run
 Values = NDArray[np.float64]
 
 _MOST_GROUPS: Final = 12
-"""Largest number of groups side by side; in a column each has 6 mm."""
+"""Largest number of groups side by side; in a column, each group has 6 mm."""
 
 _MOST_KEYS: Final = 2
-"""Largest number of keys in the name of a group; more would have no room below it."""
+"""Largest number of keys in the name of a group; more keys would have no room below it."""
 
 _MOST_LETTERS: Final = 22
 
 _BOX_FROM: Final = 10
-"""Number of values from which quartiles are useful: with fewer, each lies between two points or on
-one."""
+"""Number of values from which quartiles are useful. With fewer values, each quartile lies between
+two points or on one."""
 
 _HALF_WIDTH: Final = 0.17
 """Half the width of a group's points, as a share of the distance between groups."""
 
 _PANEL_INCH: Final = 1.75
 _NARROW_INCH: Final = 2.3
-"""Smallest width of each of several panels [inch], because groups have names below."""
+"""Smallest width of each of several panels [inch]; the groups have names below."""
 
 _SIDE_INCH: Final = 0.65
-"""Width of a panel for the numbers and the two lines beside its axis [inch]."""
+"""Width of a panel for the numbers and the two lines next to its axis [inch]."""
 
 _BOX: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -109,7 +109,7 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
 
 
 def _name_key(key: str, runs: Sequence[Run]) -> str:
-    """Return the last part of a key, with the unit of a gain; other keys contain their unit."""
+    """Return the last part of a key, with the unit of a gain. Other keys contain their unit."""
     unit = find_gain_unit(runs, key)
     return f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
 
@@ -133,7 +133,7 @@ def _tell(value: Parameter | None) -> str:
 def draw_strips(
     figure: Figure, runs: Sequence[Run], *, metrics: Sequence[str] | None = None
 ) -> None:
-    """Draw a panel for each metric: the runs of each group as points, and a box if there are many.
+    """Draw a panel for each metric: runs of each group as points, with a box if there are many.
 
     Args:
         figure: Figure to draw on.
@@ -163,7 +163,7 @@ def draw_strips(
 
 
 def _choose_columns(groups: RunGroups, count: int, width_inch: float) -> int:
-    """Return the number of panel columns that fit, fewer if names would be slanted."""
+    """Return the number of panel columns that fit, or fewer if names would be slanted."""
     most = max(1, min(count, int(width_inch / _NARROW_INCH)))
     widest = _measure_widest(_name_groups(groups))
     fitting = [n for n in range(most, 0, -1) if widest <= _find_room(groups, width_inch / n)]
@@ -180,7 +180,7 @@ def _measure_widest(names: Sequence[str]) -> float:
 
 
 def _name_groups(groups: RunGroups) -> list[str]:
-    """Return names below a panel, with the number of runs unless all groups have the same."""
+    """Return names below a panel, with the number of runs unless all groups are equal in size."""
     if _tell_sizes(groups):
         return [*groups.names]
     named = zip(groups.names, groups.rows, strict=True)
@@ -223,7 +223,7 @@ def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: flo
 
 
 def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: bool) -> None:
-    """Draw a group's values, spread sideways if there are many, and its box or its median."""
+    """Draw a group's values, spread sideways if there are many, and a box or the median."""
     if not len(known):
         return
     beside = 0.2 if is_boxed else 0.0
@@ -248,8 +248,8 @@ def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: 
 def _spread(values: Values) -> Values:
     """Return sideways offsets of points, so that close values do not hide each other.
 
-    Offsets follow the golden ratio in the order of the values: neighbours are far apart, and equal
-    runs give equal pictures.
+    Offsets follow the golden ratio in the order of the values: neighbouring values are far apart,
+    and equal runs give equal pictures.
     """
     if len(values) < 3:
         return np.zeros(len(values))

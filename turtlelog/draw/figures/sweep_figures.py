@@ -36,8 +36,8 @@ _BAR_INCH: Final = 0.34
 """Height of each bar of a tornado plot [inch]: two lines of text."""
 
 _SQUEEZED: Final = 0.62
-"""Smallest height of panels on a slide as a share of the usual; on lower ones, labels of sides
-touch."""
+"""Smallest height of panels on a slide, as a share of the usual height. On lower panels, labels of
+sides touch."""
 
 _LETTERS_PER_INCH: Final = 16.0
 """Letters per inch of the notes below the panels, at 7 points."""
@@ -45,7 +45,7 @@ _LETTERS_PER_INCH: Final = 16.0
 _LINE_INCH: Final = 0.14
 
 _NARROWEST_INCH: Final = 2.6
-"""Smallest width of a map beside another [inch]: its bar and its side take one inch."""
+"""Smallest width of a map next to another map [inch]; the bar and the side take one inch."""
 
 MapKind = Literal["map", "curves", "tornado"]
 """Content of a sweep figure."""
@@ -54,7 +54,7 @@ _METHODS: Final = (
     "range along each key, below it its values at both ends; at the line all keys are held at",
     "Spearman's rank correlation; grey: 95 % of independent keys",
 )
-"""Descriptions of the sensitivities in a grid and in a sample."""
+"""Descriptions of the sensitivities, in a grid and in a sample."""
 
 
 def write_map_figure(
@@ -70,7 +70,7 @@ def write_map_figure(
     Args:
         view: View from `choose_view`.
         limits: Limits from theory, as from `find_loop_limits`.
-        path: File name that ends in .pdf, .png or .svg.
+        path: File name with the suffix .pdf, .png or .svg.
         kind: Maps over two axes (for one axis, curves), curves over one axis, or the change of a
             metric along each key.
         page: Page format.
@@ -98,13 +98,13 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
     kind: MapKind = "map",
     page: Page | None = None,
 ) -> Figure:
-    """Return the drawn map of a sweep, which a notebook shows.
+    """Return the drawn map of a sweep, which a notebook can show.
 
     Args:
         table: Table from `sweep_scenario`, or its file.
-        metrics: Ids or patterns; None: up to four metrics of the table.
-        x: Key of the horizontal axis; None: chosen.
-        y: Key of the vertical axis; None: chosen.
+        metrics: Ids or patterns. Default: up to four metrics of the table.
+        x: Key of the horizontal axis. Default: chosen automatically.
+        y: Key of the vertical axis. Default: chosen automatically.
         at: Values of keys that are held constant.
         kind: Maps over two keys (for one key, curves), curves over one key, or the change of a
             metric along each key (`tornado`).
@@ -172,7 +172,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
 
 
 def _write_below(figure: Figure, words: Sequence[str]) -> None:
-    """Write lines below the panels, wrapped to the figure's width; the figure grows."""
+    """Write lines below the panels, wrapped to the figure's width. The figure becomes higher."""
     letters = int(figure.get_figwidth() * _LETTERS_PER_INCH)
     lines = [line for one in words for line in textwrap.wrap(one, letters)]
     width, height = figure.get_size_inches()
@@ -184,7 +184,7 @@ def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
     """Return rows and columns of panels.
 
     Raises:
-        ShowError: If a slide has no room for them.
+        ShowError: If a slide has no room for the panels.
     """
     columns = min(count, max(int(page.width_inch / _NARROWEST_INCH), 1))
     rows = -(-count // columns)
@@ -211,12 +211,12 @@ def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
 
 
 _MOST_KEYS: Final = 12
-"""Largest number of bars in a panel: each has 4 mm of a column."""
+"""Largest number of bars in a panel; each bar has 4 mm of a column."""
 
 _NO_VALUE: Final = "#a03020"
 
 _THIN: Final = 0.01
-"""Share of the widest bar below which a bar is not visible and its ends are written."""
+"""Share of the widest bar below which a bar is not visible, and its ends are written as text."""
 
 _ROOM_FOR_WORDS: Final = 0.9
 """Room for text to the right of the bars, as a multiple of their span."""

@@ -1,4 +1,4 @@
-"""Metrics of a sweep against one key, a line per value of a second key, and theory's limits."""
+"""Metrics of a sweep over one key, with a line per value of a second key, and theory's limits."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -26,11 +26,11 @@ from turtlelog.sweep.table.swept_views import SweptView, fill_cells
 Values = NDArray[np.float64]
 
 _MOST_LINES: Final = 12
-"""Largest number of values of a second key with a line each: neighbouring colours remain
+"""Largest number of values of a second key with a line each; neighbouring colours remain
 distinct."""
 
 _MOST_TOLD: Final = 6
-"""Largest number of omitted values that a legend lists; otherwise it gives the step."""
+"""Largest number of omitted values that a legend lists; for more, the legend gives the step."""
 
 _ALIKE: Final = 0.005
 """Difference below which curves are one line in print: a third of a millimetre, as a share of a
@@ -42,11 +42,11 @@ _MOST_MARKED: Final = 40
 """Largest number of key values with a dot on the line: one per 2 mm of a panel."""
 
 _MOST_DOTS: Final = 500
-"""Largest number of sample rows with large dots: these cover a tenth of a panel."""
+"""Largest number of sample rows with large dots, which cover a tenth of a panel."""
 
 _DECADES: Final = 100.0
-"""Ratio of largest to smallest value from which the axis is logarithmic. On a linear axis the whole
-lower decade would be as thin as a line."""
+"""Ratio of largest to smallest value from which the axis is logarithmic. On a linear axis, the
+whole lower decade would be as thin as a line."""
 
 
 def choose_curve_axes(
@@ -60,7 +60,7 @@ def choose_curve_axes(
 
 
 def choose_series(series: SweptAxis | None) -> list[int]:
-    """Return the indices of a second axis that have a line; if many, a few in even steps."""
+    """Return the indices of a second axis that get a line; of many, a few in even steps."""
     if series is None:
         return [0]
     count = min(len(series), _MOST_LINES)
@@ -75,7 +75,7 @@ def draw_curves(
     Args:
         axes: Axes to draw on.
         view: View with one or two axes.
-        metric: Metric among its results.
+        metric: One of the view's metrics.
         limits: Limits from theory, as from `find_loop_limits`.
 
     Returns:
@@ -117,7 +117,7 @@ def draw_curves(
 
 
 def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...]]:
-    """Return a colour for each line: numbers have colours of the ramp in their order."""
+    """Return a colour for each line. Numbers have colours of the ramp, in their order."""
     if series is None or not series.is_number or count == 1:
         return choose_colors(count)
     # The ramp is that of more runs than hues; its ends are the least and the greatest value.
@@ -133,7 +133,7 @@ def _name_value(series: SweptAxis, place: int) -> str:
 
 
 def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:
-    """Return the values of a second key without a line, as text."""
+    """Return the values of a second key that have no line, as text."""
     left = [place for place in range(len(series)) if place not in places]
     if len(left) <= _MOST_TOLD:
         return f"left out: {', '.join(series.tell_place(place) for place in left)}"
@@ -186,7 +186,7 @@ def _mark_valueless(axes: Axes, numbers: Values, color: Any) -> dict[str, Any]:
 def _draw_sample(
     axes: Axes, view: SweptView, metric: SweptMetric, along: SweptAxis
 ) -> dict[str, Any]:
-    """Draw a dot for each row: random rows do not share values of another key."""
+    """Draw a dot for each row, because random rows do not share values of another key."""
     (color,) = choose_colors(1)
     numbers = along.numbers[along.places[view.rows]]
     values = scale_values(metric, metric.values[view.rows])

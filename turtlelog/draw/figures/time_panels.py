@@ -80,7 +80,7 @@ _GRID: Final = {"color": "0.8", "linewidth": 0.5}
 _COMMANDED: Final[Mapping[str, Any]] = MappingProxyType(
     {"linewidth": 0.5, "zorder": 1.8, "marker": "", "label": "commanded"}
 )
-"""Style of commands beside measured rates of the same run, in its colour."""
+"""Style of commands next to measured rates of the same run, in the colour of the run."""
 
 _LOST: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -105,7 +105,7 @@ _GAP: Final[Mapping[str, Any]] = MappingProxyType(
 _DIMMED: Final[Mapping[str, Any]] = MappingProxyType(
     {"alpha": 0.35, "linewidth": 0.6, "zorder": 1.4}
 )
-"""Style of a run that never settles, below those that do."""
+"""Style of a run that never settles, below runs that settle."""
 
 _WORDS_POINTS: Final = 6.5
 
@@ -118,7 +118,7 @@ def draw_time_plot(
 ) -> None:
     """Draw a plot of `TIME_PLOTS` or a state: all curves of a single run, a few kinds of several.
 
-    The references of the plot's signal are drawn, too. Runs that never settle are dimmed if others
+    The references of the plot's signal are drawn too. Runs that never settle are dimmed if others
     settle, and do not set the axis limits.
     """
     plot = find_plot(name, runs)
@@ -213,7 +213,7 @@ def _draw_curves(
 def _choose_looks(
     found: PlottedCurve, looks: Mapping[str, Any], color: Color, *, is_alone: bool
 ) -> dict[str, Any]:
-    """Return the style of a curve; the run's own curve has its marker."""
+    """Return the style of a curve. The run's own curve has the run's marker."""
     hue = to_rgb(choose_curve_color(found.kind, color, is_alone=is_alone))
     own = {**looks, "color": hue, "linestyle": STROKES[choose_dash(found.kind)]}
     if found.kind not in ("run", "measured"):
@@ -227,7 +227,7 @@ def _choose_looks(
 
 
 def _is_known(aim: Curve, aims: list[Curve]) -> bool:
-    """Return whether a reference is in `aims`; otherwise it is added there."""
+    """Return whether a reference is in `aims`; if not, add it there."""
     if any(_are_alike(aim, other) for other in aims):
         return True
     aims.append(aim)
@@ -247,7 +247,7 @@ def _draw(axes: Axes, run: Run, kind: CurveKind, curve: Curve, looks: Mapping[st
 
 
 def _are_alike(one: Curve, other: Curve) -> bool:
-    """Return whether two references are equal, as for runs that track one path by time."""
+    """Return whether two references are equal, for example of runs that track one path by time."""
     return np.array_equal(one.time_s, other.time_s) and np.array_equal(
         one.values, other.values, equal_nan=True
     )
@@ -314,10 +314,10 @@ def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> N
 
 
 def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
-    """Draw the paths, and panels on one time axis in two columns around them.
+    """Draw the paths, with panels on one time axis in two columns around them.
 
     The plane is at the top of the left column. For runs without samples it takes the whole column;
-    for runs without poses there is none.
+    for runs without poses there is no plane.
     """
     if not any(len(run.poses) for run in runs):
         draw_stack(figure, runs, panels)

@@ -77,7 +77,7 @@ def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
 
 
 def _end_at_rest(found: Sequence[Axes], end_s: float) -> None:
-    """End axes where their curves come to rest, if that is in the first half, with a note."""
+    """End axes where their curves come to rest in the first half, with a note."""
     is_linear = all(axes.get_yscale() == "linear" for axes in found)
     lengths_s = {axes.get_xlim()[1] for axes in found}
     if not is_linear or len(lengths_s) != 1:
@@ -98,7 +98,7 @@ def _list_curves(axes: Axes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def list_time_axes(figure: Figure) -> list[Axes]:
-    """Return the time axes; those above others have no label of their own."""
+    """Return the time axes. Axes above others have no label of their own."""
     found = []
     for axes in figure.axes:
         alike = axes.get_shared_x_axes().get_siblings(axes)

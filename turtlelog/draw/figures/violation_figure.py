@@ -30,7 +30,7 @@ _SMALL: Final = 0.12
 _SHORT: Final = 0.01
 """Share of the time axis below which a violation is narrower than its dot of 2 mm."""
 _MOST_STRIPES: Final = 60
-"""Largest number of violations that are shaded; more would make the panel red."""
+"""Largest number of violations that are shaded; more would make the whole panel red."""
 _STRIPE: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": _RED, "alpha": 0.3, "linewidth": 2.5, "zorder": 0.8}
 )
@@ -59,12 +59,12 @@ _POINT: Final[Mapping[str, Any]] = MappingProxyType(
 def draw_violation(
     figure: Figure, runs: Sequence[Run], *, violated: ViolatedSignal | None = None
 ) -> None:
-    """Draw the signal of a check with its band; if the check holds, also its closest approach.
+    """Draw the signal of a check with its band; for a passed check, also the closest approach.
 
     Args:
         figure: Figure to draw on.
         runs: Sequence of the checked run.
-        violated: Result of the check; nothing can be drawn without it.
+        violated: Result of the check, without which nothing can be drawn.
 
     Raises:
         ShowError: If there is not exactly one run, or nothing was checked.
@@ -119,7 +119,7 @@ def _name_limit(axes: Axes, time_s: Values, end: Values, name: str, *, is_low: b
 
 
 def _draw_outside(axes: Axes, violated: ViolatedSignal) -> None:
-    """Draw the part outside in red, including the next row if a value is held."""
+    """Draw the part outside in red. For a held value, the next row is included."""
     outside = violated.outside
     if not outside.any():
         return
@@ -148,7 +148,7 @@ def _list_short(violated: ViolatedSignal) -> list[float]:
 
 
 def _measure_outside(violated: ViolatedSignal) -> str:
-    """Return the duration outside as text; for a single row, also how long its value is held."""
+    """Return the duration outside as text; for a single row, also how long the value is held."""
     time_s = violated.curve.time_s
     lasts_s = np.append(np.diff(time_s), 0.0)
     rows = int(violated.outside.sum())
@@ -157,7 +157,7 @@ def _measure_outside(violated: ViolatedSignal) -> str:
 
 
 def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
-    """Shade the band; if the signal goes far beyond, show only the part near the band."""
+    """Shade the band. If the signal goes far beyond the band, show only the part near it."""
     low, high = axes.get_ylim()
     near = _find_near(violated)
     if np.ptp(near) < _SMALL * (high - low):
@@ -190,7 +190,7 @@ def _find_near(violated: ViolatedSignal) -> Values:
 def _name_moments(
     axes: Axes, violated: ViolatedSignal, named: Mapping[str, ViolationMoment]
 ) -> None:
-    """Mark moments, and write their names where they cover least."""
+    """Mark moments, and write their names where the text covers least."""
     figure = axes.get_figure(root=True)
     width, height = figure.get_size_inches() if figure is not None else (1.0, 1.0)
     x, y = np.array(axes.get_xlim()), np.array(axes.get_ylim())

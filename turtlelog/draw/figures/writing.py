@@ -44,13 +44,13 @@ from turtlelog.run import Run, list_runs
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 
 _UNUSED_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern", "cmap", "post", "name", "OS/2")
-"""Font tables on ligatures, look-up and names of glyphs, which a PDF does not need, because it
-finds glyphs by index. ISO 32000-1, 9.9: a CIDFontType2 needs glyf, head, hhea, hmtx, loca, maxp,
-and cvt, fpgm and prep if there are any."""
+"""Font tables on ligatures, look-up and names of glyphs. A PDF does not need them, because it finds
+glyphs by index. ISO 32000-1, 9.9: a CIDFontType2 needs glyf, head, hhea, hmtx, loca, maxp, and, if
+present, cvt, fpgm and prep."""
 _LEAST_INCH: Final = 3.0
-"""Width below which a figure keeps its height [inch], because its text has the same size."""
+"""Width below which a figure keeps its height, because its text has the same size [inch]."""
 _MOST_COLUMNS: Final = 4
-"""Largest number of runs as columns; more runs are rows."""
+"""Largest number of runs as columns; more runs become rows."""
 _WIDE: Final = frozenset(
     {
         *("plant", "plane", "panel", "bode", "nyquist", "step"),
@@ -60,8 +60,8 @@ _WIDE: Final = frozenset(
 _WIDE_OF_RUNS: Final = frozenset({"root-locus"})
 """Figures with one panel if they show theory alone."""
 _LEAST_DRAWN: Final = 3
-"""Figures per process if the number of processes is not given. A fork takes as long as a fifth of a
-small figure, and the copies of changed memory as long again."""
+"""Smallest number of figures per process if the number of processes is not given. A fork takes as
+long as a fifth of a small figure, and the copies of changed memory as long again."""
 _NO_DATE: Final = {
     "pdf": {"CreationDate": None, "ModDate": None},
     "svg": {"Date": None},
@@ -77,7 +77,7 @@ def draw_figure(
     page: Page | None = None,
     kinds: Mapping[str, FigureKind] | None = None,
 ) -> Figure:
-    """Return one drawn figure, which a notebook shows; several panels use the whole text width.
+    """Return one drawn figure, which a notebook can show. Several panels use the whole text width.
 
     Runs are drawn in the order of their gains.
 
@@ -124,17 +124,18 @@ def write_figures(
     Args:
         runs: Runs to draw: one in detail, several in the same axes, none for theory.
         folder: Folder of the files, which is created if necessary.
-        only: Names of `FIGURES`, or figures that replace them by name. Default: all usual figures
+        only: Names in `FIGURES`, or figures that replace them by name. Default: all usual figures
             for which the runs have data.
         formats: Formats from `FIGURE_FORMATS`.
         page: Page format.
-        jobs: Number of processes, at least 1; None: one per core if that is faster. They are
-            forked; other systems than Linux use one process. The files do not depend on it.
+        jobs: Number of processes, at least 1. Default: one per core if that is faster. Processes
+            are forked; systems other than Linux use one process. The files do not depend on this
+            number.
 
     Raises:
         ShowError: If a name or format is unknown, `jobs` is not a number of processes, the runs
-            lack the data of a named figure, or the folder cannot be written; nothing is written
-            then.
+            lack the data of a named figure, or the folder cannot be written. Then nothing is
+            written.
     """
     runs = list_runs(runs)
     with replace_together(folder) as write:
@@ -176,8 +177,8 @@ def _draw_in_processes(
 ) -> Iterator[tuple[str, list[bytes]]]:
     """Yield each figure and its files, drawn in several processes if forking is possible.
 
-    Each process draws consecutive figures, and those of theory are in one process that loads their
-    libraries. Distributing them one by one took a quarter more processor time.
+    Each process draws consecutive figures. The figures of theory are drawn in one process, which
+    loads their libraries. Distributing the figures one by one took a quarter more processor time.
     """
     if jobs is None:
         jobs = min(count_cores(), len(names) // _LEAST_DRAWN)
@@ -196,7 +197,7 @@ def _draw_in_processes(
 def _draw_until_error(
     draw: Callable[[str], list[bytes]], names: Sequence[str]
 ) -> tuple[list[list[bytes]], Exception | None]:
-    """Return the files of figures up to the first that fails, and its error."""
+    """Return the files of figures up to the first one that fails, with the error."""
     drawn: list[list[bytes]] = []
     try:
         drawn.extend(map(draw, names))
@@ -225,7 +226,7 @@ def _draw_files(
 
 
 def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
-    """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
+    """Write a figure in one of `FIGURE_FORMATS`. Equal figures give equal bytes."""
     with use_looks():
         # `savefig` would draw everything once more to compute the layout.
         figure.dpi = (page or Page()).pixels_per_inch
@@ -240,11 +241,11 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
 
 
 _LAYOUTS: Final = 3
-"""Computations of a layout after which planes, which are square, leave room for all labels."""
+"""Number of layout computations after which square planes leave room for all labels."""
 
 
 def _arrange(figure: Figure) -> None:
-    """Compute the places of panels; repeated for planes, whose squares change them."""
+    """Compute the places of panels; repeatedly for planes, because their squares change places."""
     has_planes = any(axes.get_aspect() != "auto" for axes in figure.axes)
     for _ in range(_LAYOUTS if has_planes else 1):
         if (engine := figure.get_layout_engine()) is not None:
@@ -252,7 +253,7 @@ def _arrange(figure: Figure) -> None:
 
 
 def require_figure_path(path: str | Path) -> Path:
-    """Return the path for a figure; raise an error if the suffix is not a format."""
+    """Return the path for a figure, or raise an error if the suffix is not a format."""
     path = make_path(path)
     if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
         raise ShowError(f"{path}: the name must end in .pdf, .png or .svg")
@@ -270,11 +271,11 @@ def write_figure(figure: Figure, path: Path, page: Page) -> Path:
 
 @contextmanager
 def _drop_unused_tables() -> Iterator[None]:
-    """Leave out font tables that no PDF uses: reducing them takes most of the writing time.
+    """Leave out font tables that no PDF uses, because reducing them takes most of the writing time.
 
-    matplotlib has no option for these tables. Fonts are opened by a public function of fontTools,
-    which leaves the tables out in this thread during the block. If matplotlib opened fonts in
-    another way, writing would take longer, and the figures would look the same.
+    matplotlib has no option for these tables. matplotlib opens fonts with a public function of
+    fontTools, which leaves the tables out in this thread during the block. If matplotlib opened
+    fonts in another way, writing would only take longer.
     """
     usual, ours = subset.load_font, get_ident()
 
@@ -315,12 +316,12 @@ def _find_kind(
 
 
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
-    """Write tables of runs, Table 1 and essential metrics as LaTeX with booktabs; return the files.
+    """Write tables of runs, Table 1 and essential metrics as LaTeX with booktabs; return files.
 
-    Table 1 is left out if no run has a value for it.
+    Table 1 is left out if no run has a value for it. The tables use the booktabs package.
 
     Raises:
-        ShowError: If the folder cannot be written; nothing is written then.
+        ShowError: If the folder cannot be written. Then nothing is written.
     """
     with replace_together(folder) as write:
         return add_tables(write, runs)
@@ -349,7 +350,7 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
 
 
 _DPI: Final = 192
-"""Resolution in notebooks, twice the inch of browsers: sharp on screens of any kind."""
+"""Resolution in notebooks: twice the inch of browsers, sharp on every kind of screen."""
 
 _BROWSER_DPI: Final = 96
 

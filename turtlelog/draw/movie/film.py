@@ -1,4 +1,4 @@
-"""The times of the runs that each picture of a movie shows."""
+"""Times of the runs that each picture of a movie shows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,17 +14,17 @@ from turtlelog.run import Run
 Values = NDArray[np.float64]
 
 SHORTEST_S: Final = 1.0
-"""Shortest movie [s]: a shorter one is a picture."""
+"""Shortest movie [s]; shorter movies would be a picture."""
 
 LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
-"""Longest movie [s] by format. An .mp4 takes 3 s of work per second; a .gif is made from all
+"""Longest movie [s] by format. An .mp4 takes 3 s of work per second. A .gif is made from all
 pictures at once, 22 MB per second."""
 
 _STILL_S: Final = 1.5
 """Time without motion at the end [s], for reading the distances of the runs."""
 
 _MOST_STILL: Final = 0.3
-"""Largest share of the movie for that time."""
+"""Largest share of this time in the movie."""
 
 _SLOWEST: Final = 0.25
 """Slowest motion: a run of half a second takes two seconds, so that each pose is visible."""
@@ -52,13 +52,13 @@ class Film:
 def plan_film(
     runs: Sequence[Run], *, timeline: str, length_s: float | None, pictures_per_s: float
 ) -> Film:
-    """Return the moments of a movie from the first pose of any run to the last.
+    """Return the times of a movie's pictures, from the first pose of any run to the last pose.
 
     Args:
         runs: Runs, at least one.
-        timeline: `sim_time`, from each run's first sample, or the timeline of a later phase, such
-            as `translate_time`, from the start of that phase.
-        length_s: Length of the movie [s]. None: real time, up to 10 s.
+        timeline: `sim_time`, from each run's first sample; or the timeline of a later phase, such
+            as `translate_time`, from the start of this phase.
+        length_s: Length of the movie [s]. Default: real time, up to 10 s.
         pictures_per_s: Picture rate [1/s].
 
     Raises:

@@ -1,7 +1,7 @@
 """Writing of a movie of one or several runs as .mp4 (VP9) or .gif.
 
-VP9 and its encoder are free of fees, and FFmpeg as OpenCV ships it is under the LGPL. H.264, which
-even older players support, has no available encoder without the GPL.
+VP9 and its encoder are free of fees, and OpenCV contains FFmpeg under the LGPL. H.264, which older
+players also support, has no available encoder without the GPL.
 """
 
 import tempfile
@@ -22,7 +22,8 @@ from turtlelog.libraries import load_library
 from turtlelog.run import Run
 
 _SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}
-"""Width and height [pixels]: those of a slide, and for a page with text beside it."""
+"""Widths and heights [pixels]: the size of a slide, and a size for a page with text next to the
+movie."""
 
 
 def write_movie(
@@ -36,17 +37,17 @@ def write_movie(
     """Write a movie: turtles with growing trails, and a close-up of the goal at the end.
 
     Args:
-        runs: Runs, at least one; several in one picture, in the order of their gains.
-        path: A .mp4 (VP9) or .gif file; replaced when the new one is complete.
-        timeline: `sim_time`: from each run's first sample; or from the start of a later phase of
-            each, as `translate_time`.
-        length_s: Length of the movie [s], 1 to 600, for a .gif up to 60. None: real time, at most
-            10 s.
-        on_picture: Function called with the numbers of pictures done and in total.
+        runs: Runs, at least one. Several runs are in one picture, in the order of their gains.
+        path: A .mp4 (VP9) or .gif file. An existing file is replaced when the new one is complete.
+        timeline: `sim_time`: from each run's first sample; or a later phase, such as
+            `translate_time`: from each start of this phase.
+        length_s: Length of the movie [s], 1 to 600, for a .gif up to 60. Default: real time, at
+            most 10 s.
+        on_picture: Function that is called with the numbers of pictures done and in total.
 
     Raises:
-        ShowError: If there is no run, a run lacks the timeline, the length is out of range, or the
-            file cannot be written.
+        ShowError: If there is no run, a run does not have the timeline, the length is out of range,
+            or the file cannot be written.
         LibraryError: If the encoder of such a file is not installed.
     """
     path = make_path(path)
@@ -70,12 +71,12 @@ def write_movie(
 _MOVIE_FORMATS: Final = (".mp4", ".gif")
 
 PICTURES_PER_S: Final = {".mp4": 24.0, ".gif": 20.0}
-"""Picture rates [1/s]: as in the cinema for .mp4, where VP9 takes 0.13 s of processor time per
-picture. Pictures of a GIF last whole hundredths of a second, and many programs show none shorter
-than five."""
+"""Picture rates [1/s]. For .mp4, the rate is that of the cinema; VP9 takes 0.13 s of processor time
+per picture. For .gif, a picture lasts whole hundredths of a second, and many programs show none for
+less than five."""
 
 _COLORS: Final = 128
-"""Colours of a GIF: twelve runs with faint paths and smooth edges need about 90."""
+"""Number of colours of a GIF; twelve runs with faint paths and smooth edges need about 90."""
 
 
 def require_encoder(suffix: str) -> None:
@@ -91,7 +92,7 @@ def require_encoder(suffix: str) -> None:
 
 
 def _encode_movie(pictures: Iterable[Picture], path: Path) -> None:
-    """Write pictures of one size; the file is replaced when the new one is complete.
+    """Write pictures of one size. An existing file is replaced when the new one is complete.
 
     Raises:
         ShowError: If the file cannot be written.

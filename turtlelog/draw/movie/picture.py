@@ -1,4 +1,4 @@
-"""The pictures of a movie: the plane on the left, curves and the goal on the right.
+"""Pictures of a movie: the plane on the left, curves and the goal on the right.
 
 Static content is drawn once; for each picture, moving content is drawn over a copy of it.
 """
@@ -64,7 +64,8 @@ _LOOKS: Final = {
     "lines.linewidth": 2.2,
     "axes.linewidth": 1.0,
 }
-"""Settings of matplotlib; text is legible from the last row if the picture is a slide."""
+"""Settings of matplotlib. If the picture is a slide, text is legible from the last row of the
+audience."""
 
 _PLANE: Final = (0.055, 0.095, 0.48, 0.79)
 _CURVES: Final = ((0.63, 0.725, 0.35, 0.16), (0.63, 0.49, 0.35, 0.16))
@@ -81,11 +82,11 @@ _BESIDE: Final[Mapping[str, Any]] = MappingProxyType(
 
 _TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)])
 _TURTLE_SIZE: Final = 0.045
-"""Size of a turtle as a share of the plane's half-width: large enough to see its heading."""
+"""Size of a turtle as a share of the plane's half-width, large enough to see the heading."""
 
 _NEAR: Final = 3.0
-"""Distance in half-widths of the close-up below which a robot is near the goal: it arrives within
-about a second."""
+"""Distance from the goal, in half-widths of the close-up, below which a robot counts as near: it
+arrives within about a second."""
 
 _MOST_POINTS: Final = 2000
 """Largest number of points of a trail: more than the picture is wide."""
@@ -103,7 +104,7 @@ class _Growing:
 
     Attributes:
         line: Artist of matplotlib.
-        time_s: Times of its points on the timeline [s].
+        time_s: Times of the points on the timeline [s].
         points: Points of the line, shape (n, 2).
     """
 
@@ -112,7 +113,7 @@ class _Growing:
     points: Values
 
     def grow(self, time_s: float, tip: Values | None) -> None:
-        """Show the part before a time, and a line from there to the tip."""
+        """Show the part before a time, and a line from the end of this part to the tip."""
         shown = self.points[: int(np.searchsorted(self.time_s, time_s, side="right"))]
         self.line.set_data(*(shown if tip is None else np.vstack([shown, tip])).T)
 
@@ -134,7 +135,7 @@ class _Goal:
 
 @dataclass(slots=True, kw_only=True)
 class _Stage:
-    """The figure with its moving parts; all sequences of runs have one order."""
+    """The figure with its moving parts. All sequences of runs have the same order."""
 
     figure: Figure
     film: Film
@@ -249,7 +250,7 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
 def _set_curve(
     stage: _Stage, axes: Axes, runs: Sequence[Run], looks: Sequence[Look], name: str
 ) -> None:
-    """Draw a plot over time: the curves of runs grow, references are complete."""
+    """Draw a plot over time. Curves of runs grow, references are complete."""
     plot = TIME_PLOTS[name]
     for number, (run, zero_ns) in enumerate(zip(runs, stage.film.zeros_ns, strict=True)):
         look = looks[number]
@@ -351,7 +352,7 @@ def _show_goal(stage: _Stage, goal: _Goal, number: int) -> None:
 
 
 def _tell_film(film: Film) -> str:
-    """Return the zero of the time, if that is not the first sample, and the speed of the movie."""
+    """Return the zero of the time, if it is not the first sample, and the speed of the movie."""
     phase = film.timeline.removesuffix("_time").removeprefix("phase.")
     zero = "" if film.timeline == TIMELINE else f" from the start of {phase}"
     pace = f"{film.pace:.0f}" if film.pace >= 10.0 else f"{film.pace:.2g}"
@@ -371,17 +372,16 @@ _MOST_NAMED: Final = 7
 """Largest number of names above the picture: as many as there are hues."""
 
 _NAMES_END: Final = 0.66
-"""End of the names, as a share of the width: the rest belongs to the clock."""
+"""End of the names, as a share of the width; the rest of the width is for the clock."""
 
 _LEAST_POINTS: Final = 10.0
-"""Smallest size of a name [points]: smaller letters are illegible in a .gif of 450 pixels in
-height."""
+"""Smallest size of a name [points]; smaller letters are illegible in a .gif 450 pixels high."""
 
 
 def _name_runs_above(
     figure: Figure, runs: Sequence[Run], colors: Sequence[Any], *, left: float
 ) -> None:
-    """Write names of runs in their colours; long ones are shortened, made smaller, or left out."""
+    """Write names of runs in their colours. Long names are shortened, made smaller, or left out."""
     chosen = list(range(len(runs)))
     if len(runs) > _MOST_NAMED:
         chosen = np.linspace(0, len(runs) - 1, 4).round().astype(int).tolist()
@@ -403,7 +403,7 @@ def _name_runs_above(
 def _write_names(
     figure: Figure, told: Sequence[tuple[str, Any]], points: float, left: float
 ) -> tuple[float, list[Text]]:
-    """Write names side by side while there is room; return their end and the texts."""
+    """Write names side by side while there is room; return the end of the names and the texts."""
     texts: list[Text] = []
     renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
     for name, color in told:

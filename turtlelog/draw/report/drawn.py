@@ -19,22 +19,22 @@ invisible before a zoom."""
 
 
 _FAR: Final = 1e3
-"""Magnitude from which 32-bit numbers lose a tenth of a millimetre or millisecond; 64 bits are used
-then."""
+"""Magnitude from which 32-bit numbers lose a tenth of a millimetre or millisecond, so that 64 bits
+are used."""
 
 RING: Final = "#8a8a8a"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawn:
-    """A run or a ghost, as it is drawn.
+    """A run or ghost with its drawing style.
 
     Attributes:
         run: Data of the run.
         name: Name in the legend.
         color: Colour in every plot.
         is_ghost: Whether it is a what-if.
-        is_plotted: Whether the plots over time also show it.
+        is_plotted: Whether the plots over time also show this run.
     """
 
     run: Run

@@ -28,7 +28,7 @@ def write_map_report(
     Args:
         view: View from `choose_view`.
         limits: Limits from theory, as from `find_loop_limits`.
-        path: The .html file; replaced when the new one is complete.
+        path: The .html file. An existing file is replaced when the new one is complete.
         command: Command that creates the report.
 
     Raises:

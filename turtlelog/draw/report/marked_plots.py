@@ -19,18 +19,19 @@ from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, 
 from turtlelog.libraries import load_library
 
 MOST_MARKED: Final = 4
-"""Largest number of runs with marks; marks of more runs would hide each other."""
+"""Largest number of runs with marks; with more runs, marks would hide each other."""
 
 _DEAD: Final = "#c77736"
 _WORDS: Final = "#767676"
-"""Colour of text: its contrast is 4.5 with white and 4.6 with black."""
+"""Colour of text, with a contrast of 4.5 to white and 4.6 to black."""
 
 _LINE_PX: Final = 17
 _NEAR: Final = 0.2
-"""Distance of dots below which their text is one below another, as a share of the width."""
+"""Distance between dots, as a share of the width, below which their texts are one below another."""
 
 _LATE: Final = 0.6
-"""Share of the width from which text is on the left of dots; otherwise it would leave the plot."""
+"""Share of the width from which text is on the left of dots, because it would leave the plot on the
+right."""
 
 _SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "circle", "square": "square", "cross": "x"}
 """Mark shapes of Bokeh."""
@@ -43,7 +44,7 @@ def mark_plots(
     signals: Collection[str],
     found: Sequence[Sequence[Characteristic]],
 ) -> None:
-    """Mark characteristics of signals, and the pauses; for a single run, names are beside the dots.
+    """Mark characteristics of signals, and pauses. For a single run, names are next to the dots.
 
     Args:
         plots: Plots of the page.
@@ -109,7 +110,7 @@ def _add_box(figure: Any, color: str, alpha: float, **edges: float) -> Any:
 def _draw_dot(
     figure: Any, mark: Characteristic, others: Sequence[Characteristic], whose: tuple[str, str]
 ) -> Any:
-    """Draw a dot at a metric's place on the curve; return None for metrics without a dot."""
+    """Draw a dot at a metric's place on the curve; return None for a metric without a dot."""
     text = ", ".join(list_mark_texts(mark, others))
     if mark.shape is None or not text:
         return None
@@ -124,7 +125,7 @@ def _draw_dot(
 
 
 def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> Iterator[Any]:
-    """Write the name of each dot beside it; names of close dots form a column."""
+    """Write the name of each dot next to it. The names of close dots form a column."""
     end_s = float(plots.config["end_s"])
     known = sorted((mark for mark in marks if mark.shape), key=lambda mark: mark.marked_s)
     told = [(mark, ", ".join(list_mark_texts(mark, marks))) for mark in known]
@@ -161,7 +162,7 @@ def _find_middle(figure: Any, mark: Characteristic) -> float:
 
 
 MOST_VIOLATIONS: Final = 6
-"""Largest number of failed checks with a plot; the table lists all."""
+"""Largest number of failed checks with a plot; the table lists all failed checks."""
 
 RED: Final = "#d0342c"
 
@@ -172,7 +173,7 @@ _ROOM: Final = 0.18
 """Room for text above and below the visible range, as a share of the height."""
 
 _CLOSE: Final = 0.3
-"""Distance of two moments below which their texts would overlap, as a share of the width."""
+"""Distance between two moments, as a share of the width, below which their texts would overlap."""
 
 
 def draw_violations(

@@ -38,8 +38,8 @@ from turtlelog.measure import Metric
 from turtlelog.run import Run
 
 _MOST_OF_ALL: Final = 24_000
-"""Points of one signal over all runs: 12 runs have all of theirs; each point takes 11 bytes of the
-file."""
+"""Largest number of points of one signal over all runs. 12 runs have all of their points; each
+point takes 11 bytes of the file."""
 
 _LEAST_POINTS: Final = 200
 _ROOM: Final = 0.012
@@ -49,18 +49,18 @@ _MOST_STATES: Final = 6
 """Largest number of plots of law states."""
 
 _MOST_TIPS: Final = 6
-"""Largest number of curves that are all read at the cursor; if there are more, only the one under
-the cursor: otherwise tips would hide the plot."""
+"""Largest number of curves whose values are all shown at the cursor. Of more curves, only the one
+under the cursor is shown, because tips would hide the plot."""
 
 _GHOST: Final[frozenset[CurveKind]] = frozenset({"run"})
-"""Kinds of curves drawn of a ghost: only its own."""
+"""Kinds of curves that are drawn for a ghost: only its own."""
 
 _DIMMED: Final = 0.3
-"""Opacity of a run that never settles, below those that do."""
+"""Opacity of a run that never settles, below runs that settle."""
 
 _WIDTH: Final = 1.8
 _THIN: Final = 1.2
-"""Width of all curves except the run's own [pixels]."""
+"""Width of all curves except the run's own curve [pixels]."""
 
 _STROKES: Final[Mapping[Dash, str]] = MappingProxyType(
     {"solid": "solid", "dashed": "dashed", "dotted": "dotted", "dash-dot": "dotdash"}
@@ -68,11 +68,11 @@ _STROKES: Final[Mapping[Dash, str]] = MappingProxyType(
 """Dashes of Bokeh."""
 
 _RARE: Final = 1e-3
-"""Share of rows that may be left out of view at either end: faults of a sensor are rare."""
+"""Largest share of rows that may be left out of view at either end; faults of a sensor are rare."""
 
 _FAR_OFF: Final = 20.0
-"""Multiple of the height of all other rows from which outliers are left out of view: with them, the
-others would take less than a twentieth of the plot."""
+"""Height of outliers, as a multiple of the height of all other rows, from which they are left out
+of view. With such outliers, the other rows would take less than a twentieth of the plot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,9 +81,9 @@ class Violation:
 
     Attributes:
         names: Signals in the check.
-        first_s: Time of the first violation [s]; None if there is no such time.
-        run: Index of the run; None if that run is not shown.
-        signal: Violated signal to draw; None if there is none.
+        first_s: Time of the first violation [s]; None if it has no time.
+        run: Index of the run; None if the run is not shown.
+        signal: Violated signal to draw; None if no signal is violated.
     """
 
     names: tuple[str, ...]
@@ -97,7 +97,7 @@ def draw_plots(
     metrics: Sequence[Mapping[str, Metric]],
     violations: Sequence[Violation],
 ) -> Plots:
-    """Return the plane, the close-up of the goal if there is one, and the plots over time.
+    """Return the plane, the close-up of the goal, if any, and the plots over time.
 
     Args:
         drawn: Runs first, then ghosts.
@@ -153,7 +153,7 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
 
 
 def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
-    """Return whether a report has a plot: always, or because its reference moves."""
+    """Return whether a report has a plot: always, or because the reference of the plot moves."""
     if plot.report != "moving":
         return plot.report == "always"
     aims = [entry for entry in plot.curves if entry.kind == "aim"]
@@ -227,7 +227,10 @@ def _draw_plot(
 
 
 def _concerns(found: Violation, name: str) -> bool:
-    """Return whether a violation is marked in a plot; without a signal it is marked in all."""
+    """Return whether a violation is marked in a plot.
+
+    Without a signal, it is marked in all plots.
+    """
     signals = {signal.removeprefix("measured_") for signal in found.names}
     return name in signals or signals.isdisjoint(TIME_PLOTS)
 
@@ -257,7 +260,7 @@ def _list_curves(
 ) -> dict[str, list[Any]]:
     """Return curves as a table with one row per curve.
 
-    Held values are stored as they are: the page's script turns them into steps.
+    Held values are stored unchanged; the page's script turns them into steps.
     """
     is_alone = len(drawn) == 1
     restless = _find_restless(drawn)
@@ -288,7 +291,7 @@ def _list_curves(
 
 
 def _find_restless(drawn: Sequence[Drawn]) -> frozenset[int]:
-    """Return the indices of runs that never settle if others do; ghosts are not included."""
+    """Return the indices of runs that never settle if others do, without ghosts."""
     return find_restless([one.run for one in drawn if not one.is_ghost])
 
 
@@ -311,7 +314,7 @@ def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
 def _set_height(
     figure: Any, drawn: Sequence[Drawn], plot: TimePlot, curves: Sequence[Values]
 ) -> None:
-    """Set the height of a plot from runs that settle, or from all if none is left out."""
+    """Set the height of a plot from the runs that settle, or from all runs if all are in view."""
     restless = _find_restless(drawn)
     if not restless:
         _keep_in_view(figure, curves)

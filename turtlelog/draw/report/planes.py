@@ -23,7 +23,7 @@ from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 
 _MOST_NAMED: Final = 4
-"""Largest number of ends with distances; more would hide each other."""
+"""Largest number of ends with distances; with more ends, distances would hide each other."""
 
 
 def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) -> None:
@@ -145,7 +145,7 @@ def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
 
 
 def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
-    """Draw a dot at the end of each run; the nearest and the furthest have their distance."""
+    """Draw a dot at the end of each run. The nearest and the furthest end have their distance."""
     ends = shown.ends
     colors = [to_hex(drawn[end.run].color) for end in ends]
     x_m, y_m = zip(*(end.xy_m for end in ends), strict=True)
@@ -164,5 +164,5 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
 
 
 def _is_near(end: Any, others: Sequence[Any], shown: CloseUp) -> bool:
-    """Return whether its text would overlap another end's: within 8 % of the view's height."""
+    """Return whether the text of an end would overlap another: within 8 % of the view's height."""
     return any(abs(end.xy_m[1] - other.xy_m[1]) < 0.16 * shown.half_m for other in others)

@@ -48,7 +48,7 @@ from turtlelog.run import CUT_SHORT, Run
 from turtlelog.version import __version__
 
 _MOST_COLUMNS: Final = 4
-"""Largest number of runs with a column of metrics each; more would be wider than a page."""
+"""Largest number of runs with a column of metrics each; more columns would be wider than a page."""
 
 _MOST_TITLED: Final = 4
 _MARKS_NOTE: Final = (
@@ -75,7 +75,7 @@ class Explanation:
 
     Attributes:
         run: Explained run, one of those in the report.
-        attribution: Attribution of its metric; None if there is none.
+        attribution: Attribution of the metric; None if there is no attribution.
         what_ifs: Runs without causes, as from `simulate_what_ifs`.
         note: Reason why there is no attribution; empty if there is one.
     """
@@ -99,7 +99,7 @@ def write_report(
 
     Args:
         runs: Runs, at least one.
-        path: The .html file; replaced when the new one is complete.
+        path: The .html file. An existing file is replaced when the new one is complete.
         sources: File of each run, whose sha256 is shown; empty if unknown.
         explanation: Causes of a metric of one run; its what-ifs are drawn as ghosts.
         checks: Results of a specification.
@@ -161,7 +161,7 @@ def write_report(
 
 
 def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
-    """Return the what-ifs as ghosts; the plots over time show the one without all effects."""
+    """Return the what-ifs as ghosts. Plots over time show the one without all effects."""
     if explanation is None or explanation.attribution is None:
         return []
     colors = choose_cause_colors(explanation.attribution.causes)
@@ -254,7 +254,7 @@ def _write_tables(
 
 
 def hash_file(file: str) -> str:
-    """Return the sha256 of a file, for a bag's folder those of its files; empty if unknown."""
+    """Return the sha256 of a file, or of the files in a bag's folder; empty if unknown."""
     path = make_path(file)
     if file and path.is_dir():
         inner = sorted(one for one in path.iterdir() if one.is_file())
@@ -296,7 +296,7 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
 
 
 def _end_no_script(code: str) -> str:
-    """Return code for a page with end tags in its texts escaped, which keeps their meaning."""
+    """Return code for a page with end tags in its texts escaped, which keeps the meaning."""
     return code.replace("</script", "<\\/script")
 
 
@@ -306,13 +306,13 @@ def _escape(code: str) -> str:
 
 
 _MOST_NAMED: Final = 4
-"""Largest number of runs or checks that a sentence names; otherwise it gives their number."""
+"""Largest number of runs or checks that a sentence names; of more, it gives the number."""
 
 
 def conclude_runs(
     runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
 ) -> list[str]:
-    """Return sentences on the runs that end nearest and furthest, and on equal or cut runs.
+    """Return sentences on the runs that end nearest and furthest, and on equal or cut-off runs.
 
     Runs under different conditions are not ranked; the differences are returned instead.
     """
@@ -377,7 +377,7 @@ def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
 
 
 def _conclude_cause(name: str, found: Attribution) -> str:
-    """Return the causes of a run's value, in the words of `turtlelog explain`; empty if none."""
+    """Return the causes of a run's value, in the words of `turtlelog explain`; empty if unknown."""
     if found.withheld or found.without_value or not found.acting:
         return ""
     told = found.sentences[: 3 if choose_named(found) else 2]

@@ -17,7 +17,7 @@ from turtlelog.explain import Attribution, write_sentences
 from turtlelog.run import Run
 
 _MOST_DIFFERING: Final = 8
-"""Largest number of keys in a table of differences: more would be wider than a page."""
+"""Largest number of keys in a table of differences; more keys would be wider than a page."""
 
 _LEAST_PERCENT: Final = 0.4
 """Smallest visible width of a bar [% of the width]."""
@@ -31,12 +31,12 @@ class CheckLine:
         run: Name of the run, or of a file that could not be read.
         check: Name of the check.
         verdict: `PASS`, `FAIL` or `SKIPPED`.
-        value: Measured value with its unit; empty if there is none.
-        limit: Limit with its unit; empty if there is none.
-        margin: Margin with its unit; empty if there is none.
+        value: Measured value with its unit; empty without a value.
+        limit: Limit with its unit; empty without a limit.
+        margin: Margin with its unit; empty without a margin.
         expected: Expectation, as written.
-        first_violation_s: Time of the first violation [s]; None if there is no such time.
-        reason: Reason why it fails or is skipped, if values do not show it.
+        first_violation_s: Time of the first violation [s]; None if it has no time.
+        reason: Reason why the check fails or is skipped, if values do not show the reason.
         names: Names of the signals in the check.
         signal: Violated signal with its band; None if no signal is violated.
     """
@@ -60,7 +60,7 @@ def show(text: object) -> str:
 
 
 def write_table(table: Table) -> str:
-    """Return a table with its notes; the best and worst values of a column are marked in words."""
+    """Return a table with its notes. Words mark the best and the worst values of a column."""
     heads = [show(f"{one.title} [{one.unit}]" if one.unit else one.title) for one in table.columns]
     rows = []
     for row, cells in enumerate(table.rows):
@@ -102,7 +102,7 @@ def write_attribution(name: str, found: Attribution) -> str:
 
 
 def write_checks(lines: Sequence[CheckLine]) -> str:
-    """Return the checks as a table, failed ones first, each with its first violation."""
+    """Return the checks as a table, failed checks first, each with its first violation."""
     heads = ["verdict", "run", "check", "value", "limit", "margin", "first violated", "why"]
     order = sort_checks(lines)
     rows = []
@@ -122,7 +122,7 @@ def write_checks(lines: Sequence[CheckLine]) -> str:
 
 
 def sort_checks(lines: Sequence[CheckLine]) -> list[CheckLine]:
-    """Return checks in the order of display: failed ones first."""
+    """Return checks in the order of display: failed checks first."""
     return sorted(lines, key=lambda line: line.verdict != "FAIL")
 
 
@@ -179,7 +179,7 @@ def write_provenance(
 
 
 def _write_differences(runs: Sequence[Run], names: Sequence[str]) -> str:
-    """Return a table of the keys in which scenarios differ, with links to the complete ones."""
+    """Return a table of the keys in which scenarios differ, with links to complete scenarios."""
     keys = list_differing(runs)[:_MOST_DIFFERING]
     rows = [
         f'<tr><th scope="row">{show(name)}</th>'
@@ -208,7 +208,7 @@ def _iterate_known(run: Run) -> Iterator[tuple[str, object]]:
 
 
 def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
-    """Return a table that scrolls by itself in a narrow window; heads are HTML."""
+    """Return a table that scrolls on its own in a narrow window; the titles are HTML."""
     caption = f"<caption>{show(title)}</caption>" if title else ""
     head = "".join(f'<th scope="col">{text}</th>' for text in heads)
     label = f' aria-label="{show(title)}"' if title else ""

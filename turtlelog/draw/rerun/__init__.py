@@ -1,4 +1,4 @@
-"""Rerun recordings, their layouts, and the viewer that shows them."""
+"""Rerun recordings, their layouts, and the viewer for them."""
 
 import os
 

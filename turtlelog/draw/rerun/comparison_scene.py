@@ -69,12 +69,13 @@ from turtlelog.run import Run, list_runs
 
 _THIN_WIDTH: Final = 1.0
 _OF_MANY: Final = Look(color=palette.PATH_OF_MANY, width=0.75)
-"""Style of the paths of very many runs, whose ends have the colours."""
+"""Style of the paths of very many runs; only their ends have colours."""
 _MOST_EXTREMES: Final = 3
-"""Largest number of runs that are named in the plane: more names would hide the paths."""
+"""Largest number of runs that are named in the plane; more names would hide the paths."""
 
 _EXTREME_SHARE: Final = 0.2
-"""Share of half the plane: a name nearer to the goal or to another name would cover others."""
+"""Smallest distance of a name from the goal or another name, as a share of half the plane; nearer
+names would cover others."""
 
 
 def write_comparison_rrd(
@@ -84,7 +85,7 @@ def write_comparison_rrd(
     documents: Mapping[str, str] | None = None,
     size: tuple[int, int] | None = None,
 ) -> None:
-    """Write one recording of several runs; time zero is the first sample of each.
+    """Write one recording of several runs. Time zero is the first sample of each run.
 
     On the timeline of a later phase, such as `translate_time`, time zero is the start of that
     phase.
@@ -92,9 +93,9 @@ def write_comparison_rrd(
     Args:
         runs: Runs, at least one; each has one colour in every view, in the order of
             `order_by_gain`.
-        path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs; None: those of `document_runs`.
-        size: See `write_run_rrd`.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs. Default: those of `document_runs`.
+        size: Size of the window [pixels], as in `write_run_rrd`.
 
     Raises:
         ShowError: If there is no run, or the file cannot be written.
@@ -128,7 +129,7 @@ def write_comparison_rrd(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Overlay:
-    """Several runs with names and colours; all sequences are in the same order.
+    """Several runs with names and colours. All sequences have the same order.
 
     Attributes:
         runs: Runs, at least one.
@@ -139,7 +140,7 @@ class _Overlay:
         series: Curves of each run.
         references: Common level lines.
         restless: Indices of the runs among many that never come to rest.
-        scale: Number in which many runs differ; None if there is no single one.
+        scale: Number in which many runs differ; None if there is no single number.
     """
 
     runs: tuple[Run, ...]
@@ -153,7 +154,7 @@ class _Overlay:
     scale: GainScale | None = None
 
     def describe(self, documents: Mapping[str, str]) -> Content:
-        """Return the content of its recording."""
+        """Return the content of the recording."""
         content = describe_content(
             self.runs, self.prefixes, self.series, self.references, documents, names=self.names
         )
@@ -184,7 +185,7 @@ class _Overlay:
         )
 
     def _name_beyond(self, ranges: Mapping[str, tuple[float, float]]) -> dict[str, str]:
-        """Return the runs without rest that exceed the range of each plot that shows them."""
+        """Return the restless runs that exceed the range of each plot that shows them."""
         found: dict[str, list[int]] = {}
         for number in sorted(self.restless):
             for series in self.series[number]:
@@ -204,12 +205,12 @@ class _Overlay:
         return cut_alike(self.names)
 
     def name_run(self, number: int) -> str:
-        """Return the name of a run among many in a picture: the value that colours show."""
+        """Return the name of a run among many in a picture: the value that the colours show."""
         return self.names[number] if self.scale is None else self.scale.name_run(number)
 
 
 def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[str]:
-    """Return a name for each group of equal runs: one run is drawn with the names of all."""
+    """Return a name for each group of equal runs. One run of a group is drawn with all names."""
     names = name_runs(runs)
     firsts = [runs[first] for first, *_ in groups]
     brief = shorten_run_names(firsts, [names[first] for first, *_ in groups])
@@ -306,7 +307,10 @@ def _draw_overlay(
 
 
 def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
-    """Name the runs that end furthest from the goal at their ends; for very many, show all ends."""
+    """Name the runs that end furthest from the goal at their ends.
+
+    Of very many runs, show all ends.
+    """
     if has_grey_paths(overlay.runs):
         draw_ends(stream, overlay.runs, overlay.colors)
     if content.goal is None:
@@ -340,7 +344,7 @@ def _name_recording(names: Sequence[str]) -> str:
 
 
 def _list_path_parts(names: Sequence[str]) -> list[str]:
-    """Return a part of an entity path per name, without spaces, which paths show as escapes."""
+    """Return a part of an entity path for each name, without spaces, which look like escapes."""
     plain = [name_part(name) for name in names]
     if len(set(plain)) == len(plain):
         return plain

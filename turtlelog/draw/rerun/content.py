@@ -1,4 +1,4 @@
-"""The content of a recording, as needed for its layout."""
+"""The content of a recording, for its layout."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,17 +23,17 @@ from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE
 
 _CLOSE_UP = 2.0
-"""Half-height of the close-up, as a multiple of the largest error in it, which fills half of it."""
+"""Half-height of the close-up, as a multiple of its largest error, which then fills half of it."""
 
 _SMALLEST_CLOSE_UP_DEG = 0.1
-"""Smallest half-height of the close-up [deg]: even errors of 0 need a range."""
+"""Smallest half-height of the close-up [deg]; even errors of 0 need a range."""
 
 _LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.4
-"""Shares of a plot for a legend of four lines, in a window of 1600 x 900 pixels with plots 235
-pixels high, three above each other."""
+"""Width and height of a legend of four lines as shares of a plot. The window has 1600 x 900 pixels,
+with three plots of 235 pixels one above another."""
 
 _MOST_IN_PLOT = 4
-"""Largest number of names in a legend inside a plot; more names have a view of their own."""
+"""Largest number of names in a legend inside a plot; for more names there is a separate view."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,16 +44,16 @@ class Content:
         prefixes: Entity prefix of each run. If there is only one run, its prefix is empty.
         series: Entity paths of the curves, in the order of drawing.
         references: Plots that have level lines.
-        lines: Entity paths of upright lines, shown in every plot.
-        legends: Plots with a legend; None: the plots with several curves.
-        highest_speed_m_s: Speed of the brightest colour of the trace by speed; None without a
+        lines: Entity paths of vertical lines, shown in every plot.
+        legends: Plots with a legend. None: the plots with several curves.
+        highest_speed_m_s: Speed of the brightest colour in the trace by speed; None without this
             trace.
         steps_title: Title of the attribution; None without an attribution.
         luck_title: Title of the picture of values from other starts; None without this picture.
-        starts: Text on other ends in the close-up of the goal, for its title.
+        starts: Text on other ends in the close-up of the goal, for the title of the close-up.
         has_pause: Whether a run has a pause.
         has_dead_time: Whether the first run's dead times are drawn.
-        legend_names: Names of the runs if they need a view of their own, otherwise empty.
+        legend_names: Names of the runs if they need a separate view, otherwise empty.
         with_phases: Number of runs with samples.
         has_several_phases: Whether a run goes from one phase to another.
         has_events: Whether a run has events.
@@ -63,13 +63,13 @@ class Content:
         ranges: Fixed ranges of values, by plot.
         close_ups: Plots whose range does not contain all of their curves.
         controlled: Plots of signals that a loop of a run controls.
-        worst: Largest deviations of runs from their path; None if not shown.
+        worst: Largest deviations of runs from their path; None if they are not shown.
         states: States of the laws, in groups.
         overlaid: Groups whose states share a plot.
         idle: Plots of states that are always 0 in every run, which need no view.
-        notes: Text beside the title of a plot, on gaps and on outliers beyond its range.
-        phase_rows: Prefixes of the runs whose phases are shown; empty: all.
-        timelines: Names of all timelines, on each of which a trail grows to the cursor.
+        notes: Text next to the title of a plot, on gaps and on outliers beyond the range.
+        phase_rows: Prefixes of the runs whose phases are shown. Empty: all runs.
+        timelines: Names of all timelines. On each timeline, a trail grows to the cursor.
         ghosts: Entity prefixes of ghosts in the plane.
         arrows: Text on the arrows in the plane; empty without arrows.
         origin: Text on the origin of shifted coordinates; empty if they are not shifted.
@@ -78,9 +78,9 @@ class Content:
         scale_title: Title of the colour bar of many runs; None without a bar.
         scale_span: Text on the range of the bar, for views without room for it; empty without a
             bar.
-        end_s: End of the plots [s]; None if they show everything.
+        end_s: End of the plots [s]. None: the plots show everything.
         length_s: Duration of the longest run [s], if the plots end earlier.
-        restless: Text on runs that never come to rest, whose commands are left out.
+        restless: Note that names the runs that never come to rest; their commands are not shown.
         corners: Rerun's name of the corner for the legend, by plot, if curves leave room.
     """
 
@@ -130,7 +130,7 @@ class Content:
         return [plot for plot in plots if self.list_curves(plot) and plot not in self.idle]
 
     def list_curves(self, plot: str) -> list[str]:
-        """Return the entity paths of a plot's curves: its own name, and names below it."""
+        """Return the entity paths of a plot's curves: the plot's own name, and names below it."""
         names = [join_path(prefix, plot) for prefix in self.prefixes]
         return [
             path
@@ -261,7 +261,7 @@ def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
 
 
 def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool:
-    """Return whether the states of a group share a plot: for one run, if none looks like 0."""
+    """Return whether the states of a group share a plot: for one run, if no state looks like 0."""
     plots = {f"{entities.STATE}/{name}": name for name in group.names}
     found = [curves for run in series for curves in run if curves.plot in plots]
     names, columns = [plots[one.plot] for one in found], [one.values[:, 0] for one in found]
@@ -283,7 +283,7 @@ def find_ranges(
 def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
     """Return the range of heading errors after turning, which the turn itself would hide.
 
-    Empty if a loop of the heading acts in every phase, or never.
+    The result is empty if a heading loop acts in every phase, or never.
     """
     largest_deg = 0.0
     for run in runs:

@@ -1,4 +1,4 @@
-"""Entity names in a recording. docs/rerun.md explains them."""
+"""Entity names in a recording, which docs/rerun.md explains."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -78,7 +78,7 @@ DOCUMENTS: Final = "documents"
 REFERENCE: Final = "reference"
 RUNS: Final = "runs"
 GHOSTS: Final = "ghosts"
-"""Prefix of ghosts. Plots draw curves in the order of their paths: a run is above its ghosts."""
+"""Prefix of ghosts. Plots draw curves in the order of their paths, so a run is above its ghosts."""
 
 LEGEND: Final = "legend"
 STEPS: Final = "attribution"
@@ -91,11 +91,11 @@ KEY_NAMES: Final = "plane/names/key/words"
 GAP_MM: Final = "gap_mm"
 GAP_M: Final = "gap_m"
 VIOLATED: Final = "violated"
-"""Prefix of a violation's entities, from band to points; the viewer draws later names on top."""
+"""Prefix of a violation's entities, from band to points. The viewer draws later names on top."""
 
 
 def name_plot(name: str) -> str:
-    """Return the entity of a plot over time; x and y share one; angles include their unit."""
+    """Return the entity of a plot over time. x and y share an entity; angles include their unit."""
     plot = TIME_PLOTS[name]
     return plot.pair or (f"{name}_deg" if plot.unit == "deg" else name)
 
@@ -114,11 +114,11 @@ def _group_plots() -> dict[str, tuple[TimePlot, ...]]:
 
 
 GROUPS: Final[Mapping[str, tuple[TimePlot, ...]]] = MappingProxyType(_group_plots())
-"""Plots over time of each entity; x and y share one."""
+"""Plots over time of each entity. x and y share an entity."""
 
 
 RESTLESS: Final = frozenset(name for name, plots in GROUPS.items() if plots[0].is_filled)
-"""Plots without the curves of runs among many that never settle."""
+"""Plots without the curves of those runs among many that never settle."""
 
 
 def title_plot(entity: str) -> str:
@@ -139,12 +139,12 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def join_path(*parts: str) -> str:
-    """Return an entity path from escaped parts; empty parts are left out."""
+    """Return an entity path from escaped parts, without empty parts."""
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))
 
 
 def locate_phases(prefix: str) -> str:
-    """Return the entity of a run's phases; views of phases show paths as names of rows."""
+    """Return the entity of a run's phases. Views of phases show the paths as names of rows."""
     return join_path(PHASE, prefix.rpartition("/")[2])
 
 
@@ -154,7 +154,7 @@ def locate_dead_times(prefix: str) -> str:
 
 
 def name_part(name: str) -> str:
-    """Return a readable part of an entity path: characters that need escapes become `_`."""
+    """Return a readable part of an entity path. Characters that need escapes become `_`."""
     kept = [letter if escape_entity_path_part(letter) == letter else " " for letter in name]
     return "_".join("".join(kept).split()) or escape_entity_path_part(name)
 

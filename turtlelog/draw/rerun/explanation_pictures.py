@@ -18,11 +18,11 @@ from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 
 _WIDTH: Final = 100.0
-"""Width of the picture, and its unit of length: one unit is 7 pixels in a window of 1200 x 860."""
+"""Width of the picture in its unit of length; one unit is 7 pixels in a window of 1200 x 860."""
 
 _HEIGHT: Final = 36.0
 _FOOT: Final = 2.0
-"""Space below the picture: in a small window text keeps its height, and extends lower."""
+"""Space below the picture: in a small window, text keeps its height and extends further down."""
 _LETTER: Final = 0.95
 _SMALL_LETTER: Final = 2.3
 """Width of a letter in a window of 700 x 450, where a unit is 3 pixels."""
@@ -32,7 +32,7 @@ _GAP: Final = 0.6
 _LINE: Final = 3.6
 _TICK: Final = 0.7
 _MOST_TICKS: Final = 3
-"""Steps of the axis: its values also have room in a window of 700 x 450."""
+"""Largest number of steps of the axis; the values also have room in a window of 700 x 450."""
 _BAR_SHARE: Final = 0.66  # of a row
 _HIGHEST_BAR: Final = 5.5
 _LEAST_SCALE: Final = 25.0
@@ -89,7 +89,7 @@ def draw_waterfall_picture(
 
 
 def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
-    """Write the reason why there are no steps in their place."""
+    """Write the reason why there are no steps, in place of the steps."""
     lines = [line for sentence in sentences for line in wrap(sentence, _LETTERS)]
     most = int(_HEIGHT // _LINE)
     if len(lines) > most:
@@ -107,12 +107,12 @@ def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
 
 
 def view_waterfall(title: str) -> rrb.View:
-    """Return the view of the steps, or of the reason why there are none."""
+    """Return the view of the steps, or of the reason why there are no steps."""
     return view_picture(title, entities.STEPS)
 
 
 def view_picture(title: str, entity: str) -> rrb.View:
-    """Return the view of a picture in this picture's units."""
+    """Return the view of a picture in the units of this picture."""
     return rrb.Spatial2DView(
         origin="/",
         contents=f"{join_path(entity)}/**",
@@ -139,7 +139,7 @@ def write_tick(value: float, scale: StepScale) -> str:
 
 
 def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> float:
-    """Return the middle of the text after a bar; that of a short bar avoids its name.
+    """Return the middle of the text after a bar. The text of a short bar avoids the bar's name.
 
     Text keeps its size in a small window, and is placed around its middle.
     """
@@ -149,7 +149,7 @@ def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> flo
 
 
 def _find_scale(waterfall: Waterfall, names_end: float) -> float:
-    """Return the width of a unit such that the text after each bar has room."""
+    """Return the width of a unit with which the text after each bar has room."""
     low, high = waterfall.span
     span = high - low
     if not span > 0.0:
@@ -201,7 +201,7 @@ def _write_words(
 
 
 _LEFT: Final = 9.0
-"""Position of the axis; values have room to its left."""
+"""Position of the axis; the values have room to the left of it."""
 
 _RIGHT: Final = 77.0
 """Right end of the curves, followed by their names, in the units of the waterfall."""
@@ -221,7 +221,7 @@ Values = NDArray[np.float64]
 
 
 def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
-    """Draw the value over the starts, each curve with its name at its right end."""
+    """Draw the value over the starts. Each curve has its name at the right end."""
     lines = wrap(" ".join(shown.sentences), _LETTERS)
     if len(lines) > 1:
         lines = [line for text in shown.sentences for line in wrap(text, _LETTERS)]
@@ -273,7 +273,7 @@ def draw_luck_ends(
 
 
 def count_ends(shown: LuckPicture, close_up: CloseUp | None) -> str:
-    """Return text on the number of ends in the close-up, for its title; empty without one."""
+    """Return text on the number of ends in the close-up, for the title; empty without ends."""
     if shown.plane is None or close_up is None:
         return ""
     ends_m = shown.plane.ends_m
@@ -293,7 +293,7 @@ def _draw_line(
     line: LuckLine,
     place: Callable[[Values], Values],
 ) -> None:
-    """Draw the parts of a curve, and points for those of the run or of a single start."""
+    """Draw the parts of a curve, and points for the parts of the run or of a single start."""
     points = place(np.stack([shown.places, line.values], axis=1))
     entity = join_path(entities.LUCK, f"curve_{name}")
     parts = [points[first : last + 1] for first, last in line.pieces]
@@ -322,7 +322,7 @@ def _mark_recorded(
     recorded: tuple[float, float],
     place: Callable[[Values], Values],
 ) -> _Words:
-    """Mark the run itself; return its text, on the side of the curve with more room."""
+    """Mark the run itself, and return its text, on the side of the curve with more room."""
     ((x, y),) = place(np.array([recorded])).tolist()
     dot = rr.Points2D([(x, y)], radii=rr.Radius.ui_points(_RECORDED_RADIUS), colors=[palette.MAIN])
     stream.log(join_path(entities.LUCK, "recorded"), dot, static=True)
@@ -336,7 +336,7 @@ def _draw_axes(
     top: float,
     place: Callable[[Values], Values],
 ) -> list[_Words]:
-    """Draw both axes; return their text."""
+    """Draw both axes, and return their text."""
     first, last = float(shown.places[0]), float(shown.places[-1])
     low, high = shown.limits
     rises = [tick for tick in choose_ticks([low, high], _PLAIN) if low <= tick <= high]

@@ -1,4 +1,4 @@
-"""Recording of a run with its ghosts, without each effect, and the effects' contributions."""
+"""Recording of a run with its ghosts, without each effect, and with the effects' contributions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -73,10 +73,11 @@ _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
 _MOST_TOLD: Final = 2
-"""Largest number of ghosts with a value below the steps: more would be wider than the picture."""
+"""Largest number of ghosts with a value below the steps; more values would be wider than the
+picture."""
 
 _LONGEST: Final = 36
-"""Longest name in the key [letters]: it takes 250 of the 480 pixels of the plane."""
+"""Longest name in the key [letters], which takes 250 of the 480 pixels of the plane."""
 
 _LETTERING: Final = Lettering(letter=0.042, line=0.15, gap=0.08, reach=1.2)
 """Size of text, measured in a window of 1200 x 860 pixels, where the close-up is 480 x 370."""
@@ -91,19 +92,19 @@ def write_explanation_rrd(
     luck: Luck | None = None,
     documents: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a recording of a run with its what-ifs as ghosts, and the attribution as steps.
+    """Write a recording of a run, with its what-ifs as ghosts and the attribution as steps.
 
-    The last what-if is the main ghost: the run without all acting effects. Without one, the ideal
-    loop is the main ghost if theory knows it. If contributions are withheld, the reason is shown
-    instead.
+    The last what-if is the main ghost: the run without all acting effects. Without what-ifs, the
+    ideal loop is the main ghost if theory knows it. If contributions are withheld, the reason is
+    shown instead.
 
     Args:
         recorded: Recorded run.
         found: Causes of a value of the run.
         what_ifs: Runs without causes, from `simulate_what_ifs`.
-        path: The .rrd file; replaced when the new one is complete.
-        luck: Values from other starts, from `measure_luck`: a picture beside the steps, and ends in
-            the close-up of the goal.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
+        luck: Values from other starts, from `measure_luck`: a picture next to the steps, and ends
+            in the close-up of the goal.
         documents: Markdown texts by title, shown as tabs after the table of contributions.
 
     Raises:
@@ -158,9 +159,9 @@ class _Scene:
 
     Attributes:
         recorded: Recorded run.
-        ghosts: Ghosts, the main one last; empty if nothing is known.
+        ghosts: Ghosts, the main ghost last; empty if no ghost is known.
         series: Curves of the run and of each simulated ghost.
-        gaps: Distance of the ghosts over time.
+        gaps: Distance of the ghosts from the run over time.
         references: Common level lines.
     """
 
@@ -191,7 +192,7 @@ class _Scene:
         return (palette.MAIN, *(ghost.look.color for ghost in self.ghosts if ghost.is_run))
 
     def describe(self, documents: Mapping[str, str]) -> Content:
-        """Return the content of its recording, with phases of the run and its main ghost only."""
+        """Return the content of the recording, with phases of only the run and the main ghost."""
         series = ((*self.series[0], *self.gaps), *self.series[1:])
         content = describe_content(self.runs, self.prefixes, series, self.references, documents)
         others = [ghost.prefix for ghost in self.ghosts if not ghost.is_run]
@@ -236,14 +237,14 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
 
 
 def _name_briefly(lacks: str, found: Attribution) -> str:
-    """Return a name for the close-up; the key of the plane has the complete name."""
+    """Return a short name for the close-up; the key of the plane has the complete name."""
     if lacks in found.causes:
         return f"no {lacks}"
     return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
 
 
 def _choose_look(color: Color | None, *, is_main: bool) -> Look:
-    """Return the look of a ghost: grey for the main one, otherwise the colour of its cause."""
+    """Return the look of a ghost: grey for the main ghost, otherwise the colour of its cause."""
     if is_main or color is None:
         return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)
     return Look(color=color, is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
@@ -255,7 +256,7 @@ def _draw_scene(
     content: Content,
     metrics: Sequence[Mapping[str, Metric]],
 ) -> RunStream:
-    """Draw the run and its ghosts; return the stream of the run."""
+    """Draw the run and its ghosts, and return the stream of the run."""
     recorded, half_size_m = scene.recorded, content.plane.half_size_m
     send_comparison_properties(stream, scene.runs, scene.names, scene.prefixes, metrics)
     draw_world(stream, scene.runs, half_size_m=half_size_m)
@@ -322,7 +323,7 @@ def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]])
 
     Args:
         found: The attribution.
-        ghosts: Metrics of the drawn what-ifs, by the causes that each lacks.
+        ghosts: Metrics of the drawn what-ifs, by the causes that each what-if lacks.
     """
     acting = [share.cause for share in choose_acting_contributions(found)]
     if len(acting) < 2:

@@ -1,4 +1,4 @@
-"""Ghosts in the plane beside a run, their distance from it, and a key."""
+"""Ghosts in the plane next to a run, their distance from the run, and a key."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,10 +25,10 @@ IDEAL: Final = "ideal_loop"
 _IDEAL_NAME: Final = "ideal loop"
 
 _MOST_GAPS: Final = 1000
-"""Rows of the line between run and ghost: as many as a trail has segments."""
+"""Number of rows of the line between run and ghost: as many as a trail has segments."""
 
 _APART_M: Final = 5e-4
-"""Smallest distance that is written [m]; a smaller one would be 0 mm."""
+"""Smallest distance that is written [m]; a smaller distance would be 0 mm."""
 
 _ONE_M: Final = 1.0
 """Gap from which the plot is in m instead of mm [m]."""
@@ -39,17 +39,18 @@ _KEY_LETTER: Final = 0.036
 """Width of a letter, as a share of the plane's half-width: 7 pixels of 200."""
 
 _REACH: Final = 1.2
-"""Half-width of the view, as a multiple of the plane's; text beyond it is cut."""
+"""Half-width of the view, as a multiple of the plane's half-width; text beyond it is cut off."""
 
 _ASIDE, _UP = 0.1, -0.1
-"""Offset of the distance from its line, in half-widths of the plane, away from the goal's name."""
+"""Offset of the distance's text from its line, in half-widths of the plane, away from the goal's
+name."""
 
 _EDGE: Final = 0.87
-"""Position of the key, as a share of the plane's half-width: inside of the world's border."""
+"""Position of the key, as a share of the plane's half-width: inside the border of the world."""
 
 _KEY_LINE: Final = 0.19
 """Height of a line of the key, as a share of the plane's half-width: 18 pixels in a window of 700 x
-450, less than text and frame take."""
+450, less than the height of text with its frame."""
 _KEY_SAMPLE: Final = 0.1
 _KEY_GAP: Final = 0.06
 _KEY_UP: Final = 0.055
@@ -57,14 +58,14 @@ _KEY_UP: Final = 0.055
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ghost:
-    """A run that did not happen, for comparison.
+    """A run that did not happen, for comparison with a real run.
 
     Attributes:
-        name: Name in words.
+        name: Name of the ghost in words.
         prefix: Entity prefix.
         run: Run with the ghost's poses.
         look: Style of the ghost.
-        is_run: Whether it was simulated; otherwise only its poses are valid.
+        is_run: Whether the ghost was simulated; otherwise only its poses are valid.
         brief: Short name.
     """
 
@@ -77,7 +78,7 @@ class Ghost:
 
 
 def build_ideal_ghost(run: Run) -> Ghost | None:
-    """Return the ideal loop beside a run; None if theory does not know its poses."""
+    """Return the ideal loop as a ghost of a run; None if theory does not know its poses."""
     poses = find_ideal_poses(run)
     if poses is None:
         return None
@@ -87,14 +88,14 @@ def build_ideal_ghost(run: Run) -> Ghost | None:
 
 
 def find_ideal_poses(run: Run) -> PoseColumns | None:
-    """Return the poses of a run's ideal loops at its own pose times.
+    """Return the poses of a run's ideal loops at the times of the run's poses.
 
-    Each ideal loop begins when the run's loop does, like its ideal response in the plots; nothing
-    is clipped. Theory gives a pose if one loop turns the robot, and another then drives it along
-    its track.
+    Each ideal loop begins together with the run's loop, like the ideal response in the plots;
+    nothing is clipped. Theory gives a pose if one loop turns the robot, and another loop then
+    drives it along its track.
 
     Returns:
-        None: If theory does not know both loops, or they act together.
+        None: If theory does not know both loops, or the loops act together.
     """
     turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
     line = run.goal_line
@@ -158,7 +159,7 @@ def measure_gap(run: Run, ghost: Ghost) -> Values:
 def draw_gap(
     stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds, words: str
 ) -> None:
-    """Draw a line from the run to a ghost at the cursor, with text and the distance."""
+    """Draw a line from the run to a ghost at the cursor, with the distance as text."""
     half_size_m = bounds.half_size_m
     rows = np.unique(
         np.linspace(0, len(run.poses) - 1, min(len(run.poses), _MOST_GAPS)).round().astype(int)
@@ -201,7 +202,7 @@ def draw_key(
     bounds: Bounds,
     runs: Sequence[Run],
 ) -> None:
-    """Name the turtles of a plane where fewest of their poses are."""
+    """Name the turtles of a plane at the place with the fewest of their poses."""
     half_m = bounds.half_size_m
     longest = max(len(name) for name, _ in rows) * _KEY_LETTER + _KEY_GAP
     width = _KEY_SAMPLE + _KEY_GAP + longest
@@ -247,7 +248,7 @@ def draw_key(
 
 
 def _follow(run: Run, ghost: Ghost) -> Values:
-    """Return the ghost's position at each of the run's poses, equally long after its start [m]."""
+    """Return the ghost's position at each of the run's poses [m], equally long after its start."""
     since_start_s = (run.poses.time_ns - run.start_ns) / 1e9
     return locate_run(ghost.run, ghost.run.start_ns, since_start_s)[0]
 
@@ -255,7 +256,7 @@ def _follow(run: Run, ghost: Ghost) -> Values:
 def _find_aside(run: Run, x_m: Values, bounds: Bounds, width: float) -> Values:
     """Return the sideways offset of text [m], on the side without the goal's name.
 
-    `width` is that of the text, in half-widths of the plane; text ends inside the view.
+    `width` is the width of the text, in half-widths of the plane. The text ends inside the view.
     """
     goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(run.poses.xy_m[-1, 0])
     side = 1.0 if goal_x_m <= run.poses.xy_m[0, 0] else -1.0

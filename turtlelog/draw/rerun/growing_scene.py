@@ -1,4 +1,4 @@
-"""A run in a viewer while it grows: the functions of a finished run, with only the new data."""
+"""A growing run in a viewer: the functions for a finished run, which send only the new data."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -32,8 +32,8 @@ from turtlelog.run import Run
 _FLUSH_S: Final = 5.0
 
 _GROWTH = 64
-"""Growth from which data that are sent as a whole are sent again: 1/64 more rows. The total stays a
-small multiple of the rows."""
+"""Growth of the rows, by 1/64, after which data that are sent as a whole are sent again. The total
+stays a small multiple of the rows."""
 
 _WHOLE = (
     join_path(entities.PATH),
@@ -50,9 +50,9 @@ _UNSETTLED = frozenset({join_path(entities.PHASE)})
 class GrowingStream(rr.RecordingStream):
     """Stream that sends only new data of every entity.
 
-    The functions that draw a finished run draw a growing one with this stream. Rows and static data
-    that were sent are left out. The path, the places of events and the level lines grow at their
-    ends, and are sent again.
+    The functions that draw a finished run also draw a growing run with this stream. Rows and static
+    data that were already sent are left out. The path, the places of events and the level lines
+    grow at their ends, and are sent again.
 
     Attributes:
         is_due: Whether the growing static data are sent in this round.
@@ -80,7 +80,7 @@ class GrowingStream(rr.RecordingStream):
             self._rows = rows
 
     def log(self, entity_path: str | list[object], entity: Any, *more: Any, **options: Any) -> None:
-        """Store static data if it is new or due."""
+        """Store static data if they are new or due."""
         name = str(entity_path)
         if name not in self._logged or self._is_last or self._is_whole_due(name):
             self._logged.add(name)
@@ -94,7 +94,7 @@ class GrowingStream(rr.RecordingStream):
         *,
         strict: bool | None = None,
     ) -> None:
-        """Send the rows that were not sent before."""
+        """Send the rows that have not been sent before."""
         index, values = list(indexes), list(columns)
         count = len(index[0].as_arrow_array())
         if entity_path.startswith(_WHOLE):
@@ -121,17 +121,17 @@ class GrowingStream(rr.RecordingStream):
 class LiveScene:
     """A run in a viewer, with the entities, rows and layout of its file.
 
-    Metrics, their marks, theory and close-ups are known only at the end, and are sent then.
+    Metrics, marks, theory and close-ups are known only at the end, and are sent then.
     """
 
     def __init__(self, stream: GrowingStream, size: tuple[int, int] | None = None) -> None:
-        """Take a stream; `size` is the size of the window [pixels], if known."""
+        """Store a stream; `size` is the size of the window [pixels], if known."""
         self._stream, self._size = stream, size
         self._shown: list[str] = []
         self._half_size_m = 0.0
 
     def update(self, run: Run) -> None:
-        """Send the new data of a growing run; nothing while it is too short to be visible.
+        """Send the new data of a growing run; nothing while the run is too short to be visible.
 
         Raises:
             ConnectionError: If the viewer accepts no more data.
@@ -141,7 +141,7 @@ class LiveScene:
                 self._draw(run)
 
     def finish(self, run: Run) -> None:
-        """Send the rest of a finished run, and the data known only at the end.
+        """Send the rest of a finished run, including the data known only at the end.
 
         Raises:
             ConnectionError: If the viewer accepts no more data.

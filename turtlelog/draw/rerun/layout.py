@@ -1,4 +1,4 @@
-"""Layouts: the views of a recording and their places. A view without data is left out."""
+"""Layouts: the views of a recording and their places. Views without data are left out."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -27,7 +27,7 @@ Corners = Mapping[str, rrb.Corner2D]
 
 
 def _list_column(column: Column) -> tuple[tuple[str, ...], ...]:
-    """Return the cells of a column from top to bottom; several plots in one cell are tabs."""
+    """Return the cells of a column from top to bottom. Several plots in one cell are tabs."""
     cells: dict[int, list[str]] = {}
     for name, plots in entities.GROUPS.items():
         place = plots[0].place
@@ -60,7 +60,7 @@ _EXPLAINED_ROWS: Final = (1.0, 1.7)
 _EXPLAINED_COLUMNS: Final = (1.0, 1.5)
 
 _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
-"""Entity where the viewer keeps the range of all linked time axes, in a view that is never
+"""Entity in which the viewer keeps the range of all linked time axes, in a view that is never
 shown."""
 
 _LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
@@ -70,13 +70,13 @@ _COLUMN_SHARES: Final = (1.0, 1.8)
 _VIOLATION_ROWS: Final = (1.0, 1.2)
 
 _VIOLATION_TOP: Final = (4.0, 1.0)
-"""Widths of signal and legend: of 1200 pixels the legend has 240, with 32 letters per line."""
+"""Widths of signal and legend. Of 1200 pixels, the legend has 240, with 32 letters per line."""
 
 LEGEND_TITLE: Final = "Legend"
 
 _VIOLATION_COLUMNS: Final = (1.0, 1.3, 1.6)
-"""Widths of the columns: a line of the message has 92 letters, most of which a window of 1400
-pixels shows."""
+"""Widths of the columns. A line of the message has 92 letters; a window of 1400 pixels shows most
+of them."""
 
 _PHASE_HEAD_SHARE: Final = 0.09
 
@@ -85,13 +85,14 @@ _PHASE_ROW_SHARE: Final = 0.055
 _LARGEST_PHASE_SHARE: Final = 0.4
 
 _ONE_PHASE_SHARE: Final = 0.18
-"""Largest share of the phases if every run has only one phase: the bars only show its end."""
+"""Largest share of the phases if every run has only one phase, whose bar only shows the end."""
 
 _STATE_SHARE: Final = 0.22
-"""Share of the height of the plots for states: a little less than one of three rows."""
+"""Share of the plots' height for states: slightly less than one of three rows."""
 
 _MOST_STATES_BESIDE: Final = 3
-"""Largest number of states side by side; more would be narrower than legends, and become tabs."""
+"""Largest number of states side by side. More states would be narrower than legends; they become
+tabs."""
 
 _WHOLE_TIME: Final = rr.TimeRange(
     start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
@@ -99,16 +100,16 @@ _WHOLE_TIME: Final = rr.TimeRange(
 """Range from the first to the last time, on every timeline."""
 
 _LEAST_WIDTH: Final = 1000
-"""Window width below which legends are left out [pixels]: plots have 320 of 1000, a legend takes
-210."""
+"""Window width below which legends are left out [pixels]. Of 1000 pixels, plots have 320, and a
+legend takes 210."""
 
 _LEAST_HEIGHT: Final = 700
-"""Window height below which legends are left out [pixels]: plots have 110 of 700, a legend of three
-lines takes 85."""
+"""Window height below which legends are left out [pixels]. Of 700 pixels, plots have 110, and a
+legend of three lines takes 85."""
 
 
 class LinkedBlueprint(rrb.Blueprint):
-    """A layout with linked time axes that show everything, on every timeline.
+    """A layout with linked time axes, which show everything on every timeline.
 
     If a plot had its own time range, the viewer would show only one minute of it, around the
     cursor.
@@ -145,8 +146,8 @@ def build_comparison_layout(content: Content) -> rrb.Blueprint:
 def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprint:
     """Return the layout of a violation: the signal at the top, then plane, message and plots.
 
-    The signal's legend is beside it, where it covers nothing, and its lines wrap in a small window.
-    The plots are as small as a legend, and have none.
+    The signal's legend is next to the signal, where it covers nothing; its lines wrap in a small
+    window. The plots have no legends, because they are as small as a legend.
     """
     top = rrb.Horizontal(violated, view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
     titles = [title for title in content.documents if title != LEGEND_TITLE]
@@ -186,7 +187,7 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
 
 
 def _choose_legend(content: Content) -> Corners:
-    """Return the place of the only legend: a run keeps its colour in every view."""
+    """Return the place of the only legend. A run keeps its colour in every view."""
     if content.legend_names:
         return {}
     for plot in ("along_track_error", "along_track"):
@@ -207,7 +208,7 @@ def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
 
 
 def link_views(root: rrb.Container, *, end_s: float | None = None) -> rrb.Blueprint:
-    """Return a layout whose views share their time, without panels except that of time."""
+    """Return a layout whose views share their time, with no panels except the time panel."""
     layout = LinkedBlueprint(
         root,
         rrb.BlueprintPanel(state="hidden"),
@@ -241,7 +242,7 @@ def _list_tabs(content: Content) -> list[rrb.View]:
 
 
 def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
-    """Return the plane, and the close-up of goal or path if there is one."""
+    """Return the plane, and the close-up of goal or path, if any."""
     views: list[rrb.View | rrb.Container] = [_build_plane(content)]
     if content.goal is not None:
         views.append(view_goal(content, content.goal))
@@ -281,8 +282,8 @@ def _list_cells(
 def _choose_tab(content: Content, cell: Sequence[str]) -> int:
     """Return the index of the first plot that a loop controls, or else 0.
 
-    The along-track error has priority if every run has it: it would not be visible beside a path of
-    many metres.
+    The along-track error has priority if every run has this signal: next to a path of many metres,
+    the error would not be visible.
     """
     shown = [plot for plot in cell if content.list_curves(plot)]
     if len(content.list_curves(shown[0])) < len(content.prefixes):
@@ -291,7 +292,7 @@ def _choose_tab(content: Content, cell: Sequence[str]) -> int:
 
 
 def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
-    """Add the states of the laws as a row of their own, with a cell for each group."""
+    """Add the states of the laws as a separate row, with a cell for each group."""
     cells = [cell for group in content.states if (cell := _view_states(content, group))]
     if not cells:
         return plots
@@ -301,7 +302,7 @@ def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
 
 
 def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Container | None:
-    """Show the states of a group in one plot if they share it, otherwise each as a tab."""
+    """Show the states of a group in one plot if they share it; otherwise each state is a tab."""
     plots = content.list_states(group)
     if group not in content.overlaid or not plots:
         has_tabs = group.command is not None and len(plots) > 1
@@ -324,7 +325,7 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
 
 
 def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:
-    """Add the phases below plots; `height` is that of both, as a share of the window."""
+    """Add the phases below plots; `height` is the height of both, as a share of the window."""
     if not content.with_phases or content.is_small:
         return plots
     rows = min(content.with_phases, len(content.phase_rows) or content.with_phases)

@@ -27,7 +27,7 @@ _SCALE_DEPTH: Final = 2.5
 _LEGEND_WIDTH: Final = 12.0  # in multiples of a row's height
 
 _LEGEND_LETTERS: Final = 48
-"""Letters of all columns together: with dots and gaps they take 400 of 430 pixels."""
+"""Number of letters of all columns together; with dots and gaps they take 400 of 430 pixels."""
 
 _MOST_COLUMNS: Final = 4
 """Largest number of columns of names; more columns of short names would look like lines of text."""
@@ -40,17 +40,19 @@ _LEGEND_RADIUS: Final = 5.0  # [points]
 _SCALE_HEIGHT: Final = 1.0
 
 _SCALE_LINES: Final = 8
-"""Lines side by side that fill a cell: the viewer rounds the ends of a thick one."""
+"""Number of lines side by side that fill a cell, because the viewer rounds the ends of a thick
+line."""
 
 _LINE_LETTERS: Final = 46
-"""Letters of a legend's line: the viewer breaks lines of more than 275 pixels, in any window."""
+"""Number of letters in a legend's line: in any window, the viewer breaks lines of more than 275
+pixels."""
 
 _SCALE_LABELS: Final = 12
 """Largest number of values in a view 500 pixels wide: 40 pixels each."""
 
 
 def view_legend(names: Sequence[str]) -> rrb.View:
-    """Return a view of the names of many runs in their colours."""
+    """Return a view with the names of many runs, each in the colour of its run."""
     shown = [names[number] for number in choose_names(len(names))]
     last_row = float(arrange_names(shown)[-1, 1])
     return rrb.Spatial2DView(
@@ -78,7 +80,7 @@ def view_scale(title: str) -> rrb.View:
 
 
 def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
-    """Draw runs' names in their colours."""
+    """Draw the names of runs in their colours."""
     chosen = choose_names(len(names))
     shown = [names[number] for number in chosen]
     points = rr.Points2D(
@@ -92,7 +94,7 @@ def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequen
 
 
 def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Color]) -> None:
-    """Draw a bar of the runs' colours in their order, with the values of some below it."""
+    """Draw a bar of the runs' colours in order, with some of the values below the bar."""
     width = _SCALE_WIDTH / len(colors)
     edges = np.arange(len(colors) + 1) * width
     bar = rr.LineStrips2D(
@@ -127,9 +129,9 @@ def tell_span(scale: GainScale) -> str:
 
 
 def choose_names(count: int) -> tuple[int, ...]:
-    """Return the indices of the named runs among many, limited by the room, including the last.
+    """Return the indices of the named runs among many, as room allows, including the last run.
 
-    Colours of many runs follow their order, so unnamed runs are known from their neighbours.
+    Colours of many runs follow their order, so neighbouring names identify unnamed runs.
     """
     if count <= _MOST_NAMES:
         return tuple(range(count))
@@ -137,7 +139,7 @@ def choose_names(count: int) -> tuple[int, ...]:
 
 
 def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
-    """Return places in a grid, y downward, shape (n, 2); the longest name sets the column width."""
+    """Return places in a grid, y downward, shape (n, 2). The longest name sets the column width."""
     longest = max(len(name) for name in names)
     columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
     number = np.arange(len(names))
@@ -169,8 +171,8 @@ def name_legends(
 ) -> Legends:
     """Return curves, level lines and marks under names that make a short legend of each plot.
 
-    Items with one colour share a name. Limits and marks have the name of the main curve. Zero needs
-    no line of its own beside the axis.
+    Items with one colour share a name. Limits and marks have the name of the main curve. Zero has
+    no line, because the axis shows it.
     """
     lines = {line.plot: line for line in references}
     found = [
@@ -228,7 +230,7 @@ def _name_plot(
 
 
 def _choose_marks(marks: Sequence[Mark], letters: int) -> Sequence[Mark]:
-    """Return the marks whose names fit a line, if those of less interest are left out."""
+    """Return the marks whose names fit a line, after less interesting marks are left out."""
     for least in [mark for mark in marks if mark.is_minor]:
         if len(_join_marks(marks)) > letters:
             marks = [mark for mark in marks if mark is not least]
@@ -242,7 +244,7 @@ def _join_marks(marks: Sequence[Mark]) -> str:
 def _part_levels(
     plot: str, levels: Sequence[Level], names: Mapping[Color, str], main: Series
 ) -> Iterator[LevelLines]:
-    """Yield references in grey, and limits in the colour of the curve that they bound."""
+    """Yield references in grey, and limits in the colour of the curve that they limit."""
     grey = tuple(level for level in levels if level.kind in ("target", "tolerance"))
     limits = tuple(level for level in levels if level.kind == "limit")
     for kept, color in ((grey, palette.IDEAL), (limits, main.colors[0])):
@@ -255,7 +257,7 @@ def _join_tint(color: Color, main: Series) -> Color:
 
 
 def _describe(curves: Series, label: str) -> str:
-    """Return the name of a curve; for points it describes their look."""
+    """Return the name of a curve; for points, the name describes their look."""
     if curves.marker is None:
         return label
     return f"{SIGNS['disc' if curves.marker == 'circle' else 'cross']} {label}"

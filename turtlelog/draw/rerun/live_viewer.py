@@ -1,4 +1,4 @@
-"""Growing runs in a viewer: a running loop, or a recording that another process writes."""
+"""Growing runs in a viewer: a running loop, or a recording that another process is writing."""
 
 import threading
 import time
@@ -28,21 +28,21 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import RunCollector, Tick
 
 _BATCH_S: Final = 0.05
-"""Shortest time between two batches for a viewer of its own [s]: 20 pictures per second."""
+"""Shortest time between two batches for a separate viewer [s]: 20 pictures per second."""
 
 _WIDGET_BATCH_S: Final = 0.2
 """Shortest time between two batches for a notebook [s]. A browser without a graphics card takes two
-to four batches per second, and each costs it the same, however short it is."""
+to four batches per second; each batch takes equally long, however short it is."""
 
 _SHARE: Final = 5
-"""Shortest time between two batches, as a multiple of the processor time of the last one."""
+"""Shortest time between two batches, as a multiple of the last batch's processor time."""
 
 _LAST_S: Final = 8.0
 """Time that the end of a run waits for a viewer that does not answer [s]."""
 
 _POLL_S: Final = 0.1
 _QUIET_S: Final = 3.0
-"""Time after which a file without a writer that has not grown counts as final [s]."""
+"""Time without growth after which a file without a writer counts as final [s]."""
 
 _ADVICE: Final = (
     "`turtlelog view FILE --partial --snapshot X.png` makes a picture of what is there so far"
@@ -52,11 +52,12 @@ _ADVICE: Final = (
 class LiveViewer:
     """Sink that shows the ticks of a running loop, in batches, in a notebook or another viewer.
 
-    For `run_live`. The sink only collects the ticks; a thread draws them. A viewer that is slow,
-    hangs or disappears does not delay the loop; `lost` gives the reason afterwards.
+    The viewer is a sink for `run_live`. The sink only collects the ticks, and a thread draws them.
+    A viewer that is slow, hangs or disappears does not delay the loop; afterwards, `lost` gives the
+    reason.
 
     Attributes:
-        lost: Reason why the viewer does not show the complete run, one clause; empty if it does.
+        lost: Reason why the viewer does not show the complete run, in one clause; empty if it does.
     """
 
     def __init__(
@@ -69,13 +70,13 @@ class LiveViewer:
         """Show an empty widget below the present cell, or start to connect to a viewer.
 
         Args:
-            scenario: Scenario that is run.
-            url: Address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`; None: a widget of
+            scenario: Scenario that runs.
+            url: Address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`. Default: a widget of
                 the notebook (extra `notebook`).
             size: Width and height of the widget [pixels].
 
         Raises:
-            ShowError: If no viewer answers there, or this is no notebook.
+            ShowError: If no viewer answers at the address, or there is no notebook.
             LibraryError: If the extra `notebook` is not installed.
         """
         if url is None:
@@ -97,7 +98,7 @@ class LiveViewer:
             self._ticks.put(tick)
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
-        """Wait until everything is shown; a viewer that hangs is given up."""
+        """Wait until everything is shown. A viewer that hangs is abandoned."""
         self._ticks.put(None)
         self._thread.join(_LAST_S)
         if self._thread.is_alive():
@@ -125,7 +126,7 @@ class LiveViewer:
             wait_s = max(self._batch_s, _SHARE * (time.thread_time() - start_s))
 
     def _take(self, until_s: float) -> bool:
-        """Collect ticks until a time; return whether there are no more."""
+        """Collect ticks until a time, and return whether all ticks have arrived."""
         ticks: list[Tick] = []
         while (left_s := until_s - time.monotonic()) > 0.0:
             try:
@@ -142,7 +143,7 @@ class LiveViewer:
 
 @contextmanager
 def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
-    """Open a viewer without a recording, and yield it with its address; it ends with the block.
+    """Open a viewer without a recording until the block ends, and yield it with its address.
 
     Args:
         advice: Advice if no window can be opened, in one clause.
@@ -163,15 +164,16 @@ def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
 
 
 def follow_recording(path: str | Path, url: str | None = None) -> Run:
-    """Show a growing recording until it is finished, and return its run.
+    """Show a growing recording until it is finished, and return the run.
 
-    Each chunk is read once, as soon as it is complete in the file. A file without an end, because
-    its recorder was killed, is shown as far as it goes.
+    Each chunk is read once, as soon as it is complete in the file. If the recorder was killed, the
+    existing part of the file is shown.
 
     Args:
-        path: A recording by turtlelog; a finished one is shown directly.
-        url: Address of a running viewer, as `rerun+http://127.0.0.1:9876/proxy`; otherwise a viewer
-            is opened, and after the end of the recording the call waits until its window is closed.
+        path: A recording by turtlelog. A finished recording is shown directly.
+        url: Address of a running viewer, as `rerun+http://127.0.0.1:9876/proxy`. By default, a
+            viewer is opened, and after the end of the recording the call waits until its window is
+            closed.
 
     Raises:
         LogError: If the file is not a recording by turtlelog, or contains no pose at its end.
@@ -234,7 +236,7 @@ def _connect_scene(url: str) -> Iterator[LiveScene]:
 
 @contextmanager
 def _keep_scene(stream: GrowingStream, size: tuple[int, int] | None = None) -> Iterator[LiveScene]:
-    """Yield the scene of a stream, which ends with the block."""
+    """Yield the scene of a stream. The stream ends with the block."""
     try:
         yield LiveScene(stream, size)
     finally:

@@ -1,4 +1,4 @@
-"""Marks in or beside plots: metrics, vertical lines, theory, phases, events."""
+"""Marks in or next to plots: metrics, vertical lines, theory, phases, events."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _SHAPES: Final[Mapping[MarkShape, Shape]] = {"disc": "Circle", "square": "Square
 """Mark shapes of the viewer."""
 
 _MINOR: Final = frozenset({"rise_time", "time_to_goal"})
-"""Metrics that others beside them bound: a rise ends before the curve settles."""
+"""Metrics that neighbouring metrics bound: a rise ends before the curve settles."""
 
 _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
@@ -38,11 +38,11 @@ _MOST_DEAD_SAMPLES: Final = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """A metric on its curve.
+    """A metric at its point of a curve.
 
     Attributes:
         plot: Plot of the curve.
-        label: Legend text with the value; the name of the curve in a plot contains it.
+        label: Legend text with the value. The name of the curve in a plot contains this text.
         sign: Shape as a letter, because a legend shows only a dot.
         shape: Rerun's name of a marker.
         time_ns: Time in the run's own time [ns].
@@ -91,7 +91,7 @@ def list_marks(
 
 
 def _locate_curve(signal: str) -> str:
-    """Return the entity of the curve for a signal's metrics; empty if there is none."""
+    """Return the entity of the curve for a signal's metrics; empty without such a curve."""
     found = find_marked(signal)
     if found is None:
         return ""
@@ -128,7 +128,7 @@ def draw_lines(
 ) -> None:
     """Draw vertical lines at times of the run [ns], up to the `largest` value of any plot.
 
-    Every plot that shows them needs a fixed range.
+    Every plot that shows these lines needs a fixed range.
     """
     style = rr.SeriesLines(
         names=[label],
@@ -148,8 +148,8 @@ def draw_lines(
 def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...]:
     """Return the response of each loop with the measured dead time, without limits.
 
-    A loop has none if its reference moves, theory does not know it, or its gain or dead time is
-    unknown.
+    A loop has no response if its reference moves, theory does not know the loop, or its gain or
+    dead time is unknown.
     """
     found: list[Series] = []
     for signal in dict.fromkeys(loop.signal for loop in run.declaration.loops):
@@ -162,7 +162,7 @@ def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...
 
 
 def draw_phases(run_stream: RunStream, run: Run) -> None:
-    """Draw the phases as a bar, which ends in `done` unless the run was cut."""
+    """Draw the phases as a bar, which ends in `done` unless the run was cut off."""
     spans = run.find_phase_spans()
     if not spans:
         return
@@ -182,7 +182,7 @@ def draw_phases(run_stream: RunStream, run: Run) -> None:
 
 
 def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
-    """List the events as a text log, each after the speaker's name if one is given."""
+    """List the events as a text log, each after a given speaker's name."""
     if not run.events:
         return
     columns = rr.TextLog.columns(
@@ -195,8 +195,8 @@ def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
 def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
     """Return the intervals of known dead times at the start of each loop, in order of time.
 
-    Each is a start and an end in the run's own time [ns], from a loop's first sample until its
-    command acts. If loops begin together, it is the longest.
+    Each interval has a start and an end in the run's own time [ns], from a loop's first sample
+    until its command acts. If loops begin together, the longest interval is returned.
     """
     ends_ns: dict[int, int] = {}
     for loop in run.declaration.loops:
@@ -209,7 +209,7 @@ def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, 
 
 
 def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
-    """Draw dead times as a bar of their own, below that of the phases."""
+    """Draw dead times as a separate bar below the bar of phases."""
     if not spans_ns:
         return
     style = rr.StateConfiguration(

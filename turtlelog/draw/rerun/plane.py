@@ -1,4 +1,4 @@
-"""The content of a run in the plane: turtle, trace and trail, error and command, events."""
+"""Content of a run in the plane: turtle, trace and trail, error and command, events."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,7 +29,8 @@ _BELOW_TRACES: Final = 18.0  # lines have 20
 _ON_TRACES: Final = 22.0
 _EVENT_RADIUS: Final = 4.0
 _LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
-"""Kinds of events that random effects cause every few samples; only the list of events has them."""
+"""Kinds of events that random effects cause every few samples. Only the list of events shows
+them."""
 _ABOVE_TRACES: Final = 28.0  # below points, which have 30
 
 
@@ -49,9 +50,9 @@ class SpeedTrace:
 
 
 def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
-    """Draw the path of a single run in its colour: faintly, and as a trail.
+    """Draw the path of a single run in the run's colour: faintly, and as a trail.
 
-    For a growing run the whole path is driven: only a bright path is drawn.
+    The whole path of a growing run has been driven, so only a bright path is drawn.
     """
     if not is_growing:
         draw_trail(run_stream, run, Look(color=palette.MAIN, width=_TRACE_RADIUS))
@@ -84,9 +85,9 @@ def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
 
 
 def draw_reference_path(run_stream: RunStream, run: Run) -> None:
-    """Draw the path of the reference pose if the law records one, as strips where it is known.
+    """Draw the path of a recorded reference pose, as strips where the reference is known.
 
-    The path that a law tracks is drawn elsewhere.
+    Another function draws the path that a law tracks.
     """
     xy_m = run.samples.reference_xy_m
     if xy_m is None or not has_own_way(run):
@@ -99,7 +100,7 @@ def draw_reference_path(run_stream: RunStream, run: Run) -> None:
 
 
 def draw_sensed(run_stream: RunStream, run: Run) -> None:
-    """Draw the sensed poses, and the true pose if a sensed one dropped out."""
+    """Draw the sensed poses, and the true pose where a sensed pose dropped out."""
     xy_m, lost = run.poses.sensed_xy_m, np.flatnonzero(run.poses.dropped_out)
     if xy_m is None:
         return
@@ -119,7 +120,7 @@ def draw_sensed(run_stream: RunStream, run: Run) -> None:
 
 
 def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
-    """Draw the reference pose at the cursor as an arrow, if the law records one."""
+    """Draw a recorded reference pose at the cursor as an arrow."""
     xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
     if xy_m is None or heading_rad is None or not np.isfinite(heading_rad).any():
         return
@@ -132,10 +133,10 @@ def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> 
 def draw_arrows(run_stream: RunStream, run: Run) -> None:
     """Draw arrows at the cursor: the error from turtle to goal, and the command's motion in 1 s.
 
-    For a law without a goal, the error is that to the reference pose, if it is recorded.
+    For a law without a goal, the error leads to the reference pose, if it is recorded.
 
-    The command is two arrows in the turtle's frame: the speed along the heading, and the turn rate
-    as the sideways motion of a point 1 m ahead, to the left.
+    The command is drawn as two arrows in the turtle's frame: the speed along the heading, and the
+    turn rate as the sideways motion of a point 1 m ahead, to the left.
     """
     ways_m = _read_errors(run)
     if ways_m is not None:
@@ -165,12 +166,12 @@ def _read_errors(run: Run) -> Values | None:
 
 
 def list_placed(run: Run) -> list[Event]:
-    """Return the events that are marked, without frequent losses, which would cover all others."""
+    """Return the events that are marked, without frequent losses, which would cover others."""
     return [event for event in run.events if event.kind not in _LOST_AGAIN]
 
 
 def draw_event_places(run_stream: RunStream, run: Run) -> None:
-    """Mark the turtle's places at events; the viewer names each at the pointer."""
+    """Mark the turtle's places at events. The viewer shows each event's name at the pointer."""
     events = list_placed(run)
     times_ns = [event.time_ns for event in events]
     rows = np.searchsorted(run.poses.time_ns, times_ns, side="right") - 1
@@ -187,7 +188,7 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-    """Yield the first row of each segment of equal values, and the row after its last."""
+    """Yield the first row of each segment of equal values, and the row after the segment."""
     bounds = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
     for first, last in pairwise(bounds):
         if last > first:
@@ -215,7 +216,7 @@ def _log_arrow_style(
 
 
 def _build_known_arrows(values: Values) -> rr.ComponentColumnList:
-    """Build an arrow for each row; a row of NaN has none, and removes the previous arrow."""
+    """Build one arrow per row. A row of NaN draws no arrow, and removes the previous arrow."""
     known = np.isfinite(values).all(axis=1)
     columns = rr.Arrows2D.columns(origins=values[known, :2], vectors=values[known, 2:])
     return columns.partition(known.astype(np.int64))
@@ -234,21 +235,21 @@ def _build_command(values: Values) -> rr.ComponentColumnList:
 
 
 MOST_SEGMENTS: Final = 1000
-"""Largest number of segments of a trail: the viewer looks up each in every frame."""
+"""Largest number of segments of a trail; the viewer looks up each segment in every frame."""
 
 _ALL_SEGMENTS: Final = 8000
-"""Largest number of segments of all trails: with more, the viewer takes longer than a frame of 1/30
-s."""
+"""Largest number of segments of all trails. With more segments, the viewer takes longer than a
+frame of 1/30 s."""
 
 _FEWEST_SEGMENTS: Final = 40
-"""Smallest number of segments of a trail among many: a path as long as the window grows in steps of
-20 pixels."""
+"""Smallest number of segments of a trail among many. A path as long as the window then grows in
+steps of 20 pixels."""
 
 _FAINT: Final = 45
 """Opacity of the path that is not driven yet, of 255: visible, but different from the trail."""
 
 _SIZE: Final = 0.07
-"""Radius of the shell, as a share of the plane's half-width: 14 pixels of a view of 400."""
+"""Radius of the shell, as a share of the plane's half-width: 14 pixels in a view of 400."""
 
 _DOT_RADIUS: Final = 5.0  # [points]
 _HEADING_SHARE: Final = 0.2
@@ -274,8 +275,8 @@ class Look:
     """The style of a turtle and its trail.
 
     Attributes:
-        color: Colour of both.
-        is_ghost: Whether it is a ghost: its shell is hollow, and it is behind the others.
+        color: Colour of turtle and trail.
+        is_ghost: Whether it belongs to a ghost, whose shell is hollow and behind other turtles.
         width: Radius of the trail [points].
         size: Size of the turtle; 1 for a run.
     """
@@ -332,7 +333,7 @@ def draw_turtle(run_stream: RunStream, poses: PoseColumns, look: Look, half_size
 def draw_trail(
     run_stream: RunStream, run: Run, look: Look, *, segments: int = MOST_SEGMENTS
 ) -> None:
-    """Draw the whole path faintly, and the driven part of it as a trail."""
+    """Draw the whole path faintly, and the part driven so far as a trail."""
     run_stream.log(entities.PLANE, UPWARD)
     strips = _part_strip(run)
     # The part that is not driven yet is faint.
@@ -343,9 +344,9 @@ def draw_trail(
 
 
 def _send_trail(run_stream: RunStream, run: Run, look: Look, segments: int) -> None:
-    """Send the trail in segments, each at the time of its last pose; a view shows those until now.
+    """Send the trail in segments, each at the time of its last pose. Views show past segments.
 
-    No segment spans a gap in the poses, or has no length.
+    Segments never span a gap in the poses, and always have a length.
     """
     kept = choose_trace_rows(run)
     if len(kept) < 2:

@@ -49,13 +49,13 @@ _WIDTHS: Final[Mapping[CurveKind, float]] = MappingProxyType(
         "outlier": 4.0,
     }
 )
-"""Widths of lines and sizes of points [points]; the run's own curve has `LINE_WIDTH`."""
+"""Widths of lines and sizes of points [points]. The run's own curve has `LINE_WIDTH`."""
 
 _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"})
-"""Kinds of curves in a view of several runs: theory of each run would cover all others."""
+"""Kinds of curves in a view of several runs, without theory, which would cover other curves."""
 
 _COMMANDED_WIDTH: Final = 3.0
-"""Width of commands, so that they are visible on the noise of measured rates [points]."""
+"""Width of commands, so that commands are visible on the noise of measured rates [points]."""
 
 _MARKERS: Final[Mapping[CurveKind, Literal["circle", "cross"]]] = MappingProxyType(
     {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}
@@ -64,20 +64,20 @@ _MARKERS: Final[Mapping[CurveKind, Literal["circle", "cross"]]] = MappingProxyTy
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Series:
-    """Curves that share their times and their plot.
+    """Curves that share their times and plot.
 
     Attributes:
-        entity: Entity path below the run's prefix; its first part names the plot, of a state of a
-            law its first two.
+        entity: Entity path below the run's prefix. The first part of the path names the plot; for a
+            state of a law, the first two parts.
         labels: Legend, one per curve.
         colors: Colour of each curve.
         time_ns: The run's own time [ns], shape (n,), not decreasing.
-        values: One column per curve, shape (n, curves); NaN if there is nothing to draw.
+        values: One column per curve, shape (n, curves); NaN where nothing is drawn.
         width: Width of the lines [points].
-        holds: Whether a value is held until the next instead of interpolated.
-        is_main: Whether it is the run's own motion.
-        is_measured: Whether it is measured, so that the plot's range must include it.
-        marker: Shape of points instead of lines; None: lines.
+        holds: Whether a value is held until the next value instead of interpolated.
+        is_main: Whether the curves are the run's own motion.
+        is_measured: Whether the curves are measured, so that the plot's range must include them.
+        marker: Shape of points. None: lines.
     """
 
     entity: str
@@ -93,7 +93,7 @@ class Series:
 
     @property
     def plot(self) -> str:
-        """The plot of the curves; each state of a law has its own plot."""
+        """Plot of the curves. Each state of a law has its own plot."""
         parts = self.entity.split("/")
         return "/".join(parts[: 1 + (parts[0] == entities.STATE)])
 
@@ -105,7 +105,7 @@ class LevelLines:
     Attributes:
         plot: Entity of the plot.
         levels: Levels in the plot's unit, increasing.
-        name: Common name in a legend; empty: each level has its own.
+        name: Common name in a legend; empty: each level has its own name.
         color: Colour of the lines.
     """
 
@@ -116,7 +116,7 @@ class LevelLines:
 
 
 def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Series, ...]:
-    """Return the curves with data, of some kinds or all; a single row gives no curve."""
+    """Return the curves with data, of some or all kinds. A single row gives no curve."""
     groups = entities.GROUPS.items()
     found = [
         *(series for name, plots in groups for series in _list_group(run, name, plots, kinds)),
@@ -155,7 +155,7 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
 
 
 def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
-    """Return references of loops, goals, limits and the zeros of errors, each once per plot."""
+    """Return references of loops, goals, limits and zeros of errors; each once per plot."""
     found = []
     for name, plots in entities.GROUPS.items():
         shown = [run for run in runs if any(has_own(run, plot) for plot in plots)]
@@ -220,7 +220,7 @@ def _list_group(
     plots: Sequence[TimePlot],
     kinds: frozenset[CurveKind] | None = None,
 ) -> Iterator[Series]:
-    """Yield the curves of plots with a common entity, as x and y, for each kind."""
+    """Yield the curves of plots with a common entity, such as x and y, for each kind."""
     if kinds is not None and not plots[0].is_compared:
         return
     listed = [list_plotted(run, plot, kinds) for plot in plots]
@@ -246,7 +246,7 @@ def _list_group(
 
 
 def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
-    """Return curves with numbers in their names if several share a legend entry."""
+    """Return curves with numbers in their names, if several share a legend entry."""
     seen: dict[str, int] = {}
     found = []
     for one in curves:
@@ -257,7 +257,7 @@ def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
 
 
 def _name_part(found: PlottedCurve) -> str:
-    """Return the last part of a curve's entity; the run's own curve is below commands.
+    """Return the last part of a curve's entity, so that the run's own curve is below commands.
 
     The viewer draws later names on top.
     """
@@ -281,7 +281,7 @@ def _list_state(run: Run, name: str) -> Iterator[Series]:
 
 
 def _color_states(group: StateGroup) -> Iterable[tuple[str, Color]]:
-    """Return the states of a group with distinct colours."""
+    """Return the states of a group, each with a distinct colour."""
     return zip(group.names, palette.choose_run_colors(len(group.names)), strict=True)
 
 

@@ -1,4 +1,4 @@
-"""Rerun recording of a robot's response to its commands, alone or beside a simulated robot."""
+"""Rerun recording of a robot's response to its commands, alone or next to a simulated robot."""
 
 from pathlib import Path
 from typing import Final
@@ -30,7 +30,7 @@ _CURVES: Final[tuple[tuple[str, Color, float], ...]] = (
     ("modelled", palette.MODEL, 2.5),
     (_RESIDUAL, palette.ERROR, 1.0),
 )
-"""Curves of each axis in the order of drawing, with widths [points]: noise must not hide the
+"""Curves of each axis in the order of drawing, with widths [points]; noise must not hide the
 model."""
 
 
@@ -39,8 +39,8 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
 
     Args:
         model: Result of `turtlelog.identify_robot`.
-        run: Run whose motion is shown: an identified one, or another.
-        path: The .rrd file; replaced when the new one is complete.
+        run: Run whose motion is shown: an identified run, or another run.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
 
     Raises:
         ShowError: If no axis is known, or the file cannot be written.
@@ -58,7 +58,7 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
 
 
 def _list_views(found: AxisTraces) -> list[rrb.View]:
-    """Return a view of the rates of an axis, and one of the model's residuals."""
+    """Return a view of the rates of an axis, and a view of the model's residuals."""
     title = TIME_PLOTS[found.axis].label
     rates = [f"/{found.axis}/{name}" for name, _, _ in _CURVES if name != _RESIDUAL]
     link = rrb.TimeAxis(link="LinkToGlobal")
@@ -97,11 +97,11 @@ _PATH_PIXELS: Final = 1.2
 
 
 def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
-    """Write a recording of a recorded robot beside a simulated one.
+    """Write a recording of a recorded robot next to a simulated robot.
 
     Args:
         found: Result of `turtlelog.compare.compare_robot`.
-        path: The .rrd file; replaced when the new one is complete.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
 
     Raises:
         ShowError: If the file cannot be written.

@@ -1,4 +1,4 @@
-"""Writing of a recording to an .rrd file that is complete or absent, without wall-clock time."""
+"""Writing of an .rrd file that is complete or absent, without wall-clock time."""
 
 import os
 import threading
@@ -19,7 +19,7 @@ from turtlelog.measure import Metric
 from turtlelog.run import Run
 
 _PATIENCE_S: Final = 5.0
-"""Time after which a file that should still grow counts as stuck [s]."""
+"""Time without growth after which a file counts as stuck [s]."""
 
 _DISCONNECT_S: Final = 1.0
 _END: Final = b"RRF2FOOT"
@@ -28,7 +28,7 @@ _PROBE: Final = bytes(2**20)
 
 _STRICT_LOCK: Final = threading.Lock()
 _BEFORE_STRICT: Final[list[bool]] = []
-"""Earlier settings, one for each block in strict mode."""
+"""Earlier settings, one for each active block of strict mode."""
 
 RUN: Final = "run"
 RUNS: Final = "runs"
@@ -71,9 +71,9 @@ def require_enabled(stream: rr.RecordingStream, name: str) -> None:
 
 
 def abandon_stream(stream: rr.RecordingStream) -> None:
-    """End a stream without waiting for a viewer that hangs, as Rerun would, uninterruptibly.
+    """End a stream without waiting for a viewer that hangs, unlike Rerun, which waits forever.
 
-    A waiting thread keeps the stream, because dropping the stream would wait, too.
+    A waiting thread keeps the stream, because dropping the stream would wait too.
     """
     thread = threading.Thread(target=stream.disconnect, name="disconnect", daemon=True)
     thread.start()
@@ -84,7 +84,7 @@ def abandon_stream(stream: rr.RecordingStream) -> None:
 
 @contextmanager
 def strict_mode() -> Iterator[None]:
-    """Make Rerun raise errors within the block; by default it warns and drops the data.
+    """Make Rerun raise errors within the block. By default, Rerun warns and drops the data.
 
     All threads share the setting: the last block to end restores it.
     """
@@ -116,7 +116,7 @@ def send_comparison_properties(
 ) -> None:
     """Store the properties of several runs as lists, in the given order.
 
-    Unknown numbers, and those that a run's law does not have, are NaN; unknown texts are empty.
+    Unknown numbers, and numbers that a run's law does not have, are NaN. Unknown texts are empty.
     """
     of_runs = _describe_runs(runs) | {"name": list(names), "entity": list(prefixes)}
     _send_properties(stream, RUNS, of_runs, runs, metrics)
@@ -130,7 +130,10 @@ def draw_documents(stream: rr.RecordingStream, documents: Mapping[str, str]) -> 
 
 
 class _Properties(rr.AsComponents):
-    """Values by name. Rerun's own `AnyValues` would fix a name's type for the whole process."""
+    """Values by name.
+
+    Rerun's own `AnyValues` would fix the type of a name for the whole process.
+    """
 
     def __init__(self, values: Mapping[str, list[Any]]) -> None:
         self._values = values
@@ -153,7 +156,7 @@ class _Values:
 
 
 def _await(call: Callable[[], None], part_path: Path, path: Path) -> None:
-    """Call Rerun and wait as long as its file grows: on a full disk the call may never return."""
+    """Call Rerun and wait as long as its file grows. On a full disk, the call may never return."""
     failures: list[Exception] = []
     thread = threading.Thread(target=_try, args=(call, failures), name="rerun", daemon=True)
     thread.start()
@@ -176,7 +179,7 @@ def _try(call: Callable[[], None], failures: list[Exception]) -> None:
 
 
 def _require_end(part_path: Path, path: Path) -> None:
-    """Refuse a truncated file: Rerun does not fail if the disk is full at the very end."""
+    """Refuse a truncated file, because Rerun does not fail if the disk is full at the very end."""
     with part_path.open("rb") as stream:
         stream.seek(max(part_path.stat().st_size - _END_BYTES, 0))
         end = stream.read()
@@ -185,7 +188,7 @@ def _require_end(part_path: Path, path: Path) -> None:
 
 
 def _find_error(part_path: Path, path: Path, found: str) -> ShowError | OSError:
-    """Return the error that Rerun had: on a full disk, writing again causes it again."""
+    """Return Rerun's error: on a full disk, writing again causes the error again."""
     try:
         with part_path.open("ab") as stream:
             stream.write(_PROBE)
@@ -222,7 +225,7 @@ def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
 
 
 def _flatten(run: Run) -> dict[str, float | str]:
-    """Return the scenario's numbers as floats, booleans as 0 and 1, the rest as text."""
+    """Return the scenario's numbers as floats, booleans as 0 and 1, other values as text."""
     return {
         key: float(value) if isinstance(value, bool | int | float) else str(value)
         for key, value in run.parameters.items()
@@ -230,7 +233,7 @@ def _flatten(run: Run) -> dict[str, float | str]:
 
 
 def _fill(values: list[float | str | None]) -> list[float] | list[str]:
-    """Return one value per run with one type: text if any of them is text."""
+    """Return one value per run, all of one type: text if any value is text."""
     if any(isinstance(value, str) for value in values):
         return ["" if value is None else str(value) for value in values]
     return [float("nan") if value is None else float(value) for value in values]

@@ -71,14 +71,14 @@ def write_run_rrd(
     size: tuple[int, int] | None = None,
     surroundings: Surroundings | None = None,
 ) -> None:
-    """Write a recording of one run with its layout; time zero is the first sample.
+    """Write a recording of one run with its layout. Time zero is the first sample.
 
     Args:
         run: Run to show.
-        path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs; None: those of `document_run`.
-        size: Size of the window [pixels], if known: in a small window, legends, phases and
-            documents are left out in favour of curves.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs. Default: those of `document_run`.
+        size: Size of the window [pixels], if known. In a small window, legends, phases and
+            documents are left out, so that curves have room.
         surroundings: Scans and map, drawn below the robot's path.
 
     Raises:
@@ -109,7 +109,7 @@ def build_run_scene(
     size: tuple[int, int] | None = None,
     surroundings: Surroundings | None = None,
 ) -> RunScene:
-    """Return the drawn content of a run; the other arguments are those of `write_run_rrd`."""
+    """Return the drawn content of a run; further arguments are those of `write_run_rrd`."""
     single = replace(build_single(run), surroundings=surroundings)
     if documents is None:
         documents = document_run(run, metrics=single.metrics)
@@ -126,8 +126,8 @@ class Single:
     """A measured run with everything that is drawn.
 
     Attributes:
-        run: The run; far coordinates are relative to its start.
-        origin: Text on that offset.
+        run: The run. Far coordinates are relative to its start.
+        origin: Text on this offset.
         metrics: Metrics of the run by id.
         series: Curves of the run and of theory.
         references: Level lines.
@@ -136,7 +136,7 @@ class Single:
         legends: Plots that have a legend.
         by_speed: Path in colours of its speed; None if nothing moves.
         ideal: The ideal loop; None if theory does not know its poses.
-        shift_m: Offset added to its positions [m], shape (2,).
+        shift_m: Offset added to the positions [m], shape (2,).
         surroundings: Scans and map of the robot; None if unknown.
     """
 
@@ -154,11 +154,11 @@ class Single:
     surroundings: Surroundings | None = None
 
     def list_lined(self) -> list[str]:
-        """Return the plots with event lines, if there are events."""
+        """Return the plots with event lines, if the run has events."""
         return [*self.names] if plane.list_placed(self.run) else []
 
     def describe(self, documents: Mapping[str, str]) -> Content:
-        """Return the content of its recording."""
+        """Return the content of the recording."""
         content = describe_content([self.run], [""], [self.series], self.references, documents)
         return replace(
             content,

@@ -1,4 +1,4 @@
-"""Headless pictures of a recording, and the viewer's report on it."""
+"""Headless pictures of a recording, and the viewer's report on the recording."""
 
 import time
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ _NOTICE_S: Final = 3.5
 _LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
 _ROUNDING_S: Final = 1e-3
-"""Times are printed in milliseconds."""
+"""Rounding of times, which are printed in milliseconds."""
 _OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
 """Timelines that do not count seconds from an event of the run."""
 
@@ -68,7 +68,7 @@ class ViewReport:
 
 
 class Camera:
-    """A headless viewer that takes pictures one after another; `open_camera` makes it."""
+    """A headless viewer that takes pictures one after another; `open_camera` starts it."""
 
     def __init__(self, viewer: ViewerProcess, client: ViewerClient, size: tuple[int, int]) -> None:
         self._viewer, self._client, self._size = viewer, client, size
@@ -146,12 +146,12 @@ def write_snapshot(
     size: tuple[int, int] = (1600, 900),
     zoom: float = 1.0,
 ) -> ViewReport:
-    """Write a picture of a recording as the viewer shows it, and return what it reports.
+    """Write a picture of a recording as the viewer shows it, and return the viewer's report.
 
     Args:
         rrd_path: The recording.
-        png_path: The picture; replaced when the new one is complete.
-        at_s: Position of the time cursor [s]; None: the end.
+        png_path: The picture. An existing file is replaced when the new one is complete.
+        at_s: Position of the time cursor [s]. Default: the end.
         timeline: Timeline of the cursor: `sim_time`, or for several runs also that of a phase, such
             as `translate_time`.
         size: Width and height of the window [pixels].
@@ -173,7 +173,7 @@ def _connect(viewer: ViewerProcess, port: int) -> ViewerClient:
 
 
 def _has_ended(viewer: ViewerProcess) -> bool:
-    """Return whether the viewer has ended, or is ending; without graphics it answers briefly."""
+    """Return whether the viewer has ended or is ending. Without graphics, it answers briefly."""
     deadline = time.monotonic() + _LAST_BREATH_S
     while not viewer.has_ended and time.monotonic() < deadline:
         time.sleep(_PAUSE_S)
@@ -201,7 +201,7 @@ def _open(client: ViewerClient, path: Path, last_log: int) -> None:
 
 
 def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
-    """Set the cursor to a time, or to the end; a recording without times has no cursor."""
+    """Set the cursor to a time, or to the end. A recording without times has no cursor."""
     starts_ns: dict[str, int] = {}
     ends_ns: dict[str, int] = {}
     for recording in client.get_state().recordings:
@@ -222,7 +222,7 @@ def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
 
 
 def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) -> None:
-    """Raise an error if the recording has no data at a time: the picture would be empty."""
+    """Raise an error if the recording has no data at a time, because the picture would be empty."""
     if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:
         raise ShowError(
             f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
@@ -243,7 +243,7 @@ def _take_picture(client: ViewerClient) -> bytes:
 
 
 def _shoot(client: ViewerClient) -> bytes:
-    """Return a picture; retry after Rerun's timeout of 15 s, too short for many runs."""
+    """Return a picture. Retry after Rerun's timeout of 15 s, which is too short for many runs."""
     deadline = time.monotonic() + _LOAD_S
     while True:
         try:

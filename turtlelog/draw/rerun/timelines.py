@@ -21,13 +21,15 @@ _SHARE_BEYOND: Final = 16
 Values = NDArray[np.float64]
 
 CHUNK_ROWS: Final = 65_536
-"""Rows sent at once; Rerun takes more time per row for larger chunks."""
+"""Number of rows sent at once. For larger chunks, Rerun takes more time per row."""
 
 MOST_ROWS: Final = 2**18
-"""Largest number of rows of a table that are all drawn, and approximate number for longer tables.
+"""Largest number of rows of a table that are all drawn; longer tables are thinned to about this
+number.
 
 The number is a hundred for each pixel of a wide screen. A million samples in full took four times
-as many bytes."""
+as many bytes.
+"""
 
 TRACE_ROWS: Final = 2**16
 """Approximate number of poses of a trace in the plane."""
@@ -35,13 +37,13 @@ TRACE_ROWS: Final = 2**16
 MOST_BORDERS: Final = 2**14
 """Largest number of borders of phases and events that are kept exactly.
 
-The rows beside them are at most an eighth of the rows of a curve. More borders would be closer
+The rows next to borders are at most an eighth of the rows of a curve. More borders would be closer
 together than pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Timelines:
-    """The times of a run on each timeline; all timelines except the first are optional.
+    """The times of a run on each timeline. All timelines except the first are optional.
 
     Attributes:
         zero_ns: Zero of `sim_time`, in the run's own time [ns].
@@ -49,7 +51,7 @@ class Timelines:
         starts_ns: Zeros of the timelines of phases, by their names, in the run's own time [ns].
         epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
         borders_ns: Times of phase starts, phase ends and events in the run's own time [ns],
-            increasing; long curves keep the rows beside them.
+            increasing. Long curves keep the rows next to these times.
     """
 
     zero_ns: int
@@ -71,7 +73,7 @@ class Timelines:
 
 
 def build_run_timelines(run: Run) -> Timelines:
-    """Return the timelines of a single run, including ticks, and wall time if it was imported."""
+    """Return the timelines of a single run, including ticks; for an import, also wall time."""
     stamp = run.notes.get("original_timestamp")
     epoch_ns = None if stamp is None else parse_utc(stamp)
     return Timelines(
@@ -90,7 +92,7 @@ def build_compared_timelines(run: Run) -> Timelines:
 
 
 def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, Times]:
-    """Return the first time of all runs and a little beyond the last, on each timeline."""
+    """Return the first time of all runs, and slightly more than the last, on each timeline."""
     spans: dict[str, list[Times]] = {}
     for run, own in zip(runs, timelines, strict=True):
         ends_ns = np.array([_find_first_ns(run), run.end_ns])
@@ -136,7 +138,7 @@ class RunStream:
             self.stream.send_columns(path, index, build(values[part]))
 
     def thin(self, time_ns: Times, values: Values) -> tuple[Times, Values]:
-        """Return the rows that `send` sends, thinned if there are many."""
+        """Return the rows that `send` sends; many rows are thinned."""
         if len(values) <= MOST_ROWS:
             return time_ns, values
         beside = _find_beside(time_ns, self.timelines.borders_ns)
@@ -162,7 +164,7 @@ class RunStream:
 
 
 def choose_trace_rows(run: Run) -> NDArray[np.int64]:
-    """Return the indices of the poses in a trace in the plane."""
+    """Return the indices of the poses of a trace in the plane."""
     poses = run.poses
     beside = _find_beside(poses.time_ns, _find_borders(run)) if len(poses) > TRACE_ROWS else None
     rows = choose_rows(poses.xy_m, TRACE_ROWS, always=beside)
@@ -170,7 +172,7 @@ def choose_trace_rows(run: Run) -> NDArray[np.int64]:
 
 
 def add_thinning(documents: Mapping[str, str], runs: Sequence[Run]) -> Mapping[str, str]:
-    """Return documents with one more on the data that pictures leave out, if any."""
+    """Return documents, with one more on the data that pictures leave out, if any."""
     text = _describe_thinning(runs)
     return {**documents, "Drawn": text} if text else documents
 
@@ -181,9 +183,9 @@ def _find_first_ns(run: Run) -> int:
 
 
 def _find_borders(run: Run) -> Times:
-    """Return times of phase starts, phase ends and events [ns]; empty for runs drawn completely.
+    """Return times of phase starts, phase ends and events [ns]; empty for a completely drawn run.
 
-    Also empty if there are more than `MOST_BORDERS`.
+    The result is also empty if there are more than `MOST_BORDERS`.
     """
     borders_ns = None if _is_whole(run) else _list_borders(run)
     return np.zeros(0, dtype=np.int64) if borders_ns is None else borders_ns
@@ -204,13 +206,13 @@ def _list_borders(run: Run) -> Times | None:
 
 
 def _find_beside(time_ns: Times, borders_ns: Times) -> NDArray[np.int64]:
-    """Return the last row before each border and the first at or after it."""
+    """Return the last row before each border, and the first row at or after it."""
     after = np.searchsorted(time_ns, borders_ns)
     return np.unique(np.concatenate([after - 1, after]).clip(0, len(time_ns) - 1))
 
 
 def _widen(values: Times) -> Times:
-    """Return the least time, and slightly more than the greatest, to show the last phase."""
+    """Return the smallest time, and slightly more than the largest, to show the last phase."""
     first, last = int(values.min()), int(values.max())
     return np.array([first, last + (last - first) // _SHARE_BEYOND])
 
@@ -248,7 +250,7 @@ def _describe_thinning(runs: Sequence[Run]) -> str:
 
 
 def _describe_borders(runs: Sequence[Run]) -> str:
-    """Return text on the runs whose rows beside borders are kept."""
+    """Return text on the runs whose rows next to borders are kept."""
     named = zip(name_runs(runs), runs, strict=True)
     borders = [(name, _list_borders(run)) for name, run in named if not _is_whole(run)]
     crowded = [name for name, found in borders if found is None]

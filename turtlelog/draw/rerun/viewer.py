@@ -1,4 +1,4 @@
-"""Rerun's viewers: the native one as a child process, and the web viewer on this machine."""
+"""Rerun's viewers: the native viewer as a child process, and the web viewer on this machine."""
 
 import os
 import re
@@ -42,7 +42,7 @@ _NO_TELEMETRY: Final = {"CI": "1"}
 """Environment that disables Rerun's telemetry, which has no option for a single viewer."""
 
 _PROOF_PIXELS: Final = 16
-"""Longest side of the picture that proves that a viewer draws [pixels]: the smallest costs
+"""Longest side of the picture that proves that a viewer draws [pixels]; the smallest costs
 least."""
 
 
@@ -90,10 +90,10 @@ class ViewerProcess:
 
 
 def find_viewer() -> Path:
-    """Return the viewer's binary; the `rerun` script would add a process of its own.
+    """Return the viewer's binary, because the `rerun` script would add another process.
 
     Raises:
-        ShowError: If there is no binary.
+        ShowError: If there is no such binary.
     """
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     package = find_spec("rerun_cli")
@@ -121,7 +121,7 @@ def open_viewer(paths: Sequence[str | Path]) -> None:
 
 @contextmanager
 def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
-    """Start a viewer that listens on this machine only, and end it after the block."""
+    """Start a viewer that listens only on this machine, and end it after the block."""
     # The viewer leaves a folder in the temporary folder, so it gets a folder of its own.
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
@@ -163,7 +163,7 @@ def require_viewer(url: str) -> None:
     """Refuse an address without a viewer.
 
     Raises:
-        ShowError: If the text is not an address of a viewer, or nothing answers there.
+        ShowError: If the text is not an address of a viewer, or nothing answers at the address.
     """
     try:
         parts = urlsplit(url)
@@ -183,7 +183,7 @@ def require_viewer(url: str) -> None:
 def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
     """Return a client as soon as the viewer has drawn something.
 
-    An answer alone is not sufficient: without a graphics driver the viewer first listens, and ends
+    An answer alone is not sufficient: without a graphics driver, the viewer listens first and ends
     when it begins to draw.
 
     Raises:
@@ -206,7 +206,7 @@ def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
 
 
 def _find_guard() -> list[str]:
-    """Return a command prefix that ends a viewer whose parent was killed; only Linux has one."""
+    """Return a command prefix that ends a viewer whose parent was killed. Only Linux has one."""
     guard = shutil.which("setpriv") if sys.platform == "linux" else None
     return [] if guard is None else [guard, "--pdeathsig", "TERM"]
 
@@ -228,11 +228,11 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     """Serve .rrd files with the web viewer on 127.0.0.1 while the block runs; yield the address.
 
     The viewer's own web server keeps a core busy even without a visitor. The page is therefore
-    fetched from it once, kept in memory, and served from a thread of this process, without a
-    display; it ends with the process. Only the page and the given files are served, and only to
-    this page. A Content-Security-Policy restricts the page's requests to this server. Rerun's
-    viewer would contact its telemetry, a page of releases and a font server, and has no option
-    against the first two.
+    fetched from that server once, kept in memory, and served from a thread of this process, without
+    a display. Only the page and the given files are served, and only to this page. A
+    Content-Security-Policy restricts the page's requests to this server. Otherwise Rerun's viewer
+    would contact its telemetry, a page of releases and a font server, and it has no option against
+    the first two.
 
     Raises:
         ShowError: If a file is missing, or the page cannot be fetched.
@@ -257,7 +257,7 @@ def _build_address(root: str, names: Sequence[str]) -> str:
 
 
 def _fetch_page() -> dict[str, bytes]:
-    """Return the files of the page, from a server of the viewer that ends at once."""
+    """Return the files of the page, from a server of the viewer that ends afterwards."""
     ports = {"--port": find_free_port(), "--web-viewer-port": find_free_port()}
     options = [word for name, port in ports.items() for word in (name, str(port))]
     with start_viewer(["--serve-web", *options]) as viewer:
@@ -328,14 +328,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
 
     def handle(self) -> None:
-        """Answer until the browser disconnects, possibly in the middle."""
+        """Answer until the browser disconnects, possibly in the middle of an answer."""
         try:
             super().handle()
         except ConnectionError:
             self.close_connection = True
 
     def log_message(self, format: str, *values: object) -> None:  # noqa: A002
-        """Print nothing: the terminal belongs to the user."""
+        """Print nothing, because the terminal belongs to the user."""
 
     def _send_file(self, path: Path) -> None:
         try:

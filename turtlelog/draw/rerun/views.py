@@ -1,4 +1,4 @@
-"""Views: the content and the title of each."""
+"""Views: the content and the title of each view."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -19,7 +19,7 @@ from turtlelog.draw.rerun.entities import join_path, locate_dead_times, locate_p
 from turtlelog.draw.rerun.world import Bounds
 
 _MOST_PHASE_ROWS: Final = 4
-"""Largest number of phase rows for more than seven runs: plots keep the larger part."""
+"""Largest number of phase rows for more than seven runs; plots keep the larger part."""
 
 
 def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
@@ -88,7 +88,7 @@ def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
 
 
 def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: str = "") -> rrb.View:
-    """Return the view of curves over time, with a legend if a corner is free and it is needed."""
+    """Return the view of curves over time, with a needed legend if a corner is free."""
     contents = content.list_curves(plot)
     has_names = len(contents) > 1 if content.legends is None else plot in content.legends
     if plot in content.references:
@@ -110,7 +110,7 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: st
 
 
 def view_phases(content: Content) -> rrb.View:
-    """Return the view of the phases, one row per run; a pause is too short for its name."""
+    """Return the view of the phases, one row per run. A pause is too short for its name."""
     shown = content.phase_rows or content.prefixes
     contents = [locate_phases(prefix) for prefix in shown]
     of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
@@ -129,7 +129,7 @@ def view_phases(content: Content) -> rrb.View:
 
 
 def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
-    """Return the runs whose phases are shown: of many runs a few, including the first and last."""
+    """Return the runs whose phases are shown; of many runs, a few including the first and last."""
     if len(prefixes) <= MANY:
         return ()
     rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)

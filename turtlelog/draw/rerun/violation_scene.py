@@ -1,4 +1,4 @@
-"""A run as a Rerun recording that opens at the violation of a check, with its signal on top."""
+"""A run as a Rerun recording that opens at the violation of a check, with the signal on top."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -46,34 +46,34 @@ _MARKERS: Final[Mapping[str, Marker]] = {
     "low": "down",
 }
 _SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
-"""Symbols of limits in the legend, because a plot has no text at its lines."""
+"""Symbols of limits in the legend, because a plot has no text next to its lines."""
 
 _NAMES_OUTSIDE: Final[Mapping[str, str]] = {"worst": "outside", "nearest": "not within"}
 
 _MARK_AT: Final = 0.03
-"""Position of a limit's mark along it, as a share; the plot's edge would cut a mark at the
-start."""
+"""Position of a limit's mark along the limit, as a share; at the start, the plot's edge would cut
+the mark."""
 
 _STRETCH_RADIUS: Final = 2.5
 _ABOVE_TRACES: Final = 26.0  # lines have 20
 
 _STROKES: Final = 700
-"""Number of vertical strokes that fill the band: every other pixel of a window of 1400."""
+"""Number of vertical strokes that fill the band: every other pixel of a window of 1400 pixels."""
 _STROKE_WIDTH: Final = 3.0
 _FILL_ALPHA: Final = 64
-"""Opacity of strokes, of 255: they overlap once or twice, and curves stay brighter than the
+"""Opacity of strokes, of 255. Strokes overlap once or twice, and curves stay brighter than the
 band."""
 
 _ROOM: Final = 0.12
 """Margin above and below the content for marks, as a share of its height."""
 
 _CLOSE_UP: Final = 4.0
-"""Ratio of the curve's height to the violation's from which only the violation is shown: otherwise
-the band would take less than a quarter of the plot."""
+"""Ratio of the curve's height to the violation's height, from which only the violation is shown.
+Otherwise the band would take less than a quarter of the plot."""
 
 _LONGEST_TITLE: Final = 110
-"""Longest title [letters of 6.5 pixels]: the plot of a window 1200 pixels wide has 850 pixels for
-it."""
+"""Longest title [letters of 6.5 pixels]: in a window 1200 pixels wide, the plot has 850 pixels for
+the title."""
 
 _LONGEST_NAME: Final = 28
 """Longest name in the plane [letters]: about half of its width."""
@@ -90,16 +90,16 @@ def write_violation_rrd(
 ) -> None:
     """Write a recording of one run that opens at a time and marks this time.
 
-    The violated signal is at the top with its band, and red outside the band. Its first and worst
-    violations have labels with value and time. The cursor is at the first in every plot; the plane
-    has a mark at the turtle's position, and the list of events a line.
+    The violated signal is at the top with its band, and is red outside the band. The first and the
+    worst violation have labels with value and time. The cursor is at the first violation in every
+    plot. The plane has a mark at the turtle's position, and the list of events has a line.
 
     Args:
         run: Run to show.
-        path: The .rrd file; replaced when the new one is complete.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
         at_s: Time of the violation, from the first sample [s].
-        title: A few words, shown beside the mark if there is no signal.
-        message: Full message, as it would be printed.
+        title: A few words, shown next to the mark if there is no signal.
+        message: Full message, as printed.
         violated: Violated signal; None if the violation belongs to no signal.
 
     Raises:
@@ -167,7 +167,7 @@ def _write_legend(violated: ViolatedSignal) -> str:
 
 
 def _find_range(violated: ViolatedSignal) -> tuple[float, float]:
-    """Return the range of the plot: of curve and band, or of a much smaller violation."""
+    """Return the range of the plot: that of curve and band, or of a much smaller violation."""
     curve, outside = violated.curve.values, violated.outside
     ends = [end for end in (violated.low, violated.high) if end is not None]
     moments = np.array([violated.first.value, violated.worst.value])
@@ -253,7 +253,7 @@ def _draw_line(
 
 
 def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
-    """Fill the band with vertical strokes, up to the plot's edge if it is unbounded."""
+    """Fill the band with vertical strokes; an unbounded band is filled up to the plot's edge."""
     times_ns, rows = _choose_strokes(violated.curve.time_ns)
     edges = _find_range(violated)
     low, high = (
@@ -273,7 +273,7 @@ def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
 
 
 def _choose_strokes(time_ns: Times) -> tuple[Times, NDArray[np.int64]]:
-    """Return evenly spaced times, and the rows that are valid at them."""
+    """Return evenly spaced times, and the rows that are valid at these times."""
     times_ns = np.linspace(time_ns[0], time_ns[-1], _STROKES).round().astype(np.int64)
     rows = np.searchsorted(time_ns, times_ns, side="right") - 1
     return times_ns, np.clip(rows, 0, len(time_ns) - 1)
@@ -313,7 +313,7 @@ def _stop_at(at_ns: int) -> rrb.TimePanel:
 
 
 def _name_place(title: str, violated: ViolatedSignal | None) -> str:
-    """Return the text beside the mark; if there is a signal, its title names the check."""
+    """Return the text next to the mark. If there is a signal, its title names the check."""
     if violated is not None:
         return "first violated"
     return title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 3]}..."

@@ -18,8 +18,8 @@ WIDGET_SIZE: Final = (960, 640)
 """Width and height that fit a cell of JupyterLab on a small screen [pixels]."""
 
 _READY_S: Final = 30.0
-"""Time for the page to load the viewer, compressed 17 MB, at 5 Mbit/s [s]. The data of a later
-page are kept, and are shown when the page is ready."""
+"""Time for the page to load the viewer, compressed 17 MB, at 5 Mbit/s [s]. The data for a page that
+takes longer are kept and shown later."""
 
 
 def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
@@ -62,7 +62,7 @@ class WidgetStream(GrowingStream):
         _show_page(self._viewer)
 
     def flush(self, *, timeout_sec: float = 0.0) -> None:  # noqa: ARG002
-        """Send what was drawn since the last time; a page never delays that."""
+        """Send what was drawn since the last time. The page never delays this."""
         self._viewer._viewer.send_rrd(self._memory.drain_as_bytes())
 
 
@@ -72,11 +72,11 @@ def _build_viewer(size: tuple[int, int]) -> Viewer:
 
 
 def _show_page(viewer: Viewer) -> None:
-    """Show a widget and wait until its page can receive data, which the page says in a message.
+    """Show a widget and wait until its page sends a message that it can receive data.
 
-    From its version 7.4 on, ipykernel gives the message to the thread that used the widget last.
-    Here that thread waits. Without a last user, the message stays in the thread in which JupyterLab
-    has the messages of widgets handled.
+    From version 7.4 on, ipykernel passes the message to the thread that used the widget last, but
+    this thread is waiting here. Without a last user, the message stays in the thread in which
+    JupyterLab handles messages of widgets.
     """
     vars(viewer._viewer.comm).pop("_reply_subshell_id", None)
     viewer.display()

@@ -45,7 +45,8 @@ _NAME_UP = 0.11  # the viewer writes a name below its point
 _MARKER_RADIUS = 3.5  # [points]
 
 UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
-"""Transform that turns y upward for everything below it: Rerun's 2D views have y downward."""
+"""Transform that turns y upward for all entities below it, because Rerun's 2D views have y
+downward."""
 
 LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
 """Size of text, measured in a window of 1200 x 860 pixels, where half of the close-up is 125
@@ -56,7 +57,7 @@ SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55,
 18."""
 
 _ABOVE: Final = 0.6
-"""Offset of text in lines, because the viewer writes it below its point."""
+"""Offset of text in lines, because the viewer writes text below its point."""
 
 _END_RADIUS: Final = 4.0  # [points]
 _ENDS_RADIUS: Final = 2.0
@@ -79,7 +80,7 @@ class Bounds:
 
 
 def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
-    """Return the world's bounds, or those of paths and goals if they leave the world."""
+    """Return the world's bounds, or the bounds of paths and goals that leave the world."""
     if is_in_world(runs):
         return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
     return find_way_bounds(runs)
@@ -163,7 +164,7 @@ def draw_close_up(
 
 
 def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[Color]) -> None:
-    """Draw the ends of many runs, and for each gain the median and an outline of 90 % of them."""
+    """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
     dots = rr.Points2D(
         [run.poses.xy_m[-1] for run in runs], radii=rr.Radius.ui_points(_ENDS_RADIUS), colors=colors
     )
@@ -251,7 +252,7 @@ def _draw_names(
 
 
 def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
-    """Draw a square around each goal, because the law checks the error's coordinates separately."""
+    """Draw a square around each goal, because the law checks each coordinate's error alone."""
     squares = sorted(
         {
             (run.goal_xy_m, tolerance_m)
@@ -289,7 +290,7 @@ def _part_lines(label: Label, lettering: Lettering, half_m: float) -> list[Label
 
 
 def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
-    """Return the colour of the text's run; grey if there are several runs."""
+    """Return the colour of the text's run, or grey for several runs."""
     return colors[label.runs[0]] if len(label.runs) == 1 else palette.START
 
 
@@ -317,10 +318,11 @@ _SCAN_ORDER: Final = 16.0
 _SCAN_RADIUS: Final = 1.75  # [points]
 
 _WIDEST: Final = 3.0
-"""Largest growth of the plane for the surroundings of the path, which stays readable."""
+"""Largest growth of the plane for the surroundings of the path, with which the path stays
+readable."""
 
 _SHARE: Final = 0.95
-"""Share of the walls that the plane shows: rays through a door lead far away."""
+"""Share of the walls that the plane shows, because rays through a door lead far away."""
 
 
 def draw_surroundings(
@@ -355,7 +357,10 @@ def draw_surroundings(
 
 
 def _draw_map(stream: rr.RecordingStream, place: OccupancyMap, shift_m: Values) -> None:
-    """Draw a map as one picture: a cell has the colour of its occupancy, and none if unknown."""
+    """Draw a map as one picture.
+
+    A cell has the colour of its occupancy; unknown cells are empty.
+    """
     entity, order = (
         (entities.COSTMAP, _COSTMAP_ORDER) if place.is_costmap else (entities.MAP, _MAP_ORDER)
     )

@@ -1,6 +1,7 @@
-"""An attribution in sentences that are true of the run."""
+"""An attribution in sentences that hold for the run."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from turtlelog.display import join_words
@@ -16,11 +17,11 @@ from turtlelog.explain.one_run.attribution import (
 )
 
 _NAMED: Final = 0.1
-"""Share of the contributions' total magnitude above which a cause, or a joint part, is named. A
-design parameter is named above this share of the value."""
+"""Share of the contributions' total magnitude above which a cause or joint part is named. A design
+parameter is named above the same share of the value."""
 
 _MOST_TOGETHER: Final = 3
-"""Largest number of joint parts in one sentence; four causes have eleven."""
+"""Largest number of joint parts in one sentence; four causes have eleven joint parts."""
 
 _SAME: Final = 1e-6
 """Share of a value below which a difference between log and re-simulation is not mentioned."""
@@ -29,18 +30,18 @@ _ALIKE: Final = 1.25
 """Largest ratio of contributions that count as about equal."""
 
 _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
-"""Numbers of effects in words; more than six take part only if they are chosen."""
+"""Numbers of effects in words. More than six effects take part only if the user chooses them."""
 
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
-    """Return sentences: the value, its causes, their dependences, and other causes of change."""
+    """Return sentences on the value, its causes, their dependences, and other causes of change."""
     parts = [write_part(found, one) for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
     return (write_value(found), *causes, *write_reasons(found))
 
 
 def write_headline(found: Attribution) -> str:
-    """Return the value with the largest contributions, or the value alone if none is named.
+    """Return the value with the largest contributions, or the value alone if no cause is named.
 
     The re-simulation's value follows in brackets if it differs from the log's.
     """
@@ -53,7 +54,7 @@ def write_headline(found: Attribution) -> str:
 
 
 def write_value(found: Attribution) -> str:
-    """Return the value of the log, and that of the re-simulation if they differ."""
+    """Return the value of the log, and the re-simulated value if it differs."""
     logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
         return f"{found.metric} has no value: {found.reason}."
@@ -73,7 +74,7 @@ def write_value(found: Attribution) -> str:
 
 
 def write_cause_head(found: Attribution) -> str:
-    """Return how many effects and design parameters cause the value, as the head of a list."""
+    """Return how many effects and design parameters cause the value, as the title of a list."""
     named = choose_named(found)
     sizes = [one.contribution or 0.0 for one in named]
     count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
@@ -85,11 +86,18 @@ def write_cause_head(found: Attribution) -> str:
     if found.seeds is not None:
         return f"{head} in the mean over seeds"
     is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
-    return f"{head}, in about equal parts" if is_alike else head
+    if not is_alike:
+        return head
+    # Other start headings divide the value otherwise.
+    return f"{head}, in about equal parts{' in this run' if _is_wide(found) else ''}"
+
+
+def _is_wide(found: Attribution) -> bool:
+    return found.starts is not None and found.starts.is_wide
 
 
 def write_main(found: Attribution) -> str:
-    """Return the largest contribution and those about equal to it."""
+    """Return the largest contribution, and contributions about equal to it."""
     named = choose_named(found)
     largest = abs(named[0].contribution or 0.0)
     main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
@@ -119,20 +127,23 @@ def write_part(found: Attribution, one: Contribution) -> str:
 
 
 def format_contribution(found: Attribution, one: Contribution) -> str:
-    """Return a contribution with its sign, unit, and standard error if it has one."""
+    """Return a contribution with its sign, its unit and its standard error, if any."""
     value = one.contribution or 0.0
     return f"{'+' if value >= 0.0 else ''}{format_value(found, value, one.standard_error)}"
 
 
 def write_reasons(found: Attribution) -> tuple[str, ...]:
-    """Return the total of the causes, what they depend on, and what else changes the value."""
+    """Return the total of the causes, their dependences, and what else changes the value."""
     if found.without_value:
         sentences = [_write_missing(found)]
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
     else:
-        sentences = [_write_seeds(found), _write_rest(found), _write_together(found)]
-        sentences += [_write_starts(found), _write_unclear(found), _write_this_seed(found)]
+        # Parts that other samples would change must not be read as facts about the robot.
+        last = [_write_together(found), _write_starts(found)]
+        last = last[::-1] if _is_wide(found) else last
+        sentences = [_write_seeds(found), _write_rest(found), *last]
+        sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
         sentences += [f"{_capitalise(join_words(found.left))} {_be(found.left)} left as recorded."]
@@ -162,7 +173,7 @@ def _name_set(found: Attribution, case: ValueSet) -> str:
 
 
 def _is_negligible(found: Attribution) -> bool:
-    """Return whether each effect and their total are within the resolution."""
+    """Return whether each effect, and their total, is within the resolution."""
     largest = max((abs(one.contribution or 0.0) for one in found.contributions), default=0.0)
     return max(largest, abs(_sum_effects(found))) <= found.resolution.size
 
@@ -172,7 +183,7 @@ def _sum_effects(found: Attribution) -> float:
 
 
 def _write_rest(found: Attribution) -> str:
-    """Return the value without the effects, or that they change little."""
+    """Return the value without the effects, or a sentence that they change it little."""
     if not found.causes:
         return "No effect of the implementation is in this run."
     if not found.acting and found.seeds is not None and [*found.causes] == _list_idle(found):
@@ -188,7 +199,10 @@ def _write_rest(found: Attribution) -> str:
             f"{_capitalise(join_words(names))}{together} it by {format_value(found, added)},"
             f" not more than the resolution, {_describe_resolution(found)}."
         )
-    without = f"Without {_name_acting(found)} it would be {format_value(found, found.without_all)}"
+    whole = f"without {_name_acting(found)} {{}}{format_value(found, found.without_all)}"
+    single = _write_singles(found)
+    without = f"{single}, {whole.format('')}" if single else whole.format("it would be ")
+    without = _capitalise(without)
     cancel = ""
     if abs(added) <= found.resolution.size:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
@@ -197,7 +211,7 @@ def _write_rest(found: Attribution) -> str:
 
 
 def _name_acting(found: Attribution) -> str:
-    """Return the acting causes by name, or `both` if the list has just named them."""
+    """Return the names of the acting causes, or `both` if the list has just named them."""
     if len(found.acting) == 2 == len(choose_named(found)):
         return "both"
     return join_words(found.acting)
@@ -208,7 +222,7 @@ def _describe_resolution(found: Attribution) -> str:
 
 
 def _write_bound(found: Attribution) -> str:
-    """Return whether the tolerances allow the value, for final errors that they bound."""
+    """Return whether the tolerances allow the value, for final errors with such a bound."""
     is_bounded = found.metric in {"final.position_error", "final.heading_error"}
     is_bounded = is_bounded and "tolerance" not in found.causes
     if not is_bounded or found.without_all is None or found.without_all > found.resolution.size:
@@ -229,7 +243,7 @@ def _sum_contributions(found: Attribution) -> float:
 
 
 def _write_together(found: Attribution) -> str:
-    """Return the part that arises only if several causes act; empty if it is small."""
+    """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
     largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
@@ -244,14 +258,38 @@ def _write_together(found: Attribution) -> str:
 
 def _write_case(found: Attribution, case: Together) -> str:
     size = format_value(found, abs(case.value), case.standard_error)
-    names = _capitalise(join_words(case.causes))
-    if case.value > 0.0:
-        both = "both" if len(case.causes) == 2 else "all"
-        return (
-            f"{names} need each other: their contributions share {size} that arises only if"
-            f" {both} act."
-        )
-    return f"{names} together add {size} less than the sum of their parts."
+    return write_joint(case.causes, case.value, size)
+
+
+def _write_singles(found: Attribution) -> str:
+    """Return the value without each of two causes; empty if chance or others take part."""
+    alone = {one.cause: one.alone for one in found.contributions if one.cause in found.acting}
+    is_pair = len(alone) == 2 == len(choose_named(found))
+    if found.seeds is not None or not is_pair or None in alone.values():
+        return ""
+    (first, value), (second, other) = alone.items()
+    return (
+        f"without {first} it would be {format_value(found, value)},"
+        f" without {second} {format_value(found, other)}"
+    )
+
+
+def write_joint(names: Sequence[str], value: float, size: str) -> str:
+    """Return the part that arises only if several causes act: more or less than they do alone.
+
+    Args:
+        names: Names of the causes.
+        value: The part.
+        size: Its magnitude with its unit.
+    """
+    them = _capitalise(join_words(names))
+    if value > 0.0:
+        both = "both" if len(names) == 2 else "all of them"
+        return f"{them} need each other: {size} of their contributions arises only if {both} act."
+    apart = "their parts, alone and in smaller groups"
+    if len(names) == 2:
+        apart = f"{names[0]} alone plus {names[1]} alone"
+    return f"{them} overlap: together they add {size} less than {apart}."
 
 
 def _write_seeds(found: Attribution) -> str:
@@ -277,7 +315,7 @@ def _write_seeds(found: Attribution) -> str:
 
 
 def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
-    """Return that no seed changes the value, and which random effects are therefore inactive."""
+    """Return a sentence that no seed changes the value, with the random effects that do not act."""
     idle = _list_idle(found)
     if seeds.used < seeds.count:
         return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
@@ -291,12 +329,12 @@ def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
 
 
 def _list_idle(found: Attribution) -> list[str]:
-    """Return the random effects that change the value in no combination."""
+    """Return the random effects that never change the value, in any combination."""
     return [name for name in found.causes if name in RANDOM_EFFECTS - {*found.acting}]
 
 
 def _write_unclear(found: Attribution) -> str:
-    """Return the contributions that are too close to 0 to be distinguished from chance."""
+    """Return the contributions that chance alone may explain, because they are close to 0."""
     unclear = [one for one in _list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
@@ -312,8 +350,8 @@ def _write_this_seed(found: Attribution) -> str:
     if value is None or found.seeds is None or not found.seeds.varies:
         return ""
     size = format_value(found, abs(value))
-    does = "adds" if value >= 0.0 else "takes away"
-    return f"The seed of this run {does} {size}, compared with the mean over seeds."
+    where = "above" if value >= 0.0 else "below"
+    return f"With the seed of this run it is {size} {where} the mean over the seeds."
 
 
 def _write_starts(found: Attribution) -> str:
@@ -326,27 +364,20 @@ def _write_starts(found: Attribution) -> str:
     span = _format_span(found, starts.low, starts.high)
     if not starts.is_wide:
         return f"F{where} {span}{missing}."
-    return (
-        f"It depends on single samples: f{where} {span}{missing}."
-        f"{_write_parts(starts)}{_write_without_all(found, starts)}"
-    )
+    rest = ""
+    if starts.without_all is not None:
+        rest = f", without {_name_acting(found)} {_format_span(found, *starts.without_all)}"
+    return f"It depends on single samples: f{where} {span}{rest}{missing}.{_write_parts(starts)}"
 
 
 def _write_parts(starts: StartRange) -> str:
-    """Return each cause's part of their total; the last part follows from the others."""
+    """Return each cause's part of the total; the last part follows from the others."""
     names = [part.cause for part in starts.parts]
     parts = [
         f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
         for part in starts.parts[: len(names) - 1]
     ]
     return f" {_capitalise(join_words(parts))} of what {join_words(names)} add." if parts else ""
-
-
-def _write_without_all(found: Attribution, starts: StartRange) -> str:
-    if starts.without_all is None:
-        return ""
-    span = _format_span(found, *starts.without_all)
-    return f" Without {join_words(found.acting)} it is {span}."
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:
@@ -356,7 +387,7 @@ def _format_span(found: Attribution, low: float, high: float) -> str:
 
 
 def _write_others(found: Attribution) -> list[str]:
-    """Return the causes that alone change the value, without those that lower a large value."""
+    """Return the causes that change the value alone, except those that lower a large value."""
     told = [one for one in found.others if _is_told(found, one)]
     lowering = [one for one in told if _lowers(found, one)]
     others = [_write_alone(found, one) for one in told if one not in lowering]
@@ -381,7 +412,7 @@ def _is_told(found: Attribution, one: Contribution) -> bool:
 
 
 def _lowers(found: Attribution, one: Contribution) -> bool:
-    """Return whether the value is larger without a design parameter, as without the effects."""
+    """Return whether the value is larger without a design parameter than without the effects."""
     is_design = one.cause not in found.effects and one.alone is not None and not one.ending
     return is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found)
 
@@ -398,7 +429,7 @@ def _write_alone(found: Attribution, one: Contribution) -> str:
 def format_value(
     found: Attribution, value: float | None, standard_error: float | None = None
 ) -> str:
-    """Return a value with four digits and the metric's unit, and its standard error if given."""
+    """Return a value with four digits, the metric's unit, and a given standard error."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
 

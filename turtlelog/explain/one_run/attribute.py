@@ -55,14 +55,14 @@ from turtlelog.simulate import declare_scenario
 
 _MOST: Final = 6
 """Largest number of causes that take part: 64 simulations, a second or two for the paper's runs.
-With random effects there are 32 times as many; each further cause doubles the number."""
+Random effects need 32 times as many simulations; each further cause doubles the number."""
 
 _AGREEMENT: Final = 0.1
-"""Largest difference between re-simulation and log, as a share of the effects' total; beyond it,
-the re-simulation does not represent the log."""
+"""Largest difference between re-simulation and log, as a share of the effects' total. With a larger
+difference, the re-simulation does not represent the log."""
 
 _SAME: Final = 1e-6
-"""Share of a value below which a difference is 0: two platforms differ by less."""
+"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _OUTSIDE: Final = (
     "the log's value lies outside of the central 95 % over seeds, its own is not known"
@@ -80,15 +80,16 @@ def attribute_run(
 ) -> Attribution:
     """Attribute a value of a run to causes in the scenario that reproduces it.
 
-    The scenario is the identified one; for a law that cannot be identified, it is the recorded one
-    if its re-simulation reproduces the run. Contributions are withheld if the values of log and
-    re-simulation differ by more than a tenth of the effects' total. For random effects with an
-    unknown seed, they are withheld if the log's value is outside the central 95 % over seeds.
+    The identified scenario is used. For a law that cannot be identified, the recorded scenario is
+    used if its re-simulation reproduces the run. Contributions are withheld if the values of log
+    and re-simulation differ by more than a tenth of the effects' total. For random effects with an
+    unknown seed, contributions are withheld if the log's value is outside the central 95 % over
+    seeds.
 
     Args:
         run: Run whose value is explained.
-        metric: Id of the metric; None: the choice of `choose_metric`.
-        causes: Causes that take part; None: every effect in the scenario.
+        metric: Id of the metric. Default: the choice of `choose_metric`.
+        causes: Causes that take part. Default: every effect in the scenario.
         identified: Result of `identify_run`, if already known.
         trust_law: Whether to run the code of a recorded law that is not built in.
         work: Settings of the simulation: processes and progress.
@@ -129,15 +130,15 @@ def attribute_scenario(
 ) -> Attribution:
     """Attribute a value of a scenario to causes.
 
-    All 2^n sets of n causes are simulated; with each of 32 seeds if the set contains a random
-    cause. If there are more than six causes, the six that change the value most, removed alone or
-    acting alone, take part; the others stay as recorded.
+    All 2^n sets of n causes are simulated, with each of 32 seeds if the set contains a random
+    cause. Of more than six causes, the six that change the value most, removed alone or acting
+    alone, take part. The others stay as recorded.
 
     Raises:
         ExplainError: If a metric or cause is unknown, a cause is named twice, or there are no
             causes.
         ScenarioError: If the law cannot be loaded or may not run.
-        SimulationError: If the law fails without a cause.
+        SimulationError: If the law fails in a simulation without some cause.
     """
     scenario = resolve_scenario(scenario)
     declaration = declare_scenario(scenario)
@@ -185,7 +186,7 @@ def attribute_scenario(
 
 
 def divide_game(found: Attribution, game: Game) -> Attribution:
-    """Return an attribution with the contributions of its causes, or why they are missing."""
+    """Return an attribution with the contributions of its causes, or why these are missing."""
     if game.is_random and found.resimulated is not None:
         return divide_over_seeds(found, game)
     # If a run has no value, the reason comes from its own seed.
@@ -201,12 +202,12 @@ def divide_game(found: Attribution, game: Game) -> Attribution:
 
 
 def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
-    """Require a metric of the run and different causes that it may have; no code is loaded.
+    """Require a metric of the run and distinct causes that the run may have; no code is loaded.
 
     Causes of a law that is not built in are known only when it runs.
 
     Raises:
-        ExplainError: If the metric or a cause is wrong; the message has the nearest names.
+        ExplainError: If the metric or a cause is wrong. The message contains the nearest names.
     """
     _require_metric(run.declaration, metric)
     _require_distinct(causes)
@@ -277,7 +278,7 @@ def _divide(found: Attribution, game: Game, worth: Worth) -> Attribution:
 def _tell_what_has_no_value(
     found: Attribution, outcomes: Mapping[Coalition, Outcome]
 ) -> Attribution:
-    """Return the smallest sets that decide whether there is a value, instead of contributions."""
+    """Return the smallest sets of causes that decide whether there is a value."""
     missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
     present = [inside for inside in outcomes if inside not in missing]
 
@@ -297,7 +298,7 @@ def _tell_what_has_no_value(
 
 
 def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
-    """Return the reason why the re-simulation does not represent the log; empty if it does."""
+    """Return why the re-simulation does not represent the log; empty if it does represent it."""
     logged, built, without = found.as_logged, found.resimulated, found.without_all
     if logged is None:
         return "the log has no value"
@@ -321,7 +322,7 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
 
 
 def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding]) -> Contribution:
-    """Return a property without its value if this depends on a gain that the log does not show."""
+    """Return a property without its value if the value depends on a gain that the log hides."""
     unknown = [key for key in _list_gains(contribution.cause) if findings[key].value is None]
     if not unknown:
         return contribution
@@ -331,12 +332,12 @@ def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding])
 
 
 def _list_gains(cause: str) -> tuple[str, ...]:
-    """Return the gains on which the value without a cause depends; if clipped, any gain."""
+    """Return the gains that the value without a cause depends on; if clipped, any gain fits."""
     return ("law.kp_angular", "law.kp_linear") if cause == "saturation" else ()
 
 
 def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Cause]) -> Iterator[str]:
-    """Yield assumptions about settings that the removal of acting causes changes."""
+    """Yield assumptions about settings that change when acting causes are removed."""
     concerned = [(*found.neutral, *_list_gains(found.name)) for found in acting]
     keys = [key for names in concerned for key in names if key in findings]
     found = {findings[key].certainty for key in keys}

@@ -13,14 +13,14 @@ from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 _SHARE: Final = 0.01
-"""Negligible share of a value that neither a tolerance nor a clock bounds. A phase of the paper's
-runs has at least a hundred samples, so it is about one sample's effect on an integral."""
+"""Share of a value that is negligible if neither a tolerance nor a clock bounds it. A phase of the
+paper's runs has at least a hundred samples, so this is about one sample's effect on an integral."""
 
 _ROUNDING: Final = 1e-12
-"""Share of a value below which sums in another order differ."""
+"""Share of a value by which sums in another order may differ."""
 
 _HALF_A_COUNT: Final = 0.5
-"""Negligible change of a count, because counts change by at least one."""
+"""Negligible change of a count; counts change by at least one."""
 
 _COUNTS: Final = (
     "crossings",
@@ -50,7 +50,7 @@ def find_resolution(
 ) -> Resolution:
     """Return the resolution of a metric of a scenario with this value.
 
-    For a law with unknown tolerances, a fraction of the value replaces their effect.
+    For a law with unknown tolerances, a fraction of the value is used instead.
     """
     unit = list_metrics(declaration)[metric].unit
     if unit == "s":
@@ -89,7 +89,7 @@ def _find_tolerated(
 
 
 def _find_steps(scenario: Scenario) -> tuple[float, float]:
-    """Return the distance to the goal [m] and the turn towards it [rad]; never 0."""
+    """Return the distance to the goal [m] and the turn towards the goal [rad]; never 0."""
     start, goal = scenario.start, scenario.goal
     x_m, y_m = goal.x_m - start.x_m, goal.y_m - start.y_m
     turn_rad = math.atan2(y_m, x_m) - start.heading_rad
@@ -99,11 +99,13 @@ def _find_steps(scenario: Scenario) -> tuple[float, float]:
 
 
 _CLEAR: Final = 3.0
-"""Standard errors from which a mean differs from 0. For six contributions that are 0, one seems to
-differ in 3 % of runs (each in 1 of 190, by Student's t with 31 degrees of freedom)."""
+"""Number of standard errors from which a mean differs from 0. By Student's t with 31 degrees of
+freedom, a contribution that is 0 seems to differ in 1 of 190 runs. For six such contributions, this
+is 3 % of runs."""
 
 THIS_SEED: Final = "this seed"
-"""Name of the line with the effect of the run's own seed, which contributions do not contain."""
+"""Name of the line with the effect of the run's own seed, which the contributions do not
+contain."""
 
 THIS_SEED_MEANS: Final = "the value of its own seed, less the mean over seeds"
 
@@ -120,15 +122,15 @@ class Contribution:
     Attributes:
         cause: Name of the cause.
         contribution: Shapley value of the cause: its part of resimulated - without_all, in the
-            metric's unit; negative if it makes the value smaller. None if it takes no part. With
-            random effects, the mean over seeds.
-        alone: The metric without this cause alone; None if it has no value. With random effects,
-            the mean over seeds.
+            metric's unit; negative if the cause makes the value smaller. None if the cause takes no
+            part. With random effects, the mean over seeds.
+        alone: The metric without this cause alone; None if the metric has no value. With random
+            effects, the mean over seeds.
         ending: Difference in kind without the cause, in one clause: a phase that no longer ends, or
             the reason why there is no value. None if the run has the same phases.
         meaning: Meaning of the run without the cause, in one clause.
-        standard_error: Standard error of the contribution with random effects; of the change
-            without the cause if it takes no part. None otherwise.
+        standard_error: Standard error of the contribution with random effects. For a cause that
+            takes no part, the standard error of the change without it. None otherwise.
     """
 
     cause: str
@@ -149,9 +151,9 @@ class Together:
     """The part of a value that arises only if several causes act together.
 
     Attributes:
-        causes: Names of two causes or more.
-        value: Part that fewer of these causes do not add, in the metric's unit; it is divided
-            equally among their contributions.
+        causes: Names of at least two causes.
+        value: Part that fewer of these causes do not add, in the metric's unit. The part is divided
+            equally among the contributions of the causes.
         standard_error: Standard error with random effects; None otherwise.
     """
 
@@ -165,8 +167,8 @@ class ValueSet:
     """A smallest set of causes that gives the metric a value, or leaves it without one.
 
     Attributes:
-        causes: Causes that act; all others that take part are removed.
-        reason: Reason why there is no value; None if there is.
+        causes: Acting causes; all other causes that take part are removed.
+        reason: Reason why the metric has no value; None if it has a value.
     """
 
     causes: tuple[str, ...]
@@ -175,12 +177,12 @@ class ValueSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CausePart:
-    """The part of a cause in the total of all causes, over starts; 1 is the total.
+    """Range of a cause's part in the total of all causes, over starts; 1 is the total.
 
     Attributes:
         cause: Name of the cause.
-        low: The lowest part.
-        high: The highest part.
+        low: Lowest part.
+        high: Highest part.
     """
 
     cause: str
@@ -193,17 +195,19 @@ class StartRange:
     """Range of a value over starts within the turn of one sample.
 
     Attributes:
-        count: Number of starts, at equal distances; the scenario's own is in the middle.
-        within_rad: Angle between the scenario's own heading and the first and last start [rad].
-        low: The smallest value, in the metric's unit.
-        high: The largest value.
+        count: Number of starts, at equal distances; the scenario's own start is in the middle.
+        within_rad: Angle between the scenario's own heading and that of the first and last start
+            [rad].
+        low: Smallest value, in the metric's unit.
+        high: Largest value.
         without_value: Number of starts without a value.
         is_wide: Whether the value depends on single samples: its range and the range of the
             effects' total both exceed half of the total for the scenario's own start. If this total
-            is within the resolution, both must exceed the resolution and half of the largest value.
-        parts: Part of each cause that changes the value, if the range is wide. Empty if at some
-            start a cause acts against the total, or if too many simulations are needed.
-        without_all: Smallest and largest value without all causes that act, if the range is wide.
+            is within the resolution, both ranges must exceed the resolution and half of the largest
+            value.
+        parts: Part of each cause that changes the value, if the range is wide. Empty if a cause
+            acts against the total at some start, or if too many simulations are needed.
+        without_all: Smallest and largest value without all acting causes, if the range is wide.
     """
 
     count: int
@@ -222,11 +226,12 @@ class SeedRange:
 
     Attributes:
         count: Number of simulated seeds.
-        used: Seeds with which every combination of causes has a value; the contributions use these.
-        mean: Mean over these seeds of the value with all effects.
-        standard_error: Standard error of that mean.
+        used: Seeds with which every combination of causes has a value; the contributions use only
+            these seeds.
+        mean: Mean of the value with all effects over the used seeds.
+        standard_error: Standard error of the mean.
         low: Lower end of the central 95 % of the values with all effects.
-        high: See `low`.
+        high: Upper end of the same range.
     """
 
     count: int
@@ -249,28 +254,31 @@ class Attribution:
     Attributes:
         metric: Id of the metric.
         unit: Unit of the metric.
-        as_logged: Value of the log; None if it has no value, or if there is no log.
-        resimulated: The value re-simulated with all effects; None if it has no value.
-        without_all: Value re-simulated without all causes that take part; None if it has no value.
-            If the remainder is random, the mean over seeds.
+        as_logged: Value of the log; None without a value, or without a log.
+        resimulated: Value re-simulated with all effects; None without a value.
+        without_all: Value re-simulated without all causes that take part; None without a value. If
+            the rest of the scenario is random, the mean over seeds.
         causes: Causes that take part: the value is divided among them.
-        contributions: Contributions of these causes, in their order; empty if withheld. Their
-            `math.fsum` is resimulated - without_all: see `compute_contributions`. With random
-            effects they are means over seeds, and `this_seed` is the difference.
+        contributions: Contributions of these causes, in the same order; empty if withheld. The
+            `math.fsum` of the contributions is resimulated - without_all: see
+            `compute_contributions`. With random effects the contributions are means over seeds, and
+            `this_seed` is the difference.
         others: Other causes in the scenario, each removed alone.
-        resolution: The largest change that is negligible.
-        withheld: Reason why there are no contributions, in one clause; None if there are some.
+        resolution: Largest change that is negligible.
+        withheld: Reason why there are no contributions, in one clause; None if there are
+            contributions.
         together: Parts that several causes add only together.
-        without_value: The smallest sets of causes that leave the metric without a value.
-        with_value: The smallest sets of causes that give it a value, if it has none without all.
-        starts: Range of the value over starts within the turn of one sample; None if the robot does
+        without_value: Smallest sets of causes that leave the metric without a value.
+        with_value: Smallest sets of causes that give the metric a value, if it has no value without
+            all causes.
+        starts: Range of the value over starts within the turn of one sample. None if the robot does
             not turn, or with random effects.
         seeds: Range of the value over seeds; None without random effects.
         reason: Reason why there is no value in the log, or else in the re-simulation; None if there
-            is one.
+            is a value.
         doubts: Assumptions of the contributions that the log does not prove, in sentences.
-        left: Effects beyond the six that take part, which stay as recorded.
-        effects: Every effect that loop and law can have, whether in the scenario or not.
+        left: Effects that stay as recorded, because more than six are present.
+        effects: Every effect that loop and law can have, in the scenario or not.
         remarks: Causes that could not be removed, in sentences.
         this_seed: Effect of the run's own seed: resimulated minus the mean over seeds; None without
             random effects.
@@ -371,8 +379,8 @@ class Attribution:
 def choose_metric(declaration: Declaration) -> str:
     """Return the default metric to explain: the most important one for the run's law.
 
-    With a goal: the final position error. Without a goal: the rms error of the loop that is
-    declared last; for a law that tracks a path, the cross-track error; without loops, the path
+    With a goal, the metric is the final position error. Without a goal, it is the rms error of the
+    last declared loop; for a law that tracks a path, the cross-track error; without loops, the path
     length.
     """
     if declaration.uses_goal:

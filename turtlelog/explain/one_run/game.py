@@ -1,7 +1,7 @@
-"""A value as a cooperative game: simulations without any set of causes, over seeds.
+"""A value as a cooperative game: simulations without any given set of causes, over seeds.
 
-If an acting cause is random, one run shows little: such a scenario is simulated with all of
-`SEEDS`, and the same seeds are used with and without a cause.
+If an acting cause is random, one run shows little. Such a scenario is simulated with all of
+`SEEDS`; the same seeds are used with and without a cause.
 """
 
 import time
@@ -33,27 +33,27 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_many
 
 SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
-"""Seeds of means: the same for all runs, so that runs with different seeds have equal
-contributions, and far from usual seeds."""
+"""Seeds for means. The seeds are the same for all runs, so that runs with different seeds have
+equal contributions. The seeds differ from the usual seeds."""
 
 _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
-"""Metrics that depend on the dead time, which is searched up to 40 poses; a finer clock passes
-these in a few ticks."""
+"""Metrics that depend on the dead time, which is searched up to 40 poses. A finer clock has 40
+poses in a few ticks."""
 
 _FEW: Final = 4
-"""Number of simulations, about 40 ms of work, below which another process is never useful."""
+"""Number of simulations up to which another process is never useful: about 40 ms of work."""
 
 _BLOCK: Final = 8
-"""Simulations in one task: few enough that all processes finish together."""
+"""Number of simulations in one task, small enough that all processes finish together."""
 
 _LONG_S: Final = 6.0
-"""Work from which several processes are used [s]: starting one takes one or two seconds."""
+"""Work from which several processes are used [s]: starting a process takes one or two seconds."""
 
 Coalition = frozenset[str]
 """The acting causes."""
 
 _Play = tuple[frozenset[str], int | None]
-"""The removed causes, and the seed; None: the scenario's own."""
+"""The removed causes, and the seed; None: the seed of the scenario."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,10 +61,9 @@ class Work:
     """Settings of the simulation.
 
     Attributes:
-        jobs: Number of processes, at least 1; None: one per core if that is faster. Each process
-            imports the main module, so a script with several processes needs `if __name__ ==
-            "__main__":` around its own work. A law that is not built in is simulated in one
-            process.
+        jobs: Number of processes, at least 1. Default: one per core if that is faster. Each process
+            imports the main module, so a script with several processes keeps its own work under `if
+            __name__ == "__main__":`. A law that is not built in is simulated in one process.
         report: Function called with the numbers of simulations done and known to be needed.
     """
 
@@ -78,10 +77,10 @@ class Work:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """Result of a simulation, or the majority result over several seeds.
+    """Result of a simulation, or the majority of results over several seeds.
 
     Attributes:
-        value: Value of the metric; None if it has none; over several seeds their mean.
+        value: Value of the metric, over several seeds the mean; None if the metric has no value.
         reason: Reason why there is no value; otherwise empty.
         ended: Names of the phases that ended, in order.
         end_xy_m: Position of the last pose [m]; None for several seeds, or if the law failed.
@@ -94,11 +93,11 @@ class Outcome:
 
 
 class Game(ABC):
-    """Base of games: simulates without any set of causes, and stores the outcomes.
+    """Base of games: simulations without any given set of causes, with stored outcomes.
 
     Attributes:
         causes: All removable causes by name.
-        present: Causes that act, in their order; removing another one changes nothing.
+        present: Acting causes, in the order of `causes`; removing another cause changes nothing.
         is_random: Whether a single run shows little, so that outcomes are averaged over seeds.
     """
 
@@ -117,27 +116,27 @@ class Game(ABC):
 
     @abstractmethod
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds for a simulation; None alone if the remaining scenario is not random."""
+        """Return the seeds for a simulation; only None if the remaining scenario is not random."""
 
     @abstractmethod
     def describe_ending(self, name: str) -> str:
-        """Return a difference in kind without a cause, in one clause; empty if there is none."""
+        """Return a difference in kind without a cause, in one clause; empty if nothing differs."""
 
     @abstractmethod
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
-        """Yield the outcome of each play."""
+        """Yield the outcome of each simulation."""
 
     def play(self, inside: Coalition, causes: Sequence[str]) -> Outcome:
-        """Return the outcome with only these causes acting."""
+        """Return the outcome with only these acting causes."""
         return self.take_out(name for name in causes if name not in inside)
 
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
-        """Return the outcome without these causes; if random, the majority over seeds."""
+        """Return the outcome without these causes; for a random game, the majority over seeds."""
         found = self.take_out_each(names)
         return found[0] if len(found) == 1 else _average(found)
 
     def take_out_each(self, names: Iterable[str] = ()) -> list[Outcome]:
-        """Return the outcomes without these causes, by seed; a single one if nothing is random."""
+        """Return the outcomes without these causes, by seed; one outcome if nothing is random."""
         out = frozenset(names).intersection(self.present)
         self.prepare([out])
         return [self._outcomes[out, seed] for seed in self.list_seeds(out)]
@@ -149,12 +148,12 @@ class Game(ABC):
         return self._outcomes[out, None]
 
     def play_each(self, plays: Sequence[_Play]) -> list[Outcome]:
-        """Return the outcomes without each set of causes, with each of the seeds."""
+        """Return the outcomes without each set of causes, for each of the seeds."""
         self._simulate(plays)
         return [self._outcomes[one] for one in plays]
 
     def prepare(self, sets: Iterable[Iterable[str]]) -> None:
-        """Simulate without each of these sets of causes and store the outcomes."""
+        """Simulate without each of these sets of causes, and store the outcomes."""
         outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
         self._simulate([(out, seed) for out in outs for seed in self.list_seeds(out)])
 
@@ -178,14 +177,14 @@ class ScenarioGame(Game):
         *,
         causes: Mapping[str, Cause] | None = None,
     ) -> None:
-        """Store the scenario with all causes; `find_causes` finds them unless they are given."""
+        """Store the scenario with all causes. Default of the causes: those of `find_causes`."""
         self._scenario, self._metric = scenario, metric
         causes = find_causes(scenario) if causes is None else causes
         super().__init__(causes, self._list_present(causes), work, is_random=draws_random(scenario))
         self._without: dict[Coalition, Scenario] = {}
 
     def describe_ending(self, name: str) -> str:
-        """Return a difference in kind without a cause, in one clause; empty if there is none."""
+        """Return a difference in kind without a cause, in one clause; empty if nothing differs."""
         built, without = self.take_out(), self.take_out([name])
         longer = [phase for phase in built.ended if phase not in without.ended]
         sooner = [phase for phase in without.ended if phase not in built.ended]
@@ -211,7 +210,7 @@ class ScenarioGame(Game):
         return take_out(self._scenario, causes)
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        """Return the seeds for a simulation; None alone if the remaining scenario is not random."""
+        """Return the seeds for a simulation; only None if the remaining scenario is not random."""
         return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
 
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
@@ -233,7 +232,7 @@ class Play:
     Attributes:
         scenario: Scenario without the removed causes.
         is_finer: Whether the clock is finer.
-        may_fail: Whether a failing law only gives no value; otherwise it ends the work.
+        may_fail: Whether a failing law only leaves no value; otherwise a failure ends the work.
     """
 
     scenario: Scenario
@@ -242,7 +241,7 @@ class Play:
 
 
 def iterate_outcomes(metric: str, plays: Sequence[Play], jobs: int | None) -> Iterator[Outcome]:
-    """Yield the outcome of each play, simulated in as many processes as `Work` says."""
+    """Yield the outcome of each simulation, computed in as many processes as `Work` allows."""
     outcomes = _simulate_each(metric, plays)
     if any(play.scenario.law.kind not in LAWS for play in plays):
         jobs = 1
@@ -269,7 +268,7 @@ def _simulate_block(metric: str, plays: Sequence[Play]) -> list[Outcome]:
 
 
 def _simulate_each(metric: str, plays: Sequence[Play]) -> Iterator[Outcome]:
-    """Yield the outcome of each play, with one run at a time in memory."""
+    """Yield the outcome of each simulation, with one run at a time in memory."""
     runs = simulate_many([play.scenario for play in plays if not play.is_finer], threads=1)
     for play in plays:
         run = _simulate_finer(play.scenario) if play.is_finer else next(runs)

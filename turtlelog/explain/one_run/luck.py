@@ -1,4 +1,4 @@
-"""Effect of chance on a value: with and without each effect, from every start, or with every seed.
+"""Effect of chance on a value, with and without each effect, over starts or seeds.
 
 A sampling controller reaches its tolerance at a random point within the turn of one sample. The
 starts are those of `starts` for the range of an attribution, four times as dense. For a run with
@@ -42,7 +42,7 @@ from turtlelog.simulate import simulate_run
 Values = NDArray[np.float64]
 
 _COUNT: Final = 65
-"""Number of starts: every fourth is one of the range of an attribution."""
+"""Number of starts; every fourth start belongs to the range of an attribution."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,8 +51,8 @@ class LuckCurve:
 
     Attributes:
         without: Causes that are removed; empty with all effects.
-        values: Values of the metric, in its unit, shape (n,); NaN if it has none.
-        reasons: Reason why there is no value, shape (n,); empty if there is one.
+        values: Values of the metric, in its unit, shape (n,); NaN for a missing value.
+        reasons: Reason why the value is missing, shape (n,); empty if there is a value.
         ends_xy_m: The last pose in the world frame [m], shape (n, 2); NaN if the law failed.
     """
 
@@ -70,18 +70,19 @@ class Luck:
         metric: Id of the metric.
         unit: Unit of the metric.
         varied: Varied quantity: start headings, or the seed of a run with random effects.
-        starts_rad: Angle between each start and the recorded one [rad], shape (n,); empty for
+        starts_rad: Angle between each start and the recorded start [rad], shape (n,); empty for
             seeds.
         seeds: Varied seeds; empty for starts.
         causes: Causes that take part, in the order of the attribution.
-        curves: Curves with all effects; without each single cause that changes the value; and last,
-            if there are several causes, without all of them.
-        recorded: Value of the run; None if it has none.
-        recorded_end_xy_m: Position of its last pose in the world frame [m].
-        goal_xy_m: Position of its goal [m]; None without a goal.
-        dependence: `wide` if the value depends on single samples or on the seed: if both its range
-            and that of the effects' total are large, as in `StartRange`, or if some starts have no
-            value. `follows` if only the range of the value is large. Otherwise `steady`.
+        curves: Curves with all effects, then without each single cause that changes the value. With
+            several causes, the last curve is without all of them.
+        recorded: Value of the run; None without a value.
+        recorded_end_xy_m: Position of the run's last pose in the world frame [m].
+        goal_xy_m: Position of the run's goal [m]; None without a goal.
+        dependence: `wide` if the value depends on single samples or on the seed: if the ranges of
+            the value and of the effects' total are both large, as in `StartRange`, or if some
+            starts have no value. `follows` if only the range of the value is large. Otherwise
+            `steady`.
     """
 
     metric: str
@@ -98,7 +99,7 @@ class Luck:
 
     @property
     def acting(self) -> tuple[str, ...]:
-        """Causes that change the value; the last curve is without them."""
+        """Causes that change the value. The last curve is without them."""
         return self.curves[-1].without
 
     def __repr__(self) -> str:
@@ -118,7 +119,7 @@ def measure_luck(
 
     Args:
         run: Run whose value is explained.
-        metric: Id of the metric; None: the choice of `choose_metric`.
+        metric: Id of the metric. Default: the choice of `choose_metric`.
         identified: Result of `identify_run`, if already known.
         found: Result of `attribute_run` for this metric, if already known.
         trust_law: Whether to run the code of a recorded law that is not built in.
@@ -219,7 +220,7 @@ def _build_curve(case: tuple[str, ...], outcomes: Sequence[Outcome]) -> LuckCurv
 
 
 def _list_curves(table: _Table, found: Attribution) -> list[LuckCurve]:
-    """Return the curves of the causes that change the value of the run or of some start."""
+    """Return the curves without causes that change the value of the run or of any start."""
     whole, *alone = table.simulate([(), *((name,) for name in found.causes)])
     deciding = _list_deciding(found)
     kept = [one for one in alone if one.without[0] in deciding or _differ(one, whole)]
@@ -247,8 +248,8 @@ def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "
 
 
 _MOST_NAMED: Final = 3
-"""Largest number of causes in a name; for more, it gives their number, because a legend has no
-room."""
+"""Largest number of causes in a name. A name for more causes gives their number, because a legend
+has little space."""
 
 
 def simulate_what_ifs(
@@ -259,23 +260,23 @@ def simulate_what_ifs(
 ) -> Mapping[str, Run]:
     """Simulate the run without each acting cause, and without all of them.
 
-    Acting causes change the value, or decide whether there is one. If there is no value with or
-    without any of them, every cause that takes part is used. None if re-simulation and log
-    disagree, because the runs would not represent the log.
+    Acting causes change the value, or decide whether there is a value. If there is never a value,
+    every cause that takes part is used. The result is None if re-simulation and log disagree,
+    because the runs would not represent the log.
 
     Args:
         identified: Scenario that reproduces the run.
-        found: Attribution of its value, with the causes.
+        found: Attribution of the run's value, with the causes.
         report: Function called with the numbers of simulations done and in total.
 
     Returns:
-        Runs by removed causes, as `name_without` writes them: one cause each, in the order of the
-        attribution; if there are several, the last is the run without all.
+        Runs by removed causes, named by `name_without`: one cause each, in the order of the
+        attribution. With several causes, the last run is without all.
 
     Raises:
         ExplainError: If no scenario reproduces the run.
         ScenarioError: If the law cannot be loaded or may not run.
-        SimulationError: If the law fails without a cause.
+        SimulationError: If the law fails in a simulation without some cause.
     """
     if found.withheld and not found.without_value:
         return {}
@@ -293,7 +294,7 @@ def simulate_what_ifs(
 
 
 def _list_deciding(found: Attribution) -> tuple[str, ...]:
-    """Return the causes that change the value, or decide whether there is one."""
+    """Return the causes that change the value, or decide whether there is a value."""
     if not found.without_value:
         return found.acting
     cases = (*found.without_value, *found.with_value)

@@ -1,8 +1,8 @@
-"""The value of a game divided among its players: exactly, or from a sample of orders.
+"""The value of a game divided among its players, exactly or from a sample of orders.
 
 A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): the amount that a
-cause adds to the value, averaged over all orders of the causes. The part that a set of causes adds
-only together is its dividend (Harsanyi, 1963).
+cause adds to the value, averaged over all orders of the causes. The amount that a set of causes
+adds only together is called its dividend (Harsanyi, 1963).
 """
 
 import math
@@ -24,8 +24,9 @@ Worth = Mapping[Coalition, float]
 def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, float]:
     """Return the contribution of each cause.
 
-    Their `math.fsum` is the float `worth` of all minus that of none, to the last bit, except if the
-    contributions cancel: the sum then differs by at most one float step of the smallest.
+    The `math.fsum` of the contributions is the float `worth` of all causes minus the `worth` of
+    none, to the last bit. If contributions cancel, the sum may differ by at most one float step of
+    the smallest contribution.
     """
     exact = [_compute_share(worth, cause, causes) for cause in causes]
     total = worth[frozenset(causes)] - worth[frozenset()]
@@ -33,7 +34,7 @@ def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, floa
 
 
 def compute_dividends(worth: Worth, causes: Sequence[str]) -> dict[tuple[str, ...], float]:
-    """Return the amount that each set of two or more causes adds beyond its subsets."""
+    """Return the amount that each set of at least two causes adds beyond its subsets."""
     exact: dict[Coalition, Fraction] = {}
     for inside in list_coalitions(causes):
         subsets = sum((exact[part] for part in exact if part < inside), Fraction())
@@ -65,7 +66,7 @@ def _round_contributions(exact: list[Fraction], total: float) -> list[float]:
     """Return the contributions as floats whose exact sum rounds to the total.
 
     The smallest nonzero contribution absorbs the rounding of the others, because its float steps
-    are finest. If this gives a tie between two floats, the next smallest does.
+    are finest. In a tie between two floats, the next smallest contribution absorbs the rounding.
     """
     rounded = [float(one) for one in exact]
     rows = sorted((row for row, one in enumerate(rounded) if one), key=lambda r: abs(exact[r]))
@@ -84,8 +85,8 @@ def _absorb(contributions: list[float], row: int, total: float) -> list[float]:
 
 
 _PAIRS: Final = 4 * len(SEEDS)
-"""Number of orders, each sampled with its reverse: about 6 s for the paper's runs with fourteen
-groups."""
+"""Number of sampled orders, each used together with its reverse: about 6 s for the paper's runs
+with fourteen groups."""
 
 ORDERS: Final = 2 * _PAIRS
 """Number of sampled orders."""
@@ -130,7 +131,7 @@ def sample_game(found: Attribution, game: Game) -> Attribution:
 
 
 def _list_orders(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the orders, the same at each call; each is followed by its reverse."""
+    """Return the orders, the same ones at each call; each order is followed by its reverse."""
     draw = random.Random(0)
     drawn = (tuple(draw.sample(names, len(names))) for _ in range(_PAIRS))
     return [order for one in drawn for order in (one, one[::-1])]

@@ -25,28 +25,29 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
 
 _COUNT: Final = 17
-"""Number of starts, a sixteenth of one sample's turn apart: each reaches the tolerance at another
-point of a sample's motion."""
+"""Number of starts, a sixteenth of one sample's turn apart. Each start reaches the tolerance at
+another point of a sample's motion."""
 
 _WIDE: Final = 0.5
-"""Largest range as a share of the effects' total: over a wider one, their contributions change
-order between starts. If the total is small by chance, the largest value counts instead."""
+"""Largest range that is not wide, as a share of the effects' total. Over a wider range,
+contributions change order between starts. If the total is small by chance, the largest value is
+used instead."""
 
 _MOST_TICKS: Final = 200_000
-"""Largest number of ticks simulated to divide the value again at every start: two to three
+"""Largest number of simulated ticks for dividing the value again at every start: two to three
 seconds."""
 
 
 def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArray[np.float64]:
-    """Return the angles of equally spaced starts from the scenario's own [rad], shape (n,).
+    """Return angles of equally spaced starts, relative to the scenario's start [rad], shape (n,).
 
-    The angles span the largest turn from one sample to the next, with the scenario's own in the
-    middle.
+    The angles span the largest turn from one sample to the next, with the scenario's own start in
+    the middle.
 
     Args:
         scenario: Scenario with all causes.
         built: Run of the scenario.
-        count: Number of starts, odd.
+        count: Number of starts, an odd number.
 
     Returns:
         The angles; empty if the robot does not turn.
@@ -68,7 +69,7 @@ def find_steady_span(values: Sequence[float | None], added: float, resolution: f
     Args:
         values: Values from each start.
         added: Total of the causes from the scenario's own start.
-        resolution: The largest change that is negligible.
+        resolution: Largest change that is negligible.
     """
     if abs(added) > resolution:
         return _WIDE * abs(added)
@@ -77,7 +78,7 @@ def find_steady_span(values: Sequence[float | None], added: float, resolution: f
 
 
 def ranges_over(values: Sequence[float | None], span: float) -> bool:
-    """Return whether the values that exist range over more than a span."""
+    """Return whether the range of the existing values exceeds a span."""
     known = [value for value in values if value is not None]
     return bool(known) and max(known) - min(known) > span
 
@@ -87,8 +88,8 @@ def subtract_values(
 ) -> list[float | None]:
     """Return the total of the causes at each start; None if a value is missing.
 
-    A value that only follows the start, such as a turn's length, also follows it without the
-    causes; their total is then steady.
+    A value that only follows the start, such as the length of a turn, follows the start also
+    without the causes. The total of the causes is then steady.
     """
     return [
         None if value is None or rest is None else value - rest
@@ -105,8 +106,8 @@ def vary_start(
         scenario: Scenario with all causes.
         metric: Id of a metric that has a value.
         added: Total of the causes.
-        resolution: The largest change that is negligible.
-        acting: The causes that change the value.
+        resolution: Largest change that is negligible.
+        acting: Causes that change the value.
     """
     built = simulate_run(scenario)
     offsets_rad = spread_starts(scenario, built).tolist()
@@ -154,17 +155,18 @@ def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple
 
 
 _FEWEST: Final = 0.5
-"""Smallest share of seeds with a value: with fewer, the others would be the majority."""
+"""Smallest share of seeds with a value. With fewer seeds, those without a value would be the
+majority."""
 
 _CENTRAL: Final = (0.025, 0.975)
 """Quantiles that bound the central 95 %."""
 
 
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
-    """Return the attribution with its contributions, or why there are none.
+    """Return the attribution with its contributions, or the reason for their absence.
 
-    A seed is used if every combination has a value with it, because combinations are compared by
-    seed.
+    A seed is used only if every combination has a value with this seed, because combinations are
+    compared by seed.
     """
     names = found.causes
     coalitions = list_coalitions(names)
@@ -240,7 +242,7 @@ def _describe_seeds(values: Sequence[float], count: int) -> SeedRange:
 
 
 def _add_error(game: Game, other: Contribution) -> Contribution:
-    """Return a property with the standard error of the change without it, by seed."""
+    """Return a property with the standard error of the change by removing the cause, over seeds."""
     built, without = game.take_out_each(), game.take_out_each([other.cause])
     pairs = [
         (one.value, without[min(number, len(without) - 1)].value)

@@ -1,1 +1,1 @@
-"""The scenario that produced a log: identified, simulated again, compared."""
+"""Identification of the scenario that produced a log, and comparison of its re-simulation."""

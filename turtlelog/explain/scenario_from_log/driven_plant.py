@@ -1,8 +1,8 @@
-"""The plant driven with the log's own commands, to find its queues, delays and pauses.
+"""The plant driven by the log's own commands, to find queues, delays and pauses.
 
-No law is asked, so noise in the poses that the controller read, or in the log, does not matter: the
-commands are known exactly. The residual between logged and driven poses is either noise, or shows
-that the settings are wrong.
+No law is used, and the commands are known exactly. Therefore noise in the logged poses, or in the
+poses that the controller read, does not matter. The residual between logged and driven poses is
+either noise, or shows that the settings are wrong.
 """
 
 from collections.abc import Sequence
@@ -25,13 +25,14 @@ from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start,
 from turtlelog.simulate import iterate_ticks
 
 _UNKNOWN_TICKS: Final = 20
-"""Ticks after missing rows in which unknown commands may still act."""
+"""Number of ticks after missing rows in which unknown commands may still act."""
 
 WHITE: Final = 0.5
-"""Largest distance of noise's whiteness from 1: a wrong setting leaves a curve, below 0.1."""
+"""Largest deviation of noise's whiteness from 1. A wrong setting leaves a curve with a whiteness
+below 0.1."""
 
 FLOOR: Final = 1e-7
-"""Residual below which no setting is judged [m, rad]: the rounding of a 32-bit pose of a few
+"""Residual up to which all settings count as equal [m, rad]: the rounding of a 32-bit pose at a few
 metres."""
 
 _MOST_STEPS: Final = 4.0
@@ -41,16 +42,16 @@ _SOLVED: Final = 1e-9
 """Tolerance of the solver, in steps of rounding."""
 
 _REFITS: Final = 3
-"""Rounds until the weights of position and heading converge."""
+"""Number of rounds until the weights of position and heading converge."""
 
 
 _PHASE: Final = "control"
 """Name of the phase of a law without declared phases."""
 
 _SMALLER: Final = 16.0
-"""Factor by which the motion is reduced. After a jump, the driven plant is not at the robot's
-place, and must not meet a wall. The reduced motion around the middle of the world has room for 88 m
-to every side. The factor is a power of two, so that commands are rounded equally."""
+"""Factor by which the motion is scaled down. After a jump, the driven plant is not at the robot's
+place, and must not meet a wall. The scaled motion around the middle of the world has 88 m to every
+side. The factor is a power of two, so that commands are rounded in the same way."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +60,7 @@ class PlaybackParameters:
 
     Attributes:
         commands: Speed [m/s] and turn rate [rad/s] of each sample, shape (n, 2).
-        pauses_at: Index of the sample after which the controller is blocked; -1 for none.
+        pauses_at: Index of the sample after which the controller is blocked; -1: no sample.
         pause_ticks: Duration of the block [ticks].
     """
 
@@ -69,7 +70,7 @@ class PlaybackParameters:
 
 
 class Playback:
-    """A law that replays the commands of a log, whatever the pose."""
+    """A law that replays the commands of a log, independent of the pose."""
 
     Parameters: ClassVar[type[Any]] = PlaybackParameters
 
@@ -114,8 +115,8 @@ class Drive:
         noise: Standard deviation of the residuals of x, y [m] and heading [rad].
         start: Best-fitting start pose: x, y [m], heading [rad].
         reach: Half-width of the 95 % intervals of the start.
-        left: Logged minus driven poses with that start, shape (rows, 3).
-        slopes: Derivatives of these by the start, shape (rows, 3, 3).
+        left: Logged minus driven poses for this start, shape (rows, 3).
+        slopes: Derivatives of these differences by the start, shape (rows, 3, 3).
     """
 
     rows: int
@@ -142,7 +143,7 @@ class Drive:
 def drive_plant(
     trace: Trace, guess: Any, *, rows: int | None = None, reads_alike: bool = False
 ) -> Drive | None:
-    """Drive the plant with the commands of the first `rows` samples; None if that is impossible.
+    """Drive the plant with the commands of the first `rows` samples; return None if impossible.
 
     With `reads_alike`, the samples must also read the same poses as in the log.
     """
@@ -161,7 +162,7 @@ def drive_plant(
 
 
 def join_starts(drives: list[Drive]) -> Drive:
-    """Return the first of several equally good fits, with intervals that cover those of all."""
+    """Return the first of several equally good fits, with intervals that cover all of them."""
     best = drives[0]
     edges = [
         abs(np.array(drive.start) - np.array(best.start)) + np.array(drive.reach)
@@ -208,7 +209,7 @@ def _drive(trace: Trace, guess: Any, samples: int, *, reads_alike: bool) -> Valu
 
 
 def _reads_as_logged(trace: Trace, read: NDArray[np.int64]) -> bool:
-    """Return whether the samples read the same poses as in the log, if these are known."""
+    """Return whether the samples read the same poses as in the log, if those are known."""
     if not (trace.has_ticks and trace.has_exact_clock):
         return True
     known = trace.number < len(read)
@@ -266,7 +267,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
 
 
 def _list_stretches(trace: Trace, count: int) -> list[slice]:
-    """Return the rows between breaks; after a gap, from where all commands are known."""
+    """Return the rows between breaks. After a gap, rows begin where all commands are known."""
     bounds = [0, *(row for row in list_trace_breaks(trace) if row < count), count]
     missing = {row for row, _ in trace.missing}
     skip = _UNKNOWN_TICKS // trace.period_ticks
@@ -280,7 +281,7 @@ def _fit_offsets(
 ) -> tuple[Values, Values]:
     """Return the best-fitting shift of the first pose and its variances, shape (3,).
 
-    A coordinate that is logged unchanged, as for a robot at rest, repeats its error.
+    If a coordinate does not change in the log, for example at rest, its error is repeated.
     """
     weighted = slopes / noise[None, :, None]
     inverse = np.linalg.pinv(np.einsum("nij,nik->jk", weighted, weighted))
@@ -304,10 +305,10 @@ def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartBounds:
-    """Bounds of the starts from which every pose rounds to the logged one.
+    """Bounds of the starts for which every pose rounds to the logged pose.
 
     Attributes:
-        middle: The start furthest from any bound: x, y [m], heading [rad].
+        middle: Start furthest from any bound: x, y [m], heading [rad].
         low: Lower bounds of x, y [m] and heading [rad].
         high: Upper bounds of x, y [m] and heading [rad].
     """
@@ -330,9 +331,9 @@ def join_bounds(found: Sequence[StartBounds | None]) -> StartBounds | None:
 
 
 def bound_start(drive: Drive, trace: Trace) -> StartBounds | None:
-    """Return bounds of the start for which every pose rounds to the logged one.
+    """Return the bounds of starts for which every pose rounds to the logged pose.
 
-    None if there is no such start, or if the residual exceeds rounding.
+    The result is None if there is no such start, or if the residual exceeds rounding.
     """
     if not drive.explains or trace.missing or trace.jumps:
         return None
@@ -356,7 +357,7 @@ def _hides_step(trace: Trace) -> bool:
 
 
 def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the nearest pose that a scenario may start from."""
+    """Return the nearest pose at which a scenario may start."""
     x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
     return x_m, y_m, wrap_angle(pose[2])
 

@@ -1,4 +1,4 @@
-"""The fit of one command: its gain from unclipped commands, its limit from clipped ones."""
+"""The fit of one command: the gain from unclipped commands, the limit from clipped commands."""
 
 import math
 from collections.abc import Callable
@@ -23,16 +23,16 @@ _DIGITS: Final = 17
 """Significant digits that distinguish all doubles."""
 
 _ROUNDING: Final = 1e-13
-"""Difference of commands between platforms, as a share of the largest: the last bits of a cosine,
-2e-16 each, times the few operations that follow."""
+"""Difference of commands between platforms, as a share of the largest command: the last bits of a
+cosine, 2e-16 each, times the few operations that follow."""
 
 _TYPED_DIGITS: Final = 8
-"""Largest number of digits of a typed gain: two commands fit many gains, so one with few digits is
-required."""
+"""Largest number of digits of a typed gain. Two commands fit many gains, so that a gain with few
+digits is required."""
 
 _NEIGHBOURS: Final = 16
-"""Doubles on either side of a ratio that rounding may reach: a ratio of two products with three
-roundings each is wrong by a few."""
+"""Number of doubles on either side of a ratio that rounding may reach: a ratio of two products with
+three roundings each is wrong by a few doubles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,12 +40,11 @@ class GainFit:
     """A gain estimated from commands.
 
     Attributes:
-        value: The shortest decimal that reproduces every command, otherwise the least-squares
-            value.
+        value: Shortest decimal that reproduces every command, or else the least-squares value.
         is_exact: Whether only this value reproduces every command, bit for bit.
-        is_close: Whether several doubles reproduce every command, or the value does within the
-            rounding of other platforms.
-        interval: Interval of the gain: all values that reproduce the commands, otherwise the 95 %
+        is_close: Whether several doubles reproduce every command, or the value reproduces them
+            within the rounding of other platforms.
+        interval: Interval of the gain: all values that reproduce the commands, or else the 95 %
             interval of least squares.
         noise: Standard deviation of the residual error, in the error's unit; 0 if there is no
             residual.
@@ -64,7 +63,7 @@ class GainFit:
 
 
 def fit_gain(command: Values, reproduce: Callable[[float], Values]) -> GainFit:
-    """Return the gain for which `reproduce` gives the commands; both have shape (n,), n >= 1."""
+    """Return the gain with which `reproduce` gives the commands; both have shape (n,), n >= 1."""
     error = reproduce(1.0)
     return _find_exact_gain(command, reproduce, error) or _fit_least_squares(command, error)
 
@@ -105,7 +104,7 @@ def _widen(ratio: float) -> tuple[float, float]:
 
 
 def _fit_least_squares(command: Values, error: Values) -> GainFit:
-    """Regress the errors on the commands: these are exact, only the errors are noisy.
+    """Regress the errors on the commands: only the errors are noisy, the commands are exact.
 
     The inverse regression would make every gain too small.
     """
@@ -125,7 +124,7 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
 
 
 class _Slope(NamedTuple):
-    """A slope through 0, half of its 95 % interval, and size and whiteness of its residual."""
+    """A slope through 0, half of its 95 % interval, and size and whiteness of the residual."""
 
     value: float
     reach: float
@@ -160,44 +159,44 @@ def widen_for_runs(whiteness: Values) -> Values:
 
 
 Reproduce = Callable[[float], Values]
-"""A function from a gain to the commands that the law wants."""
+"""Function from a gain to the commands that the law wants."""
 
 _FEWEST: Final = 8
-"""Number of commands from which noise differs from a curve: with fewer, the whiteness of noise may
-be as small as a curve's."""
+"""Smallest number of commands that distinguishes noise from a curve. With fewer commands, the
+whiteness of noise may be as small as that of a curve."""
 
 _WHITE: Final = 0.4
-"""Largest distance of noise's whiteness from 1. Residuals of an integral, a derivative or a bend
-are smooth, below 0.1; those of a switch alternate, up to 2."""
+"""Largest deviation of noise's whiteness from 1. Residuals of an integral, a derivative or a bend
+are smooth, with a whiteness below 0.1; residuals of a switch alternate, with up to 2."""
 
 _WHITE_SURE: Final = 4.0
-"""The same in standard deviations, which are 1 / sqrt(rows): it is exceeded in one of 16,000
-logs."""
+"""The same deviation in standard deviations, which are 1 / sqrt(rows). One of 16,000 logs exceeds
+it."""
 
 _LARGER: Final = 2.0
-"""Largest residual as a multiple of the poses' noise: with 8 rows, 2 is four standard deviations of
-an estimate, with more rows it is more."""
+"""Largest residual as a multiple of the poses' noise. With 8 rows, 2 is four standard deviations of
+an estimate; with more rows, it is more."""
 
 _BEYOND: Final = 5.0
 """Change of the error during equal commands that shows clipping, in standard deviations. Noise
-alone reaches it in one of a million logs."""
+alone reaches this change in one of a million logs."""
 
 _TINY: Final = 1e-9
 
 _CLEAN: Final = 10.0
-"""Noise of the poses read by the controller, as a multiple of that of the logged poses, from which
-they differ."""
+"""Noise of the poses that the controller read, as a multiple of the noise of the logged poses,
+above which these differ."""
 
 _ALTERNATES: Final = 0.25
-"""Largest whiteness of the noise read, beyond 1; a derivative's whiteness is 1.5. With 34 rows,
-which a gain of 10 leaves unclipped, noise exceeds it in one of fourteen logs."""
+"""Largest excess over 1 of the whiteness of read noise; a derivative's whiteness is 1.5. With 34
+rows, which a gain of 10 leaves unclipped, noise exceeds this limit in one of fourteen logs."""
 
 _CLEAR: Final = 4.0
-"""Distance from the limit at which hardly any command is clipped, in standard deviations of
+"""Distance from the limit beyond which hardly any command is clipped, in standard deviations of
 noise."""
 
 _REFITS: Final = 3
-"""Rounds until gain and rows converge."""
+"""Number of rounds until gain and rows converge."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,7 +205,8 @@ class PoseNoise:
 
     Attributes:
         size: Standard deviation [m or rad]; includes the curvature of the motion between rows.
-        least: The same from fourth differences, which contain almost none of the motion.
+        least: The same standard deviation from fourth differences, which contain almost none of the
+            motion.
         grain: Quantisation step of the log [m or rad].
     """
 
@@ -230,13 +230,13 @@ class CommandFit:
 
     Attributes:
         gain: Fitted gain; None if all commands are clipped, or the error never changes.
-        limit: Limit at which commands are clipped; None if none is clipped.
-        least: The smallest gain that explains every command, if there is no fitted gain.
-        largest: The largest published magnitude.
+        limit: Limit at which commands are clipped; None if no command is clipped.
+        least: Smallest gain that explains every command, if there is no fitted gain.
+        largest: Largest published magnitude.
         rows: Number of commands in the phase.
         noise: Noise of the poses.
         has_signs: Whether every command has the sign of its error.
-        is_read: Whether the noise is in the poses that the controller read, not in the log.
+        is_read: Whether the noise is in the poses that the controller read instead of the log.
     """
 
     gain: GainFit | None
@@ -255,7 +255,7 @@ class CommandFit:
 
     @property
     def obstacle(self) -> str | None:
-        """Reason why the commands are not proportional to the error; None if they may be."""
+        """Why the commands are not proportional to the error; None if they may be proportional."""
         found = self.gain
         if found is None:
             return None
@@ -281,7 +281,7 @@ _NOT_PROPORTIONAL: Final = (
 
 
 def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> CommandFit:
-    """Find the clipped commands, and fit a gain to the others."""
+    """Find the clipped commands, and fit a gain to the other commands."""
     size, error = np.abs(command), reproduce(1.0)
     largest = float(size.max())
     below = size < largest
@@ -315,7 +315,10 @@ def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> Comm
 
 
 def _fit_noisy(command: Values, error: Values, rows: NDArray[np.bool_]) -> GainFit:
-    """Fit commands by least squares; equal successive ones count once: rounding repeats too."""
+    """Fit commands by least squares.
+
+    Equal successive commands count once, because rounding repeats.
+    """
     first = np.flatnonzero(np.diff(command[rows], prepend=np.nan) != 0.0)
     means = np.add.reduceat(error[rows], first) / np.diff(np.append(first, rows.sum()))
     return fit_gain(command[rows][first], lambda gain: gain * means)
@@ -324,8 +327,8 @@ def _fit_noisy(command: Values, error: Values, rows: NDArray[np.bool_]) -> GainF
 def _is_read(fit: GainFit, noise: PoseNoise) -> bool:
     """Return whether the residual of a fit is noise that the logged poses do not contain.
 
-    The controller then read other poses than the logged ones. A derivative of noisy poses also
-    leaves a larger residual, but its noise alternates.
+    In this case the controller read other poses than the logged poses. A derivative of noisy poses
+    also leaves a larger residual, but its noise alternates.
     """
     is_white = 1.0 - _WHITE < fit.whiteness < 1.0 + _ALTERNATES
     is_more = fit.noise > _LARGER * max(noise.size, noise.grain)
@@ -333,10 +336,10 @@ def _is_read(fit: GainFit, noise: PoseNoise) -> bool:
 
 
 def _fit_read(command: Values, error: Values, fit: GainFit, limit: float) -> GainFit:
-    """Regress the commands on the logged errors: noise in the poses read is in the commands.
+    """Regress the commands on the logged errors: noise in the read poses is in the commands.
 
-    Rows are selected by their errors. Selected by commands, those that noise keeps off the limit
-    would bias the fit.
+    Rows are selected by their errors. A selection by commands would bias the fit, because noise
+    keeps some commands off the limit.
     """
     found = fit
     for _ in range(_REFITS):
@@ -371,7 +374,7 @@ def _shows_clipping(error: Values, noise: float) -> bool:
 
 
 def describe_fitted_gain(fit: CommandFit) -> Finding:
-    """Return the gain in words, or why or how far the commands do not determine it."""
+    """Return the gain in words, or how far the commands determine it and why not further."""
     if fit.gain is None:
         return miss(
             f"all {fit.rows} commands are at {fit.largest:g}: at least {fit.least:.4g}",
@@ -392,7 +395,7 @@ def describe_fitted_gain(fit: CommandFit) -> Finding:
 
 
 def describe_limit(fit: CommandFit) -> Finding:
-    """Return the limit in words, or the largest command if none is clipped."""
+    """Return the limit in words, or the largest command if no command is clipped."""
     if fit.gain is None:
         reason = f"all {fit.rows} commands are at {fit.largest:g}: a limit, or the law's only one"
         return miss(reason, fit.largest)
@@ -403,7 +406,7 @@ def describe_limit(fit: CommandFit) -> Finding:
 
 
 def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:
-    """Return the root mean square of the residual of a fit, clipped commands included."""
+    """Return the root mean square of the residual of a fit, including clipped commands."""
     gain = math.inf if fit.gain is None else max(fit.gain.value, 0.0)
     limit = fit.largest if fit.gain is None else (fit.limit or math.inf)
     with np.errstate(invalid="ignore"):

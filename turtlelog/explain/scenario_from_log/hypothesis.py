@@ -1,4 +1,4 @@
-"""The recorded scenario as a hypothesis, and facts on the loop from the samples of any law.
+"""The recorded scenario as a hypothesis, and facts about the loop from samples of any law.
 
 This module is independent of the law. A re-simulation of the recorded scenario either reproduces
 every sample or is rejected; dead times, limits and queues come from poses, commands and the clock.
@@ -64,10 +64,11 @@ from turtlelog.scenario import (
 from turtlelog.simulate import simulate_run
 
 LONGEST_S: Final = 3600.0
-"""Longest run that is simulated again [s]: 225,000 ticks take about five seconds each time."""
+"""Longest run that is simulated again [s]: 225,000 ticks, about five seconds for each
+simulation."""
 
 _COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
-"""Possible commands in a phase without loops, each with a signal and a reference."""
+"""Possible commands in a phase without loops, with the signal and reference of each."""
 
 
 _NOT_DETERMINISTIC: Final = (
@@ -76,7 +77,7 @@ _NOT_DETERMINISTIC: Final = (
 )
 
 _TIME_IS_UP: Final = "max_duration"
-"""Stop reason of a run that no rule of its law ended; only the recording shows it."""
+"""Stop reason of a run that no rule of its law ended. Only the recording shows this reason."""
 
 AROUND: Final = "a loop is identified from commands only around turtlesim"
 
@@ -85,13 +86,15 @@ _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is e
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedScenario:
-    """The recorded scenario of a run, tested.
+    """Result of testing the recorded scenario of a run.
 
     Attributes:
-        scenario: Scenario that ends with the log; None if it does not reproduce every sample.
+        scenario: Scenario that ends with the log; None if the scenario does not reproduce every
+            sample.
         run: Re-simulated run; None if the scenario was not simulated.
         resimulation: Comparison of this run with the log; None if the scenario was not simulated.
-        reach: Agreement with the log, or the reason why it was not simulated, in one clause.
+        reach: Agreement with the log, or the reason why the scenario was not simulated, in one
+            clause.
     """
 
     scenario: Scenario | None = None
@@ -101,10 +104,11 @@ class RecordedScenario:
 
 
 def require_trust(run: Run, *, trust_law: bool) -> None:
-    """Refuse a run with a complete scenario whose law is neither built in nor trusted.
+    """Refuse a run whose complete scenario has a law that is neither built in nor trusted.
 
     Raises:
-        ScenarioError: With the law's name and how to trust it; also if a trusted law cannot run.
+        ScenarioError: If a trusted law cannot run, or the law is not trusted; the message contains
+            the law's name and how to trust it.
     """
     if run.scenario_is_complete and run.parameters.get("law.kind", DEFAULT_LAW) not in LAWS:
         resolve_scenario(restore_scenario(run), trust_law=trust_law)
@@ -151,11 +155,11 @@ def _describe_reach(trace: Trace, equal: int) -> str:
 
 
 def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
-    """Return the facts on the loop around a law whose parameters cannot be identified.
+    """Return facts about the loop around a law whose parameters cannot be identified.
 
     Args:
         run: Run with samples.
-        reason: Reason why they cannot be identified, in one clause.
+        reason: Reason why the parameters cannot be identified, in one clause.
         trust_law: Whether the recorded law may run.
     """
     kind = str(run.parameters.get("law.kind", ""))
@@ -237,7 +241,7 @@ def _fit_loop(
 
 
 def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
-    """Return a dead time, or none if its residual is not noise: it is then not constant.
+    """Return a dead time, or no value if its residual is not noise: then it is not constant.
 
     This happens if a law blocks sometimes: commands then wait for the duration of the block.
     """
@@ -250,8 +254,8 @@ def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
 def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> int:
     """Return the number of ticks of the dead times that may be a time constant of the robot.
 
-    The loop that shows it best decides, because commands of all loops wait equally. A recorded
-    scenario of turtlesim has no time constant.
+    The loop with the clearest result decides, because commands of all loops wait equally long. A
+    recorded scenario of turtlesim has no time constant.
     """
     if run.scenario_is_complete:
         return 0
@@ -260,7 +264,7 @@ def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> in
 
 
 def reject_lag(fits: Fits, dead_times: Mapping[str, DeadTime | Missing]) -> Fits:
-    """Return settings that explain no motion if the robot clearly has a time constant."""
+    """Return settings without an explained motion if the robot clearly has a time constant."""
     if fits.drive is None or not any(map(shows_lag, dead_times.values())):
         return fits
     return replace(fits, drive=replace(fits.drive, explains=False))
@@ -276,7 +280,7 @@ def find_dead_times(run: Run) -> dict[str, DeadTime | Missing]:
 
 
 def _find_dead_time_of_phase(run: Run, phase: str) -> DeadTime | Missing:
-    """Return the dead time of the turn rate in a phase, or of the speed if that is unknown."""
+    """Return the dead time of the turn rate in a phase, or of the speed if the first is unknown."""
     name = f"{phase}-loop" if phase in RESERVED else phase
     found: list[DeadTime | Missing] = []
     for command, signal, reference in _COMMANDS:
@@ -313,7 +317,7 @@ def _describe_limits(run: Run) -> dict[str, Finding]:
 
 
 def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
-    """Return the limit at which commands are clipped, shown by the unclipped ones."""
+    """Return the limit at which commands are clipped, as the unclipped commands show."""
     largest = float(np.abs(sent).max())
     seen = f"the largest of {len(sent)} commands is {largest:.4g}"
     if wanted is None:

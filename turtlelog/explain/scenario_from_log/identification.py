@@ -1,8 +1,8 @@
 """The scenario of a run as identified from its log.
 
-Sensing, disturbances, shaping, chances and rates are not identified: in poses and commands they
-look like one another, or like identified settings. If the re-simulation of the recorded scenario
-reproduces the run, its values are used.
+Sensing, disturbances, shaping, probabilities and rates are not identified: in poses and commands,
+they look like one another or like identified settings. If the re-simulation of the recorded
+scenario reproduces the run, its values are used.
 """
 
 import enum
@@ -26,19 +26,20 @@ class Certainty(enum.StrEnum):
     """Confidence in a finding."""
 
     EXACT = "exact"
-    """Only this value reproduces all rows that depend on it, bit for bit or to the poses'
+    """Only this value reproduces all rows that depend on it, bit for bit or within the poses'
     rounding."""
     FITTED = "fitted"
     """Estimated by least squares, with its standard error."""
     BOUNDED = "bounded"
-    """Every value in an interval fits; the value is the roundest in it."""
+    """Every value in an interval fits; the given value is the roundest."""
     AMBIGUOUS = "ambiguous"
-    """Several values fit equally; they are the candidates, and the value is the likeliest."""
+    """Several values fit equally well. These values are the candidates; the given value is the most
+    likely."""
     RECORDED = "as recorded"
-    """Value of the recorded scenario, whose re-simulation reproduces every sample; the samples
-    alone do not show it."""
+    """Value of the recorded scenario, whose re-simulation reproduces every sample. The samples
+    alone do not show this value."""
     UNKNOWN = "unknown"
-    """The log does not determine it."""
+    """The log does not determine the value."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,17 +69,17 @@ class Finding:
 
 
 def find_exactly(value: Any, evidence: str) -> Finding:
-    """Return a finding that is certain."""
+    """Return a finding with certainty `EXACT`."""
     return Finding(value=value, certainty=Certainty.EXACT, evidence=evidence)
 
 
 def fit_value(value: Any, evidence: str, interval: tuple[Any, Any] | None = None) -> Finding:
-    """Return a finding with its 95 % interval, or the likeliest of the values tried."""
+    """Return a finding with its 95 % interval, or the most likely of the tried values."""
     return Finding(value=value, certainty=Certainty.FITTED, evidence=evidence, interval=interval)
 
 
 def bound_value(value: Any, evidence: str, interval: tuple[float, float]) -> Finding:
-    """Return a finding that any value within an interval fits."""
+    """Return a finding for which any value within an interval fits."""
     return Finding(value=value, certainty=Certainty.BOUNDED, evidence=evidence, interval=interval)
 
 
@@ -88,7 +89,7 @@ def _take_recorded(value: Any, evidence: str) -> Finding:
 
 
 def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Finding:
-    """Return a finding with the likeliest of several equally good values."""
+    """Return a finding with the most likely of several equally good values."""
     return Finding(
         value=likeliest,
         certainty=Certainty.AMBIGUOUS,
@@ -100,7 +101,7 @@ def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Find
 def miss(
     evidence: str, assumed: Any = None, interval: tuple[float, float] | None = None
 ) -> Finding:
-    """Return a finding without a value: the reason, the assumed value, and bounds if known."""
+    """Return a finding without a value: its reason, assumed value, and bounds if known."""
     return Finding(
         certainty=Certainty.UNKNOWN, evidence=evidence, assumed=assumed, interval=interval
     )
@@ -116,13 +117,13 @@ LAW_KEYS: Final = (
     "law.projection",
     "law.wrap_error",
 )
-"""Parameters that the commands of sequential-p show. Its others are `law.pause_ticks`, which a
-simulation shows, `RULE_KEYS` for the end of a run, and `ABSENT_KEYS`."""
+"""Parameters that the commands of sequential-p show. The other parameters are `law.pause_ticks`,
+which a simulation shows, `RULE_KEYS` for the end of a run, and `ABSENT_KEYS`."""
 
 ABSENT_KEYS: Final = ("law.reorient", "law.schedule")
-"""Parameters of sequential-p that an identified run must not have. If its declaration shows one,
-the law is not identified; without a declaration, a third phase or commands without a constant gain
-show them."""
+"""Parameters of sequential-p that an identified run must not have. If the declaration shows such a
+parameter, the law is not identified. Without a declaration, a third phase or commands without a
+constant gain show it."""
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",
@@ -151,16 +152,16 @@ class Identification:
             with the name of each loop or phase [ticks], `pause.seconds` [s],
             `pause.held_turn_rate_rad_s`, `pause.turned_rad`, `pause.burst` (poses answered at once
             after it), `stop_reason`, `lost_commands`.
-        resimulation: Comparison of the identified scenario, simulated again, with the log; None if
-            there is none.
-        scenario: The identified scenario, or the recorded one; None if too little is known, or if
-            the recorded one does not reproduce the run.
-        is_recorded: Whether it is the recorded scenario, which reproduces every sample.
-        law: Kind of the recorded law, otherwise of the law whose parameters are identified; empty
-            if the run names no law and has other loops.
+        resimulation: Comparison of the log with a simulation of the identified scenario; None
+            without a simulation.
+        scenario: The identified or the recorded scenario. None if too little is known, or if the
+            recorded scenario does not reproduce the run.
+        is_recorded: Whether `scenario` is the recorded scenario, which reproduces every sample.
+        law: Kind of the recorded law, or else of the law whose parameters are identified. Empty if
+            the run names no law and has other loops.
         notes: Further notes, in sentences.
-        tried: Values that were tried, by key of the loop's settings; exact or fitted values are so
-            among these.
+        tried: Values that were tried, by key of the loop's settings. Exact or fitted values are
+            exact or fitted among these.
     """
 
     name: str
@@ -178,7 +179,7 @@ class Identification:
         return self.law == DEFAULT_LAW
 
     def build_scenario(self) -> Scenario:
-        """Return the identified scenario; unknown settings have their assumed values.
+        """Return the identified scenario. Unknown settings have their assumed values.
 
         Raises:
             ExplainError: If too little is known.
@@ -207,7 +208,7 @@ class Identification:
 
 
 def identify_plant(run: Run) -> Identification:
-    """Return the facts from poses and commands if no sample links commands to poses.
+    """Return facts from poses and commands, if no sample links commands to poses.
 
     The facts are the largest commands and the number of lost commands.
     """
@@ -245,8 +246,8 @@ def give_up(
 ) -> Identification:
     """Return the findings on a run that cannot be simulated again, with the reason.
 
-    Findings of law and loop that `findings` lacks are unknown for the same reason. `breaks` are
-    sentences on the log's jumps and missing rows, which may be the cause.
+    Findings of law and loop that `findings` does not contain are unknown for the same reason.
+    `breaks` are sentences on the log's jumps and missing rows, which may be the cause.
     """
     keys = (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")
     unknown = {key: miss(reason) for key in keys}
@@ -273,7 +274,7 @@ _NAMES: Final = {
     "loop.trigger": "a timer",
     "plant.kind": "another plant",
 }
-"""Names of the causes that keys belong to; keys that only extend another key have none."""
+"""Names of the causes that keys belong to; keys that only extend another key have no name."""
 
 _LOOKED_FOR: Final = (Certainty.EXACT, Certainty.FITTED, Certainty.BOUNDED)
 
@@ -289,8 +290,8 @@ def take_findings(
 ) -> dict[str, Finding]:
     """Return findings with the settings of the recorded scenario, which reproduces the run.
 
-    Settings of the loop are the recorded ones; so are those of the law if the samples do not show
-    them, or show other values.
+    The settings of the loop are the recorded ones. The settings of the law are recorded ones if the
+    samples do not show them, or show other values.
     """
     recorded = flatten_scenario(scenario)
     kept = {

@@ -1,4 +1,4 @@
-"""From a log to the scenario that produced it."""
+"""Identification of the scenario that produced a log."""
 
 from collections import ChainMap
 from collections.abc import Mapping
@@ -74,16 +74,16 @@ from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
 
 _MOST_PHASES: Final = 6
-"""Largest number of phases that are listed: three runs in one file."""
+"""Largest number of listed phases: three runs in one file."""
 
 _BEGINNING_S: Final = 600.0
 """Length of the used beginning of a run that is too long to simulate [s]: forty times one of the
-paper's, and some ten seconds of work."""
+paper's runs, and some ten seconds of work."""
 
 _SLOWEST_S: Final = 4.0
 """Longest time between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any known
-loop. With fewer samples, each of some hundred settings needs a longer simulation to differ from the
-others."""
+loop. With fewer samples, each of several hundred settings needs a longer simulation to differ from
+the others."""
 
 _MOST_ALIKE: Final = 8
 """Largest number of equally good settings that are simulated again for their dead times: a second
@@ -96,20 +96,21 @@ _UNEXPLAINED: Final = (
 
 
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
-    """Identify the scenario of a run from its samples alone: pose read, command published, time.
+    """Identify the scenario of a run from its samples alone: poses read, commands published, times.
 
-    From the run's parameters only the law's name and the plant are read. No parameter is identified
-    for a law other than sequential-p or a plant other than turtlesim. Gains, limits and tolerances
-    come from the commands. Queues and pause come from dead times and time stamps: every setting
-    that agrees with these is simulated, and those that reproduce all samples are kept. If none
-    does, the plant is driven with the log's commands, and settings that fit within the noise are
-    marked as such. A run without samples gives almost no findings; the findings contain the reason.
-    If a run is too long to simulate again, only its beginning is used, and no scenario reproduces
-    it.
+    From the run's parameters, only the law's name and the plant are read. No parameter is
+    identified for a law other than sequential-p or a plant other than turtlesim. Gains, limits and
+    tolerances come from the commands. Queues and pause come from dead times and time stamps: every
+    setting that agrees with these is simulated, and the settings that reproduce all samples are
+    kept. If no setting does, the plant is driven with the log's commands, and settings that fit
+    within the noise are marked as fitted. A run without samples gives almost no findings; the
+    findings contain the reason. If a run is too long to simulate again, only its beginning is used,
+    and no scenario reproduces the run.
 
-    A recorded scenario is a hypothesis that its re-simulation tests. For another law it is accepted
-    if it reproduces every sample. For sequential-p it is accepted if the identified scenario does
-    not reproduce the run, or if it contains effects that cannot be identified.
+    A recorded scenario is a hypothesis, which its re-simulation tests. For another law, the
+    recorded scenario is accepted if it reproduces every sample. For sequential-p, it is also
+    required that the identified scenario does not reproduce the run, or that the recorded scenario
+    contains effects that cannot be identified.
 
     Args:
         run: Any run.
@@ -158,8 +159,9 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
 def _identify_recorded(run: Run) -> Identification | None:
     """Return the findings on a run whose scenario contains effects that cannot be identified.
 
-    An effect may be invisible in this run, or look like another setting: if the recorded scenario
-    reproduces every sample, its settings are used. None if it does not, or contains no such effect.
+    An effect may be invisible in this run, or look like another setting. Therefore the settings of
+    the recorded scenario are used if it reproduces every sample. The result is None if the scenario
+    does not reproduce them, or contains no such effect.
     """
     unseen = list_unseen(run)
     if not (unseen and run.scenario_is_complete):
@@ -273,7 +275,7 @@ def _identify_samples(run: Run) -> Identification:
 def _describe_dead_times_again(
     dead_times: Mapping[str, DeadTime | Missing], fits: Fits, lag_slack: int
 ) -> dict[str, Finding]:
-    """Return the dead times of the found settings if noise hides those of the log."""
+    """Return the dead times of the found settings if noise hides those in the log."""
     found: dict[str, Finding] = {}
     if len(fits.scenarios) > _MOST_ALIKE:
         return found
@@ -298,7 +300,7 @@ def _describe_dead_times_again(
 def _withhold_law(
     findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
 ) -> dict[str, Finding]:
-    """Remove the findings of a loop whose commands are all clipped and that nothing reproduces."""
+    """Remove findings of a loop whose commands are all clipped, unless a scenario reproduces it."""
     keys = {
         "law.kp_angular": turning,
         "limits.turn_rate_rad_s": turning,
@@ -331,7 +333,7 @@ def _find_other_law(run: Run) -> str | None:
 
 
 def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
-    """Return the scenario, ended with the log if that was cut and no search found its end."""
+    """Return the scenario, ended with a log that was cut off if no search found the log's end."""
     if fits.is_exact or fits.is_close or ending.reason.value not in {None, "cut"}:
         return fits.scenario
     return cut_where_logged(fits.scenario, trace)
@@ -403,7 +405,7 @@ def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -
 
 
 def _describe_reach(trace: Trace, fits: Fits) -> str:
-    """Return how far the re-simulation agrees with the log, and where it departs."""
+    """Return how far the re-simulation agrees with the log, and where they first differ."""
     rows = int(np.searchsorted(trace.number, fits.reproduced))
     if rows >= len(trace):
         return f"the re-simulation reproduces all {len(trace)} samples and goes on"

@@ -1,4 +1,4 @@
-"""Parameters of sequential-p from its commands: gains, limits, tolerances, projection, wrapping."""
+"""Parameters of sequential-p from commands: gains, limits, tolerances, projection, wrapping."""
 
 import math
 from functools import partial
@@ -32,7 +32,7 @@ from turtlelog.scenario import DEFAULT_LAW
 ROTATE: Final = "rotate"
 TRANSLATE: Final = "translate"
 PHASES: Final = (ROTATE, TRANSLATE)
-"""Phases of sequential-p in order, which are its loops."""
+"""Phases of sequential-p in order, each with the name of its loop."""
 
 _NOUNS: Final = {ROTATE: "rotation", TRANSLATE: "translation"}
 _ADVERBS: Final = {ROTATE: "rotating", TRANSLATE: "translating"}
@@ -50,7 +50,7 @@ def describe_phase(kind: str, phase: str) -> str:
 
 
 def describe_loop_name(kind: str, loop: str) -> str:
-    """Return the action of a law's loop, or its name: `rotating`, `of align`."""
+    """Return the action of a law's loop, or else its name: `rotating`, `of align`."""
     adverb = _ADVERBS.get(loop) if kind == DEFAULT_LAW else None
     return adverb or f"of {loop}"
 
@@ -116,7 +116,7 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
 
 
 def _project(errors: Values, headings: Values) -> Reproduce:
-    """Return the projection in the law's order of operations; numpy's cosine differs in one bit."""
+    """Return the projection, computed in the law's order; numpy's cosine differs in one bit."""
     cosine = np.array([math.cos(heading) for heading in headings.tolist()])
     sine = np.array([math.sin(heading) for heading in headings.tolist()])
     x, y = errors.T.copy()
@@ -167,12 +167,12 @@ _LAST_TWO: Final = "the errors at the end and before it"
 _NOISY: Final = "noise; from the last errors and commands"
 
 _SURE: Final = 4.0
-"""Standard deviations by which a bound from one noisy error is widened: the bound then holds
-always, not only in 95 %."""
+"""Standard deviations by which a bound from one noisy error is widened, so that it always holds
+instead of in 95 % of cases."""
 
 
 def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
-    """Bound the tolerance by the error that ended the rotation, and the smallest that turned."""
+    """Bound the tolerance by the error that ended the rotation and the smallest that turned."""
     moving = slice(1, trace.rotating - trace.ended_rotation)
     ended = float(abs(error[trace.rotating - 1])) if trace.ended_rotation else 0.0
     if fit is not None and fit.gain is not None and not fit.is_certain:
@@ -191,7 +191,7 @@ def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None)
 
 
 def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
-    """Bound the tolerance by the error that ended the run, and the smallest that still drove."""
+    """Bound the tolerance by the error that ended the run and the smallest that still drove."""
     larger = np.abs(errors).max(axis=1)
     is_within = command[-1] == 0.0
     if fit.gain is not None and not fit.is_certain:
@@ -241,7 +241,7 @@ _DIGITS: Final = 17
 """Significant digits that distinguish all doubles."""
 
 _LEADING: Final = "1528346790"
-"""First digits, the more common first."""
+"""First digits of a number, more common digits first."""
 
 
 def find_round_number(low: float, high: float) -> float:

@@ -28,7 +28,7 @@ from turtlelog.run.angles import subtract_headings
 _HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
 
 _QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
-"""Settings whose single value is the default, because the clock does not show it."""
+"""Settings that get the default as their single value, because the clock does not show them."""
 
 _LIKE_A_LAG: Final = MappingProxyType(
     {"loop.start_backlog": 1, "loop.transport_delay_ticks": 0, "law.pause_ticks": 0}
@@ -69,14 +69,14 @@ def describe_loop(trace: Trace, fits: Fits, lag_slack: int = 0) -> dict[str, Fin
 
 
 def describe_pause(trace: Trace, fits: Fits) -> dict[str, Finding]:
-    """Return the plant's motion from the pause on, and the number of poses answered after it."""
+    """Return the plant's motion after the pause begins, and the number of poses answered then."""
     if not trace.shows_pause:
         return {}
     return {"pause.turned_rad": _describe_turn(trace, fits), **_describe_queues(fits)}
 
 
 def _describe_turn(trace: Trace, fits: Fits) -> Finding:
-    """Return the robot's turn from the rotation's last sample to the last of the log."""
+    """Return the robot's turn from the rotation's last sample to the last sample of the log."""
     ended = trace.rotating - 1
     jumped = [row for row in trace.jumps if row > ended]
     if jumped:
@@ -139,7 +139,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
 
 
 def _find_obstacle(fits: Fits, key: str, chosen: Any) -> str:
-    """Return the reason why a setting has no value; empty if it has one."""
+    """Return why a setting has no value; empty if it has a value."""
     is_reproduced = fits.is_exact or fits.is_close
     if not (is_reproduced or fits.is_fitted):
         return _write_none(fits, chosen)
@@ -167,7 +167,7 @@ def _allow_lag(findings: Mapping[str, Finding], ticks: int) -> dict[str, Finding
 
 
 def _name_alike(key: str, chosen: Any) -> str:
-    """Return the other settings that give the same run; empty if there are none."""
+    """Return the other settings that give the same run; empty if no others do."""
     if key == "loop.transport_delay_ticks" and chosen:
         low_s, high_s = chosen * TICK_S, (chosen + 1) * TICK_S
         return f"; so does any delay from {low_s:.3g} s to below {high_s:.3g} s"

@@ -20,17 +20,17 @@ PAUSE_KEY: Final = "law.pause_ticks"
 DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
 
 _LARGEST_BACKLOG: Final = 12
-"""Largest initial queue that is tried if the clock does not show it: beyond the usual queue depth
-of 10 the runs are equal."""
+"""Largest tried initial queue if the clock does not show it. Beyond the usual queue depth of 10,
+the runs are equal."""
 
 _LARGEST_DELAY: Final = 8
-"""Largest transport delay that is tried if no dead time is known [ticks]."""
+"""Largest tried transport delay if no dead time is known [ticks]."""
 _PAUSE_SLACK_TICKS: Final = 2.5
-"""Largest difference of a tried pause from the clock's: both of its ends may be a tick late."""
+"""Largest difference of a tried pause from the clock's pause: both ends may be a tick late."""
 
 _JITTER_TICKS: Final = 0.75
-"""Largest difference of a pause from the clock's without contradiction: a callback waits for less
-than a tick, and the paper's clocks are wrong by a tenth of a tick."""
+"""Largest difference of a pause from the clock's pause without contradiction: a callback waits for
+less than a tick, and the paper's clocks are wrong by a tenth of a tick."""
 _QUICK: Final = 0.5
 """Share of the usual time between answers below which answers belong to a burst."""
 
@@ -42,11 +42,11 @@ class Hints:
     """Constraints on the loop from time stamps and pose numbers.
 
     Attributes:
-        backlogs: Initial queues that agree with them.
-        pauses: Pauses that agree with them [ticks]; empty if the law's own is unknown.
+        backlogs: Initial queues that agree with the stamps and numbers.
+        pauses: Pauses that agree with the stamps [ticks]; empty if the law's own pause is unknown.
         pause_s: Silence after the rotation, by the clock [s]; None if the rotation does not end.
         burst: Number of poses answered at once after the pause.
-        pose_queue: Depth of the pose queue if poses were lost, otherwise None.
+        pose_queue: Depth of the pose queue if poses were lost; otherwise None.
     """
 
     backlogs: tuple[int, ...]
@@ -210,7 +210,7 @@ def list_neighbours(guess: Guess) -> list[Guess]:
 
 
 def set_pause(guess: Guess, ticks: int | None) -> Guess:
-    """Return a guess with this pause; unchanged if None (a law without a known pause)."""
+    """Return a guess with this pause; unchanged for None, which is a law without a known pause."""
     return guess if ticks is None else {**guess, PAUSE_KEY: ticks}
 
 

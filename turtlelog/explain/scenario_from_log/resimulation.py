@@ -1,4 +1,4 @@
-"""A scenario simulated again and compared with a log, and where they first differ."""
+"""Comparison of a re-simulated scenario with a log, and their first difference."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -33,10 +33,10 @@ from turtlelog.simulate import (
 )
 
 CLOSE: Final = 1e-6
-"""Poses of one scenario differ by less between platforms [m, rad]."""
+"""Largest difference of a scenario's poses between platforms [m, rad]."""
 
 CLOSE_COMMAND: Final = 1e-9
-"""Commands of one scenario differ by less between platforms [m/s, rad/s]."""
+"""Largest difference of a scenario's commands between platforms [m/s, rad/s]."""
 
 Row = tuple[Any, ...]
 """The compared values of a sample."""
@@ -67,15 +67,15 @@ class Depths:
     poses: int
 
     def hold(self, needed: "Depths") -> bool:
-        """Return whether queues of these depths lose nothing."""
+        """Return whether queues of these depths lose no pose or command."""
         return self.commands >= needed.commands and self.poses >= needed.poses
 
 
 class QueueGauge:
-    """Gauge of the queue depths that lose nothing; deeper queues give the same run.
+    """Gauge of the queue depths that lose no pose or command; deeper queues give the same run.
 
-    The depths follow from the times when poses are answered and commands published; a constant
-    delay changes nothing.
+    The depths follow from the times at which poses are answered and commands published. A constant
+    delay does not change them.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -87,7 +87,7 @@ class QueueGauge:
         self._poses = self._commands = 1
 
     def receive(self, tick: int) -> None:
-        """Queue the pose of a tick, if it is read."""
+        """Queue the pose of a tick if the controller reads it."""
         if tick % self._period_ticks == 0:
             self._waiting += 1
             self._poses = max(self._poses, self._waiting)
@@ -101,7 +101,7 @@ class QueueGauge:
 
     @property
     def needed(self) -> Depths:
-        """The smallest depths so far; infinite if poses or commands travel for a time."""
+        """Smallest sufficient depths so far; infinite if poses or commands travel for a time."""
         return Depths(self._commands, self._poses) if self._is_known else _BEYOND_ALL
 
 
@@ -148,7 +148,7 @@ def count_equal(
 ) -> tuple[int, Depths]:
     """Return how many samples, from the first, a simulation reproduces bit for bit.
 
-    The number is one more than all if all are reproduced and the simulation continues.
+    If all samples are reproduced and the simulation continues, the number is one more.
     `to_rounding` allows differences of 1e-6 for poses and 1e-9 for commands, as between platforms.
     The second value is the smallest queue depths with the same result.
     """
@@ -282,7 +282,7 @@ def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
-    """Return the turn rate that the plant held at the end of the law's pause, and the burst then.
+    """Return the turn rate that the plant held at the end of the law's pause, and the burst.
 
     The rate is None if commands were still queued. The burst is the number of poses answered at
     once; 0 if there is no pause.
@@ -314,15 +314,15 @@ class Departure:
     """The earliest difference of two runs.
 
     Attributes:
-        part: Part that differs first. `start`: the first pose. `robot`: it moves differently after
-            equal commands. `sensor`: the sensed pose. `controller`: it answers an equal pose
-            differently. `timing`: the time of a sample or command. `end`: one run is longer.
+        part: Part that differs first. `start`: the first pose. `robot`: the motion after equal
+            commands. `sensor`: the sensed pose. `controller`: the answer to an equal pose.
+            `timing`: the time of a sample or command. `end`: one run is longer.
         signal: Name of the signal that differs.
         unit: Unit of the values; empty for a name or a count.
-        time_s: Time of the difference from the first sample, otherwise from the first pose [s].
-        first: The value of the first run; None if it has none there.
-        second: The value of the second run.
-        samples: Number of samples before it, which are equal in both runs.
+        time_s: Time of the difference from the first sample, or else from the first pose [s].
+        first: Value of the first run; None if it has no value there.
+        second: Value of the second run.
+        samples: Number of equal samples before the difference.
     """
 
     part: Part
@@ -335,10 +335,10 @@ class Departure:
 
 
 def find_departure(first: Run, second: Run) -> Departure | None:
-    """Return where two runs depart; None if all their common data are equal.
+    """Return the first difference of two runs; None if all their common data are equal.
 
-    Poses are compared tick by tick if both runs contain all ticks, otherwise only the poses that
-    samples read.
+    Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
+    samples read are compared.
     """
     signals = [compare_pairing(one, tolerance=0.0) for one in _pair(first, second)]
     others = [*_compare_counts(first, second), compare_ends(first, second.stop_reason)]

@@ -1,4 +1,4 @@
-"""Search for the loop settings that reproduce a log, by simulation of the possible ones."""
+"""Search for the loop settings that reproduce a log, by simulating possible settings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -44,7 +44,7 @@ from turtlelog.measure.motion import CERTAIN, COARSE, LIKE_THE_BEST
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 
 _MOST_TICKS: Final = 150_000
-"""Largest number of simulated ticks if no setting is exact: about four seconds."""
+"""Largest number of simulated ticks if no setting is exact: about four seconds of work."""
 
 _MOST_BOUNDED: Final = 8
 """Largest number of equally good settings whose starts are bounded together: half a second of
@@ -54,7 +54,8 @@ _FEWEST_ROWS: Final = 150
 """Smallest number of rows over which settings are compared: half a turn at 1 rad/s has 200."""
 
 _MOST_SAMPLES: Final = 100_000
-"""Number of simulated samples from which rare queues are no longer tried: about three seconds."""
+"""Number of simulated samples from which rare queue depths are no longer tried: about three
+seconds."""
 
 _SPARE_S: Final = 3.0
 """Time by which a simulation may be longer than the log before it counts as different [s]."""
@@ -74,15 +75,15 @@ class Fits:
     """Settings that fit a log.
 
     Attributes:
-        guesses: Values by key of the scenario, the likeliest first; at least one.
-        scenarios: The same as whole scenarios.
-        is_exact: Whether they reproduce every sample bit for bit.
-        is_close: Whether they reproduce every sample to rounding.
-        drive: The plant driven with the log's commands and the likeliest settings; None if it was
-            not needed or is impossible.
-        reproduced: Number of samples, from the first, that the likeliest settings reproduce.
+        guesses: Values by key of the scenario, the most likely first; at least one.
+        scenarios: The same guesses as whole scenarios.
+        is_exact: Whether the settings reproduce every sample bit for bit.
+        is_close: Whether the settings reproduce every sample within rounding.
+        drive: The plant driven with the log's commands and the most likely settings; None if the
+            drive was not needed or is impossible.
+        reproduced: Number of samples, from the first, that the most likely settings reproduce.
         tried: Number of simulated settings.
-        ranges: The values of each key among the settings tried, in ascending order.
+        ranges: Values of each key among the tried settings, in ascending order.
         is_driven: Whether the plant was driven with the log's commands, without a law.
         is_partial: Whether the log is too long to try all settings that may explain its motion.
         hidden: Keys whose value makes no difference in this run.
@@ -104,16 +105,16 @@ class Fits:
 
     @property
     def scenario(self) -> Scenario:
-        """The likeliest scenario."""
+        """The most likely scenario."""
         return self.scenarios[0]
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the settings explain the motion up to noise."""
+        """Whether the settings explain the motion within noise."""
         return self.drive is not None and self.drive.explains
 
     def list_values(self, key: str) -> tuple[Any, ...]:
-        """Return the values of a key, the likeliest first."""
+        """Return the values of a key, the most likely first."""
         return tuple(dict.fromkeys(guess[key] for guess in self.guesses))
 
 
@@ -125,18 +126,19 @@ def search_loop(
     *,
     recorded: Guess | None = None,
 ) -> Fits:
-    """Return the loop settings that reproduce a log; `known` has all other settings.
+    """Return the loop settings that reproduce a log; `known` contains all other settings.
 
-    The usual queue depths are tried first. Others are tried if these do not fit, or fit only with a
-    pause or an initial queue that the clock contradicts. If no setting is exact, the plant is
-    driven with the log's own commands, and the settings that explain the motion best are returned.
+    The usual queue depths are tried first. Other depths are tried if the usual ones do not fit, or
+    fit only with a pause or an initial queue that the clock contradicts. If no setting is exact,
+    the plant is driven with the log's own commands, and the settings that explain the motion best
+    are returned.
 
     Args:
         trace: Samples of the run.
         known: Values by key of the scenario.
         hints: Constraints from time stamps and pose numbers.
         dead_times: Dead times of the loops, in the order in which they act; at least one.
-        recorded: Settings known to reproduce the log, which are tried first.
+        recorded: Settings that reproduce the log, if known; they are tried first.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
@@ -164,7 +166,7 @@ class _Search:
 
     Attributes:
         to_rounding: Whether samples need to be reproduced only to rounding.
-        is_driven: Whether no law is used; the numbers of the answered poses then count as well.
+        is_driven: Whether no law is used; then the numbers of the answered poses count as well.
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
@@ -203,7 +205,7 @@ class _Search:
         return build_scenario(tables, source=self._trace.run.name, trust_law=True)
 
     def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
-        """Return the settings that reproduce every sample; None if there are none."""
+        """Return the settings that reproduce every sample; None if no settings do."""
         exact: list[_Exact] = []
         for tier in tiers:
             # Once one setting agrees with the clock, only others that agree count.
@@ -222,7 +224,7 @@ class _Search:
         return [g for g in queues if g["loop.start_backlog"] in self._hints.backlogs]
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
-        """Return, of the settings that reproduce every sample, those nearest to the clock."""
+        """Of the settings that reproduce every sample, return those nearest to the clock."""
         self._note_values(queues, self._pauses)
         first, rotation = self._pauses[0], self._list_rotation()
         alike = [
@@ -320,7 +322,7 @@ class _Search:
         return deeper is not None and np.array_equal(deeper.left, drive.left)
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
-        """Return the settings that reproduce every sample from a start that is no 32-bit float.
+        """Return settings that reproduce every sample from a start that is not a 32-bit float.
 
         A plant has such a start if it moved before, as in a second run without a reset.
         """
@@ -424,7 +426,7 @@ class _Search:
         return equal
 
     def _count_equal(self, guess: Guess, rows: list[Row | None]) -> int:
-        """Simulate a guess, unless one with other sufficient queue depths was simulated."""
+        """Simulate a guess, unless a guess with other sufficient queue depths was simulated."""
         scenario = self.build(guess)
         others = frozenset(pair for pair in guess.items() if pair[0] not in DEPTHS)
         start = tuple(self._known.get(key) for key in (*START_KEYS, "start.precision"))
@@ -439,7 +441,7 @@ class _Search:
         return equal
 
     def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:
-        """Return the scenario ended with the log if that was cut, else with the usual duration."""
+        """Return the scenario, ended with a log that was cut off, else with the usual duration."""
         if not goes_on:
             return replace(scenario, max_duration_s=max(_USUAL_S, ceil(self._most_s)))
         end_s = find_end_s(self._trace, scenario, len(self._rows))

@@ -1,4 +1,4 @@
-"""The events between phases, and the law's rule that ended the run."""
+"""Events between phases, and the rule of the law that ended the run."""
 
 import math
 from dataclasses import dataclass
@@ -25,10 +25,11 @@ RULE_KEYS: Final = (
     *("law.timeout_s", "law.settled_within_m", "law.settled_for_s"),
     *("law.standstill_samples", "law.standstill_below"),
 )
-"""Parameters of the rules that end a run, which have their defaults unless the log contradicts."""
+"""Parameters of the rules that end a run. These parameters have their defaults unless the log
+contradicts."""
 
 _SLACK_NS: Final = 1.5 * TICK_NS
-"""Largest difference between a log's clock and the law's own: a callback may be a tick late."""
+"""Largest difference between the clocks of log and law: a callback may be a tick late."""
 
 _ENDLESS_SAMPLES: Final = 1_000_000
 
@@ -63,7 +64,7 @@ class _Rule:
         usual: Default value of the parameter.
         now: Time for which the condition has been true at the last sample.
         before: Time for which it had been true at the sample before.
-        longest: Longest earlier time for which it was true without ending the run.
+        longest: Longest earlier time for which the condition was true without ending the run.
         slack: Uncertainty of these durations.
         evidence: Evidence in words.
     """
@@ -89,8 +90,8 @@ class _Rule:
 def find_pause(hints: Hints) -> dict[str, Finding]:
     """Return how long the controller was silent after rotating.
 
-    The robot's motion meanwhile and the number of poses answered afterwards come from a simulation;
-    see `describe_pause`.
+    The robot's motion in this time and the number of poses answered afterwards come from a
+    simulation; see `describe_pause`.
     """
     if hints.pause_s is None:
         return dict.fromkeys(_PAUSE_KEYS, miss("the log does not show the end of a rotation"))
@@ -103,7 +104,7 @@ def find_pause(hints: Hints) -> dict[str, Finding]:
 
 
 def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Ending:
-    """Return the rule of the law that the last sample meets, by its name, or `cut`.
+    """Return the name of the law's rule that the last sample meets, or `cut`.
 
     A rule that would have ended the run earlier does not have its default value, and the log bounds
     it.
@@ -197,7 +198,7 @@ def _judge_times(trace: Trace) -> list[_Rule]:
 
 
 def _count_held(holds: Any) -> Any:
-    """Return, for each row, the number of rows up to it for which a condition has been true."""
+    """Return, for each row, how many rows up to it a condition has been true."""
     rows = np.arange(1, len(holds) + 1)
     return rows - np.maximum.accumulate(np.where(holds, 0, rows))
 

@@ -1,4 +1,4 @@
-"""Samples of a log one by one: pose read, command published, time; and breaks."""
+"""Samples of a log one by one: pose read, command published, and time; breaks of the log."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,11 +17,11 @@ from turtlelog.run.loops import PLANT_KEYS, read_number
 Values = NDArray[np.float64]
 
 _FIRST_DIGITS: Final = 9
-"""Decimals to which a goal is rounded that is logged only as position plus error."""
+"""Number of decimals to which a goal is rounded that the log shows only as position plus error."""
 
 _FEWEST_ANSWERS: Final = 10
-"""Smallest number of answers to single poses that shows the usual delay: a run may end in its
-initial queue."""
+"""Smallest number of answers to single poses that shows the usual delay: a run may end while its
+initial queue lasts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,9 +31,9 @@ class Trace:
     Attributes:
         run: Run of the samples.
         number: Number of each sample in the run, from 0, shape (n,); numbers of lost rows are
-            missing. A log without numbers counts its rows until `mark_breaks`.
-        jumps: Rows whose pose the robot cannot have reached from the one before; empty until
-            `mark_breaks`.
+            missing. A log without numbers counts its rows until `mark_breaks` is applied.
+        jumps: Rows whose pose the robot cannot have reached from the pose before; empty until
+            `mark_breaks` is applied.
         time_ns: Time of each answer [ns], shape (n,).
         xy_m: Position read, as the plant published it [m], shape (n, 2).
         heading_rad: Heading read, as the plant published it [rad], shape (n,).
@@ -42,9 +42,9 @@ class Trace:
             [rad].
         speed_m_s: Published speed [m/s], shape (n,).
         turn_rate_rad_s: Published turn rate [rad/s], shape (n,).
-        rotating: Number of samples in the first phase, from the first one: for sequential-p the
-            rotation. All samples if the phases of the law are unknown.
-        translating: Number of samples in the next phase: for sequential-p the translation.
+        rotating: Number of samples in the first phase, which is the rotation for sequential-p. All
+            samples if the phases of the law are unknown.
+        translating: Number of samples in the next phase, which is the translation for sequential-p.
         goal_xy_m: Goal position [m]; None if the log does not show it.
         period_ticks: Number of ticks between answered poses.
         has_exact_clock: Whether times are simulated, in whole ticks.
@@ -78,7 +78,7 @@ class Trace:
 
     @property
     def pose_time_ns(self) -> NDArray[np.int64]:
-        """Publication time of the pose read [ns], shape (n,)."""
+        """Publication time of each pose that was read [ns], shape (n,)."""
         return self.run.poses.time_ns[self.run.samples.pose_sequence]
 
     @property
@@ -93,9 +93,9 @@ class Trace:
 
     @property
     def bearing_rad(self) -> float:
-        """The goal bearing as logged [rad]: noise may hide the pose from which it was computed.
+        """The goal bearing as logged [rad]; NaN if the log does not contain it.
 
-        NaN if the log lacks it.
+        Noise may hide the pose from which the bearing was computed.
         """
         logged = self.run.samples.bearing_rad
         return math.nan if logged is None else float(logged[0])
@@ -118,7 +118,7 @@ class Trace:
 
     @property
     def answered_after_s(self) -> float:
-        """Usual time from a pose to its answer without bursts [s]; 0 if almost all are bursts.
+        """Usual time from a pose to its answer outside bursts [s]; 0 if almost all are bursts.
 
         In a burst, all poses but the newest have waited.
         """
@@ -181,16 +181,16 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
 def find_pose_resolution(values: Values) -> float:
     """Return the common step of all values, or the spacing of their 32-bit floats.
 
-    0 if they have more bits and no common step.
+    The result is 0 if the values have more bits and no common step.
     """
     return find_common_step(values) or find_spacing(values)
 
 
 def estimate_trace_noise(values: Values, order: int = 2) -> float:
-    """Return the standard deviation of noise, from differences of neighbours.
+    """Return the standard deviation of noise, from differences of neighbouring values.
 
-    For normal noise, the median of absolute second differences is 0.6745 times the root of 6 times
-    it. Higher orders contain less of the motion itself.
+    For normal noise, the median of absolute second differences is 0.6745 sqrt(6) times the standard
+    deviation. Higher orders contain less of the motion itself.
     """
     if len(values) <= order:
         return 0.0
@@ -199,12 +199,12 @@ def estimate_trace_noise(values: Values, order: int = 2) -> float:
 
 
 def count_leading(holds: NDArray[np.bool_]) -> int:
-    """Return how many values are true before the first false one."""
+    """Return how many values are true before the first false value."""
     return len(holds) if holds.all() else int(holds.argmin())
 
 
 def _find_goal(run: Run) -> tuple[float, float] | None:
-    """Return the recorded goal, or the one on which position plus error and the bearing agree."""
+    """Return the recorded goal, or else the goal from position plus error that fits the bearing."""
     if run.goal_xy_m is not None:
         return run.goal_xy_m
     samples = run.samples
@@ -218,7 +218,7 @@ def _find_goal(run: Run) -> tuple[float, float] | None:
 
 
 def _has_ticks(run: Run) -> bool:
-    """Return whether a log has a pose per tick, as a recording, or only a pose per sample."""
+    """Return whether a log has a pose per tick, like a recording, or only a pose per sample."""
     if not np.array_equal(run.samples.pose_sequence, np.arange(len(run.poses))):
         return True
     # The plant publishes the applied velocity; a controller does not know it.
@@ -236,17 +236,16 @@ def _find_period(run: Run) -> int:
 
 
 _NOISE_STEPS: Final = 8.0
-"""Standard deviations of noise beyond which a step is a jump: noise alone exceeds it once in 1e15
-steps."""
+"""Size of a jump in standard deviations of noise; noise alone exceeds it once in 1e15 steps."""
 
 _ROUNDING: Final = 1e-5
 """Largest difference that the 32-bit rounding of two poses explains [m, rad]."""
 
 _NEAR_ROWS: Final = 3
-"""Steps on either side that give the robot's usual motion."""
+"""Number of steps on either side that give the robot's usual motion."""
 
 _MOVES: Final = 4.0
-"""Standard deviations from which a motion shows its number of steps."""
+"""Size of a motion, in standard deviations, that shows its number of steps."""
 
 _CAUGHT_UP: Final = 0.5
 """Share of the usual step below which a step follows a late callback."""
@@ -256,7 +255,7 @@ _FAR_TICKS: Final = 1000
 
 
 def mark_breaks(trace: Trace) -> Trace:
-    """Return the trace with its jumps, and with numbers that skip missing rows."""
+    """Return the trace with its jumps marked, and with numbers that skip missing rows."""
     jumps = _find_jumps(trace)
     number = trace.number if trace.has_ticks else _number_rows(trace, jumps)
     return replace(trace, jumps=jumps, number=number)
@@ -268,7 +267,7 @@ def list_trace_breaks(trace: Trace) -> list[int]:
 
 
 def describe_trace_breaks(trace: Trace) -> list[str]:
-    """Return sentences on jumps, missing rows and misread poses; if many, on the first ones."""
+    """Return sentences on jumps, missing rows and misread poses; of many, on the first ones."""
     found = []
     if trace.jumps:
         row = trace.jumps[0]
@@ -296,8 +295,8 @@ def describe_trace_breaks(trace: Trace) -> list[str]:
 def space_out(trace: Trace) -> Run:
     """Return the run with poses at the ticks of their numbers, and jumps far apart.
 
-    Motion is then evaluated only across valid steps. The run itself if no row is missing and no
-    pose jumps.
+    In the result, motion is evaluated only across valid steps. If no row is missing and no pose
+    jumps, the run itself is returned.
     """
     run = trace.run
     if not list_trace_breaks(trace):
@@ -314,7 +313,7 @@ def space_out(trace: Trace) -> Run:
 
 
 def _find_jumps(trace: Trace) -> tuple[int, ...]:
-    """Return the rows whose pose no command can have reached from the one before."""
+    """Return the rows whose pose no command can have reached from the pose before."""
     if len(trace) < 2:
         return ()
     ticks = np.maximum(np.rint(np.diff(trace.pose_time_ns) / trace.tick_ns), 1.0) + 1.0
@@ -353,7 +352,7 @@ def _find_largest(values: Values | None) -> float:
 
 
 def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return the number of each row among those that the controller must have had.
+    """Return the number of each row among the rows that the controller must have had.
 
     A long clock step hides rows if the robot moved as far as in several steps, or did not move.
     """

@@ -1,4 +1,4 @@
-"""Sentences on the difference of a metric between two runs, each true for these runs."""
+"""Sentences that say why a metric differs between two runs, true for these runs only."""
 
 import math
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, format_pair, join_words
+from turtlelog.explain.one_run.answer_words import write_joint
 from turtlelog.explain.one_run.attribution import is_clear
 from turtlelog.explain.two_runs.explained_difference import ROBOT, SEED
 from turtlelog.explain.two_runs.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
@@ -29,22 +30,23 @@ _FEW: Final = 3
 """Largest number of changes that are all named, so that their contributions visibly add up."""
 
 _TINY: Final = 1e-3
-"""Share of that total below which a change is only in the list, because it changes no printed
-digit."""
+"""Share of the total below which a change appears only in the list, because no printed digit
+changes."""
 
 _DIGITS: Final = 4
-"""Digits of the largest value; all others have as many decimals."""
+"""Number of digits of the largest value; all other values have as many decimals."""
 
 _FEWEST: Final = 2
-"""Fewest digits of the largest contribution, however small it is beside the values."""
+"""Smallest number of digits of the largest contribution, even if it is much smaller than the
+values."""
 
 _MOST_DECIMALS: Final = 9
 
 _SAME: Final = 1e-6
-"""Share of a value below which a difference is 0: two platforms differ by less."""
+"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _PLURALS: Final = ("gains", "limits", "limits driving", "limits turning", COMMANDS)
-_SPANS: Final = ("pause", "delay", "time span", "sampling period")
+_SPANS: Final = ("pause", "delay", "time span", "sampling period", "queue")
 _CHANCE: Final = {
     SEED: "the seeds of these runs",
     NOISE: "different noise levels",
@@ -74,7 +76,7 @@ _CODE: Final = (
 
 
 def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
-    """Return sentences: the difference, its reasons, what they depend on, and what else differs."""
+    """Return sentences on the difference, its reasons, their dependences, and what else differs."""
     sentences = [
         write_difference_headline(found),
         _write_resimulated(found),
@@ -94,7 +96,7 @@ def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
 
 
 def write_difference_headline(found: "ExplainedDifference") -> str:
-    """Return both values, and how much each change adds to or subtracts from the first."""
+    """Return both values, and how much each change adds to the first value or subtracts from it."""
     first, second = found.first, found.second
     if first.as_logged is None or second.as_logged is None:
         return f"{found.metric}: {_write_side(found, first)}; {_write_side(found, second)}."
@@ -112,7 +114,7 @@ def write_difference_headline(found: "ExplainedDifference") -> str:
 
 
 def _write_parts(found: "ExplainedDifference") -> str:
-    """Return the contributions of the changes; those not named in the headline in one sum."""
+    """Return the contributions of the changes; those not in the headline are added up."""
     parts = [_write_part(found, one) for one in choose_told(found)]
     if found.unexplained is not None:
         return join_words(parts) or ("no cause is certain" if found.contributions else "")
@@ -129,7 +131,7 @@ def _list_divided(found: "ExplainedDifference") -> list["Change"]:
 
 
 def _is_chance(found: "ExplainedDifference", one: "Change") -> bool:
-    """Return whether a part is chance, not a cause; noise set by a scenario is a cause."""
+    """Return whether a part is chance instead of a cause. Noise set by a scenario is a cause."""
     return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
 
 
@@ -150,7 +152,7 @@ def _write_side(found: "ExplainedDifference", side: "Side") -> str:
 
 
 def _write_resimulated(found: "ExplainedDifference") -> str:
-    """Return the re-simulated values, which contributions divide, if they differ from the logs."""
+    """Return the re-simulated values, which contributions divide, if they differ from the log's."""
     sides = (found.first, found.second)
     pairs = [(one.as_logged, one.resimulated) for one in sides]
     known = [(a, b) for a, b in pairs if a is not None and b is not None]
@@ -197,7 +199,7 @@ def _write_move(found: "ExplainedDifference", size: float, *, is_many: bool) -> 
 
 
 def format_change(found: "ExplainedDifference", one: "Change") -> str:
-    """Return a contribution with its sign, unit, and standard error if it has one."""
+    """Return a contribution with its sign, its unit and its standard error, if any."""
     size = one.contribution or 0.0
     if one.low is not None and one.high is not None:
         low, high = (format_magnitude(found, end) for end in (one.low, one.high))
@@ -215,26 +217,31 @@ def name_change(one: "Change") -> str:
         return _WORDS[one.name]
     if "." in one.name:
         return one.name
-    if len(one.keys) == 1 and one.name in _SPANS:
-        before, after = one.first[0] or 0, one.second[0] or 0
-        if not after:
-            return f"the missing {one.name}"
-        return (
-            f"the {'longer' if after > before else 'shorter'} {one.name}"
-            if before
-            else f"the {one.name}"
-        )
-    return f"the {one.name}"
+    return f"the {_compare_spans(one)}{one.name}"
+
+
+def _compare_spans(one: "Change") -> str:
+    """Return `longer `, `shorter ` or `missing ` for a changed duration or queue; else nothing."""
+    if len(one.keys) != 1 or one.name not in _SPANS:
+        return ""
+    before, after = one.first[0] or 0, one.second[0] or 0
+    if isinstance(before, str) or isinstance(after, str):
+        return ""  # a policy is not longer than another
+    if not after:
+        return "missing "
+    if not before:
+        return ""
+    return "longer " if after > before else "shorter "
 
 
 def _is_negligible(found: "ExplainedDifference") -> bool:
-    """Return whether all contributions and the difference are within the resolution."""
+    """Return whether all contributions, and the difference, are within the resolution."""
     sizes = [abs(one.contribution or 0.0) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
 
 def format_magnitude(found: "ExplainedDifference", value: float) -> str:
-    """Return a value with its unit, with as many decimals as all values of this answer."""
+    """Return a value with its unit, with as many decimals as all values of the answer."""
     text = f"{value:.{_count_decimals(found)}f}"
     if not float(text):
         text = f"{value:.1g}" if value else "0"
@@ -242,7 +249,7 @@ def format_magnitude(found: "ExplainedDifference", value: float) -> str:
 
 
 def _count_decimals(found: "ExplainedDifference") -> int:
-    """Return the decimals that show four digits of the largest value, two of a contribution."""
+    """Return the decimals that show four digits of the largest value, or two of a contribution."""
     sides = (found.first.as_logged, found.second.as_logged)
     sizes = [one.contribution for one in found.contributions]
     decimals = [
@@ -288,7 +295,7 @@ def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
 
 
 def _write_together(found: "ExplainedDifference") -> str:
-    """Return the part that arises only if several changes act; empty if it is small."""
+    """Return the part that arises only if several changes act together; empty if it is small."""
     if not found.contributions or _is_negligible(found):
         return ""
     least = _NAMED * _sum(_list_divided(found))
@@ -298,17 +305,11 @@ def _write_together(found: "ExplainedDifference") -> str:
         if abs(one.value) > least and is_clear(one.value, one.standard_error)
     ]
     changes = {one.name: one for one in found.contributions}
-    parts = []
-    for one in large:
-        names = join_words([name_change(changes[name]) for name in one.causes])
-        size = format_magnitude(found, abs(one.value))
-        both = "both" if len(one.causes) == 2 else "all"
-        parts.append(
-            f"{size} arises only if {names} {both} act"
-            if one.value > 0.0
-            else f"{names} together add {size} less than the sum of their parts"
-        )
-    return f"They act together: {'; '.join(parts)}." if parts else ""
+    named = ([name_change(changes[name]) for name in one.causes] for one in large)
+    return " ".join(
+        write_joint(names, one.value, format_magnitude(found, abs(one.value)))
+        for one, names in zip(large, named, strict=True)
+    )
 
 
 def _write_seeds(found: "ExplainedDifference") -> str:
@@ -367,13 +368,13 @@ def _write_departure(found: "ExplainedDifference") -> list[str]:
 
 
 def _has_other_code(found: "ExplainedDifference") -> bool:
-    """Return whether both recordings contain a digest of the law's code, and these differ."""
+    """Return whether both recordings contain a digest of the law's code, and the digests differ."""
     codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
     return None not in codes and codes[0] != codes[1]
 
 
 def _write_software(found: "ExplainedDifference") -> str:
-    """Return differences before the runs depart other than settings: versions, platform or code."""
+    """Return differences other than settings before the runs differ: versions, platform or code."""
     first, second = found.first.simulated_by, found.second.simulated_by
     silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
     if silent:
@@ -392,12 +393,13 @@ def _write_effects(found: "ExplainedDifference") -> str:
     """Return how the contributions of `explain` differ; empty if the differences are negligible."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
     parts = [_write_shift(found, one) for one in large[:_FEW]]
-    head = "As a whole, effects contribute differently in the second run (turtlelog explain)"
-    return f"{head}: {join_words(parts)}." if parts else ""
+    head = "By cause (turtlelog explain), the second run has"
+    return f"{head} {join_words(parts)}." if parts else ""
 
 
 def _write_shift(found: "ExplainedDifference", one: "EffectShift") -> str:
-    return f"{one.cause} {'+' if one.shift >= 0.0 else ''}{format_magnitude(found, one.shift)}"
+    size = format_magnitude(found, abs(one.shift))
+    return f"{size} {'more' if one.shift >= 0.0 else 'less'} from the {one.cause}"
 
 
 def _write_idle(found: "ExplainedDifference") -> str:
@@ -428,7 +430,7 @@ _MS: Final = ("dead_time_s", "lag_s")
 """Fields of values that are printed in milliseconds."""
 
 _AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"})
-"""Text after a value, instead of the axis's unit or after it."""
+"""Text after a value: instead of the axis's unit, or after this unit."""
 
 
 def _is_robot_part(one: "Change") -> bool:

@@ -22,16 +22,17 @@ class Side:
 
     Attributes:
         name: Name of the run.
-        as_logged: The metric of the log; None if it has no value.
-        resimulated: The metric re-simulated with the run's own seed; None if it has no value.
-        reason: Reason why the metric has no value; empty if it has one.
-        basis: Scenario that reproduces the run. `recorded`: the run's own, which reproduces every
-            sample. `identified`: a scenario identified from its samples. `robot`: the robot model,
-            driven by the recorded commands. None if no scenario does.
-        note: Accuracy with which the recorded scenario reproduces the run, or the reason why no
-            scenario does.
-        is_exact: Whether that scenario reproduces every sample.
-        unknown: Keys that are not identified: the other run's values are used.
+        as_logged: The metric of the log; None if the metric has no value.
+        resimulated: The metric re-simulated with the run's own seed; None if the metric has no
+            value.
+        reason: Reason why the metric has no value; empty if it has a value.
+        basis: Scenario that reproduces the run. `recorded`: the run's own scenario, which
+            reproduces every sample. `identified`: a scenario identified from the samples. `robot`:
+            the robot model, driven by the recorded commands. None if no scenario reproduces the
+            run.
+        note: How accurately the recorded scenario reproduces the run, or why no scenario does.
+        is_exact: Whether this scenario reproduces every sample.
+        unknown: Keys that are not identified; the values of the other run are used instead.
         simulated_by: Versions, platform and digest of the law that simulated the run; see `Run`.
     """
 
@@ -48,18 +49,18 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A group of settings that differ, and its contribution to the difference of the metric.
+    """A group of settings that differ, with its contribution to the difference of the metric.
 
     Attributes:
         name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.
         keys: Keys of the settings in which the scenarios differ; `seed` for the effect of the
             seeds.
-        first: Their values in the first run; None for a key that it does not have.
-        second: Their values in the second run.
+        first: Values in the first run; None for a key that the run does not have.
+        second: Values in the second run.
         contribution: Contribution to the difference, in the metric's unit; None if it is withheld.
         standard_error: Standard error of the contribution, if it is a mean over seeds or sampled
-            orders, or rests on identified values.
-        low: Lower end of its 95 % interval; None if the contribution is exact.
+            orders, or depends on identified values.
+        low: Lower end of the contribution's 95 % interval; None if the contribution is exact.
         high: Upper end of the interval.
         undone: The metric of the second run if only this group is as in the first run; None if it
             has no value.
@@ -82,8 +83,9 @@ class EffectShift:
 
     Attributes:
         cause: Name of the effect.
-        first: Its contribution in the first run, in the metric's unit; 0 if the run is without it.
-        second: Its contribution in the second run.
+        first: Contribution in the first run, in the metric's unit; 0 if the run does not have the
+            effect.
+        second: Contribution in the second run.
     """
 
     cause: str
@@ -92,7 +94,7 @@ class EffectShift:
 
     @property
     def shift(self) -> float:
-        """Change of the contribution."""
+        """Change of the contribution from the first to the second run."""
         return self.second - self.first
 
 
@@ -101,13 +103,14 @@ class DifferenceRange:
     """Range of the difference over starts within the turn of one sample.
 
     Attributes:
-        count: Number of starts, at equal distances; the scenarios' own are in the middle.
-        within_rad: Angle between the scenarios' own heading and the first and last start [rad].
-        difference: The smallest and the largest difference, in the metric's unit.
-        first: The smallest and the largest metric of the first run.
-        second: The smallest and the largest metric of the second run.
-        is_wide: Whether the difference depends on single samples: whether its range exceeds half
-            of the difference.
+        count: Number of starts, at equal distances; the scenarios' own starts are in the middle.
+        within_rad: Angle between the scenarios' own heading and that of the first and last start
+            [rad].
+        difference: Smallest and largest difference, in the metric's unit.
+        first: Smallest and largest metric of the first run.
+        second: Smallest and largest metric of the second run.
+        is_wide: Whether the difference depends on single samples: whether its range exceeds half of
+            the difference.
     """
 
     count: int
@@ -125,29 +128,33 @@ class ExplainedDifference:
     Attributes:
         metric: Id of the metric.
         unit: Unit of all values.
-        first: The run from which the difference is taken.
-        second: The other run.
+        first: Run from which the difference is taken.
+        second: Other run.
         difference: The metric of the second run minus that of the first, re-simulated (for robots,
-            as logged); None if one of them has no value.
-        contributions: Contribution of each group of changed settings, the largest first; their sum
-            is `difference`; for robots, this includes `unexplained`. Empty if they are withheld.
-        changes: Names and values of the changed settings, without contributions, if these are
+            as logged); None if a run has no value.
+        contributions: Contribution of each group of changed settings, the largest first. The sum is
+            `difference`; for robots, it includes `unexplained`. Empty if the contributions are
             withheld.
-        idle: Keys that differ and change the metric in no combination.
+        changes: Names and values of the changed settings, without contributions, if contributions
+            are withheld.
+        idle: Keys that differ but never change the metric, in any combination.
         unexplained: Part of the difference that neither the models of two robots nor the
             contributions explain; None if no robots are identified.
-        withheld: Reason why there are no contributions, in one clause; None if there are some.
-        together: Parts that several groups add only if all of them are changed.
-        without_value: The smallest sets of changes that leave the metric without a value.
-        with_value: The smallest sets that give it a value, if the first run has none.
-        resolution: The largest change that is negligible.
+        withheld: Reason why there are no contributions, in one clause; None if there are
+            contributions.
+        together: Parts that several groups add only if all of these groups are changed.
+        without_value: Smallest sets of changes that leave the metric without a value.
+        with_value: Smallest sets of changes that give the metric a value, if the first run has no
+            value.
+        resolution: Largest change that is negligible.
         starts: Range of the difference over starts within the turn of one sample; None with random
             effects.
         seeds: Number of seeds over which the contributions are means; 1 if nothing is random.
         orders: Number of sampled orders of the changes; None if all combinations were simulated.
         effects: Differences of the contributions of `explain`, the largest first.
-        has_same_settings: Whether no setting differs that could change a run.
-        departure: First difference of runs that have the same settings; None if they do not.
+        has_same_settings: Whether the runs have the same settings, as far as settings can change a
+            run.
+        departure: First difference of runs with the same settings; None for other runs.
         sentences: The answer in words.
     """
 

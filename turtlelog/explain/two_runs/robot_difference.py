@@ -1,4 +1,4 @@
-"""Explanation of the difference between two robots' logs: contributions of the robots' parts."""
+"""Explanation of the difference between two robots' logs by parts of the robots."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -43,27 +43,26 @@ from turtlelog.run.columns import take_rows
 from turtlelog.run.loops import Cause, Declaration
 
 _MOST_EXACT: Final = 5
-"""Largest number of parts whose combinations are all driven, with every draw: some thousand
+"""Largest number of parts for which all combinations are driven, with every draw: some thousand
 drives."""
 
 _MOST_UNEXPLAINED: Final = 1.0 / 3.0
 """Largest share of the difference that the models may leave unexplained."""
 
 _ACTS: Final = 1e-3
-"""Share of the difference below which a part does not act, if it is changed in either log."""
+"""Share of the difference below which a part does not act, when it is changed in either log."""
 
 _SAME: Final = 1e-6
-"""Share of a value below which a difference is 0."""
+"""Share of a value below which a difference counts as 0."""
 
 _LAW_ACTS: Final = "its controller is known, the other one's is not, so its law counts as commands"
 
 _BY_CHANCE: Final = 2.0
-"""Difference of two logs of equal robots in standard deviations, below which there is no
-difference."""
+"""Difference of two logs, in standard deviations, below which robots count as equal."""
 
 
 def is_robot_log(run: Run) -> bool:
-    """Return whether only poses and commands are known, and nothing of the controller."""
+    """Return whether a run has only poses and commands, and nothing of the controller."""
     return not len(run.samples) and not run.declaration.loops
 
 
@@ -73,7 +72,7 @@ def explain_robots(
     """Explain why a metric differs between two logs whose robots are identified.
 
     Each robot's model is driven with recorded commands, with every set of parts taken from the
-    other log. The remainder of the difference is a part of its own.
+    other log. The remaining difference is a part of its own.
     """
     runs = [_leave_controller(run) for run in (first, second)]
     left = [run is not given for run, given in zip(runs, (first, second), strict=True)]
@@ -140,7 +139,7 @@ def _list_idle(logs: Sequence[RobotLog], axes: Sequence[Axis], row: int) -> tupl
 
 
 def _find_obstacle(log: RobotLog, axis: Axis) -> str:
-    """Return the reason why a commanded axis is unknown; empty if it is known or idle."""
+    """Return why a commanded axis is unknown; empty if the axis is known or idle."""
     model = get_axis(log.model, axis)
     if model.is_known or model.is_idle:
         return ""
@@ -237,9 +236,10 @@ def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
 
 
 def _complete(change: Change, share: Contribution) -> Change:
-    """Return a change with its contribution; the spread is that of single samples, not of means.
+    """Return a change with its contribution. The error is that of single samples, not of means.
 
-    The standard error of a mean over samples would be too small by the root of their number.
+    The standard error of a mean over samples would be too small by the root of the number of
+    samples.
     """
     error = (share.standard_error or 0.0) * math.sqrt(len(SEEDS))
     size = share.contribution or 0.0
@@ -257,11 +257,11 @@ Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _MIRRORED: Final = len(SEEDS) // 2
-"""Number of draws with a mirrored draw each, so that their mean is the identified values."""
+"""Number of draws that have a mirrored draw each, so that the mean equals the identified values."""
 
 
 class RobotGame(Game):
-    """Simulations of one robot's model with recorded commands and some parts from another log.
+    """Simulations of one robot's model with recorded commands and some parts from the other log.
 
     Each seed is a random sample of both robots' parameters within their intervals, and of the
     noise. The measured run is the recording whose commands are used, with the model's poses at its
@@ -276,14 +276,14 @@ class RobotGame(Game):
         parts: Mapping[str, Cause],
         work: Work | None = None,
     ) -> None:
-        """Store the logs; a removed part gives the second robot the first one's values."""
+        """Store the logs. A removed part gives the second robot the first robot's values."""
         super().__init__(parts, tuple(parts), work, is_random=True)
         self._logs, self._metric = (first, second), metric
         self._models: dict[int | None, list[dict[Axis, AxisModel]]] = {}
         self._ways: dict[object, tuple[Values, Values]] = {}
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:  # noqa: ARG002
-        """Return every seed: any set of parts of two robots is uncertain."""
+        """Return every seed, because any set of parts of two robots is uncertain."""
         return SEEDS
 
     def describe_ending(self, name: str) -> str:  # noqa: ARG002
@@ -297,7 +297,7 @@ class RobotGame(Game):
             yield Outcome(value=found.value, reason=found.reason, ended=())
 
     def drive(self, out: Coalition, seed: int | None = None) -> Run:
-        """Return the recording of the commands with the poses of the robot without some parts."""
+        """Return the recording of the commands, with the poses of the robot without some parts."""
         base, places = self._get(COMMANDS, out).run, self._get(PATH, out).run
         noise = self._get(NOISE, out).noise
         rng = np.random.default_rng(0 if seed is None else seed)
@@ -385,8 +385,8 @@ def _draw_models(logs: Sequence[RobotLog], seed: int | None) -> list[dict[Axis, 
 def _place_times(base: Run, timed: Run) -> Times:
     """Return times for the poses of a recording [ns], taken from those of another recording.
 
-    The first commands of both are at one time. Beyond the end of the other recording, the recording
-    keeps its own times; half a period at either end is ignored.
+    The first commands of both recordings are at one time. Beyond the end of the other recording,
+    the recording keeps its own times. Half a period at either end is ignored.
     """
     time_ns = timed.poses.time_ns
     if timed is base or len(time_ns) < 2:

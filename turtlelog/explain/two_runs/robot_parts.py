@@ -31,7 +31,7 @@ CHANCE: Final = (NOISE, TIMES)
 """Parts that are chance instead of causes, because they do not belong to the robot."""
 
 MOTIONS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "driving", "turn_rate": "turning"})
-"""Motions of the axes, for names of parts."""
+"""Words for the motions of the axes, for names of parts."""
 
 FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -45,18 +45,17 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 """Fields of an axis that are exchanged together."""
 
 _MIXED: Final = ("gain", "dead time", "time constant and limits", "friction")
-"""Names of parts if no model has the time constant of one robot and the limits of the other."""
+"""Names of parts that are used if no model has one robot's time constant and the other's limits."""
 
 _MOSTLY: Final = 0.98
-"""Share of the steps from pose to pose that are used; the fastest are those with the largest
-noise."""
+"""Share of the steps between poses that are used; the fastest steps have the largest noise."""
 
 _BEYOND: Final = 1.05
-"""Factor of a bound that noise of poses does not exceed."""
+"""Factor on a bound that noise of poses does not exceed."""
 
 _LEAST: Final = 1e-3
-"""Smallest random value as a share of the value, however wide its interval is: no parameter is
-negative."""
+"""Smallest random value as a share of the value, so that no parameter is negative, however wide its
+interval."""
 
 _TURNS: Final = ("turn_rate", "total_turning", "heading_error")
 _DRIVES: Final = ("run.speed_", "run.measured_speed_")
@@ -64,7 +63,7 @@ _DRIVES: Final = ("run.speed_", "run.measured_speed_")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogNoise:
-    """Noise of a robot as its log shows it.
+    """Noise of a robot, as its log shows it.
 
     Attributes:
         position_m: Noise of each position coordinate [m].
@@ -114,7 +113,7 @@ def read_robot_log(run: Run) -> RobotLog:
 
 
 def share_unseen_bounds(logs: Sequence[RobotLog]) -> list[RobotLog]:
-    """Return two logs, each with the other's bound if its own robot never exceeds it.
+    """Return two logs, each with the other log's bound if its own robot never exceeds the bound.
 
     Such a log cannot show whether the bound exists, so a missing bound is not a difference.
     """
@@ -157,7 +156,7 @@ def get_axis(model: RobotModel, axis: Axis) -> AxisModel:
 
 
 def find_parts(first: RobotLog, second: RobotLog, axes: Iterable[Axis]) -> dict[str, Cause]:
-    """Return the parts in which two logs differ, with the first one's values as neutral values."""
+    """Return the parts in which two logs differ, with the first log's values as neutral values."""
     values: dict[str, dict[str, object]] = {
         **{name: found for axis in axes for name, found in _list_axis_parts(first, second, axis)},
         NOISE: _list_noise(first, second),
@@ -248,7 +247,7 @@ def _list_noise(first: RobotLog, second: RobotLog) -> dict[str, object]:
 
 
 def show_value(value: Any) -> Any:
-    """Return the value of an estimate; None for an empty word."""
+    """Return the value of an estimate; None for an empty text."""
     if isinstance(value, Estimate):
         return value.value
     return value or None
@@ -272,10 +271,10 @@ def _list_places(first: Run, second: Run) -> dict[str, object]:
 
 
 def draw_model(model: AxisModel, rng: np.random.Generator, sign: float) -> AxisModel:
-    """Return an axis with parameters sampled from their intervals: normal, and not below 0.
+    """Return an axis with parameters sampled from their intervals: normal, and not negative.
 
     Dead time and time constant are sampled jointly: the intervals of both and of their sum give
-    their correlation. With the other sign, the same numbers give the mirrored sample.
+    their correlation. The same numbers with the other sign give the mirrored sample.
     """
     numbers = sign * rng.standard_normal(7)
     gain, lag, dead_time, total = model.gain, model.lag_s, model.dead_time_s, model.total_delay_s
@@ -303,12 +302,12 @@ def draw_model(model: AxisModel, rng: np.random.Generator, sign: float) -> AxisM
 
 
 def _find_error(one: Estimate) -> float:
-    """Return the standard error; an interval that ends at 0 is truncated there."""
+    """Return the standard error. An interval that ends at 0 is truncated there."""
     return max(one.high - one.value, one.value - one.low) / NORMAL_95
 
 
 def _find_correlation(of_total: float, of_lag: float, of_rest: float) -> float:
-    """Return the correlation of total and time constant, from the errors of all three."""
+    """Return the correlation of total and time constant, from the errors of all three values."""
     if not of_total or not of_lag:
         return 0.0
     tied = (of_total**2 + of_lag**2 - of_rest**2) / (2.0 * of_total * of_lag)

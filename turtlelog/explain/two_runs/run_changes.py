@@ -1,7 +1,7 @@
 """Differences between two scenarios, in groups of settings that belong together.
 
-A group is a cause of the second run's scenario whose neutral values are those of the first: the
-game of `explain` then runs between two runs.
+A group is a cause of the second run's scenario, and its neutral values are those of the first run.
+The game of `explain` can then compare two runs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -30,7 +30,7 @@ GAINS: Final = "gains"
 """Group of the gains of all loops, if each run has one value for them."""
 
 _NOT_SETTINGS: Final = ("name", "seed")
-"""Keys that are not settings: a name changes nothing, and the seeds have a line of their own."""
+"""Keys that are not settings: a name changes nothing, and the seeds have their own line."""
 
 _WHOLE: Final = ("goal", "start", "path")
 """Tables that are changed as a whole."""
@@ -41,19 +41,19 @@ _NAMES: Final[Mapping[str, str]] = {
     "float32": "pose precision",
     "max_duration_s": "time span",
 }
-"""Names of groups that differ from those of their causes."""
+"""Names of groups that differ from the names of their causes."""
 
 
 def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
     """Return the groups of settings in which two scenarios differ, by name, in the file's order.
 
     Both gains form one group if each scenario has one value for both. The keys of an effect form
-    one group, as do goal, start and path each. The law with all of its keys is one group if its
-    kind differs; the same is true for the plant. A path that only one of the laws has belongs to
-    the law.
+    one group, as do goal, start and path each. If the kinds of law differ, the law with all of its
+    keys is one group; the same applies to the plant. A path that only one of the laws has belongs
+    to the law.
 
     Args:
-        first: Scenario with the neutral values; None for a key that it does not have.
+        first: Scenario with the neutral values; None for a key that the scenario does not have.
         second: Other scenario. The laws of both are already loaded.
     """
     before, after = flatten_scenario(first), flatten_scenario(second)
@@ -79,7 +79,10 @@ def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
 
 
 def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
-    """Return the name of the group of a table or key; a key without a group is its own."""
+    """Return the name of the group of a table or key.
+
+    A key without a group is a group of its own.
+    """
     names = {key: name for name, found in _list_effect_keys() for key in found}
     names |= {table: table for table in _WHOLE}
     if second.plant.kind != first.plant.kind:
@@ -98,7 +101,7 @@ def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
 
 
 def _list_effect_keys() -> Iterable[tuple[str, tuple[str, ...]]]:
-    """Yield the causes of the loop with their keys; keys not named belong to the effect's first."""
+    """Yield the causes of the loop with their keys; other keys belong to the first cause."""
     for effect in EFFECTS:
         keys = tuple(
             f"{table}.{field.name}"
@@ -116,7 +119,7 @@ def _has_one_value(scenario: Scenario, keys: Iterable[str]) -> bool:
 
 
 class ChangeGame(ScenarioGame):
-    """Simulations of the second of two scenarios with some changes undone, as in the first."""
+    """Simulations of the second of two scenarios, with some changes undone as in the first."""
 
     def __init__(
         self,
@@ -142,11 +145,11 @@ class ChangeGame(ScenarioGame):
         super()._simulate(wanted)
 
     def build_play(self, out: Coalition, seed: int | None = None) -> Play:
-        """Return the simulation; a law that fails with another's settings gives no value."""
+        """Return the simulation. A law that fails with another law's settings gives no value."""
         return replace(super().build_play(out, seed), may_fail=True)
 
     def _find_obstacle(self, out: Coalition) -> str:
-        """Return the reason why these settings are not a valid scenario; empty if they are."""
+        """Return why these settings are not a valid scenario; empty if the scenario is valid."""
         if out not in self._impossible:
             try:
                 self._take_out(out)
@@ -173,7 +176,7 @@ def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:
 
 
 def set_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with values of another one by dotted key; None: the key is absent.
+    """Return a scenario with values of another scenario by dotted key; None: the key is absent.
 
     Raises:
         ScenarioError: If the settings contradict each other.

@@ -1,4 +1,4 @@
-"""Explanation of a difference of a metric between two runs: Shapley values of changed settings."""
+"""Explanation of a metric's difference between two runs: Shapley values of changed settings."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -51,20 +51,21 @@ from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 
 MOST_EXACT: Final = 10
-"""Most groups of settings whose 1024 combinations are all simulated: 20 s for the paper's runs."""
+"""Largest number of groups of settings whose 1024 combinations are all simulated: 20 s for the
+paper's runs."""
 
 _AGREEMENT: Final = 0.1
-"""Largest difference of re-simulation and log, as a share of the difference between runs."""
+"""Largest difference between re-simulation and log, as a share of the difference between runs."""
 
 _SAME: Final = 1e-6
-"""Share of a value below which a difference is 0: two platforms differ by less."""
+"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _ROUNDING: Final = 1e-12
-"""Share of a value that means over equal values may leave."""
+"""Share of a value that a mean over equal values may differ by."""
 
 
 _NAMES: Final = ("the first run", "the second run")
-"""Names of runs with equal names."""
+"""Names of runs that have equal names."""
 
 
 _NO_SAMPLES: Final = (
@@ -79,7 +80,7 @@ class Depth:
 
     Attributes:
         most_exact: Largest number of groups of settings for which all combinations are simulated;
-            beyond it, orders are sampled.
+            with more groups, orders are sampled.
         identifies: Whether to identify a scenario if the recorded one does not reproduce the run.
         shows_effects: Whether to compare the contributions of `explain` too.
         shows_starts: Whether to simulate the metric from 17 starts.
@@ -161,7 +162,7 @@ def explain_difference(
 def _answer_without_scenario(
     found: ExplainedDifference, first: Run, second: Run, work: Work | None
 ) -> ExplainedDifference:
-    """Return the explanation by the robots' models, or the first difference of two runs."""
+    """Return the explanation by the robots' models, or the first difference of the runs."""
     is_same = _hold_same_settings(first, second)
     if not (is_same or first.declaration.loops or second.declaration.loops):
         robots = explain_robots(first, second, found.metric, found.unit, work)
@@ -184,7 +185,7 @@ def _list_untrusted(*runs: Run) -> list[str]:
 def _name_untrusted(
     first: Run, second: Run, metric: str, unit: str, laws: Sequence[str]
 ) -> ExplainedDifference:
-    """Return the settings that differ, without contributions: the code of a law may not run."""
+    """Return the settings that differ, without contributions, because a law's code may not run."""
     sides = [_begin_side(run, measure_run(run, only=[metric])[metric]) for run in (first, second)]
     is_same = _hold_same_settings(first, second)
     of_first, of_second = first.parameters, second.parameters
@@ -237,7 +238,7 @@ def _find_resolution(
 
 
 def _describe_unknown(sides: Sequence[Side]) -> str:
-    """Return the runs without a known scenario, and the reasons."""
+    """Return the runs without a known scenario, with the reasons."""
     names: dict[str, list[str]] = {}
     for side in sides:
         if side.basis is None:
@@ -246,7 +247,7 @@ def _describe_unknown(sides: Sequence[Side]) -> str:
 
 
 def _take_unknown(scenario: Scenario, other: Scenario, side: Side) -> Scenario:
-    """Return a scenario with another one's values for unidentified settings."""
+    """Return a scenario with another scenario's values for unidentified settings."""
     values = flatten_scenario(other)
     return set_values(scenario, {key: values.get(key) for key in side.unknown})
 
@@ -264,7 +265,8 @@ def require_common_metric(first: Run, second: Run, metric: str) -> None:
     """Require a metric that both runs have.
 
     Raises:
-        ExplainError: If a run lacks the metric (with the nearest names), or if the units differ.
+        ExplainError: If a run does not have the metric (the message contains the nearest names), or
+            if the units differ.
     """
     for run in (first, second):
         known = list_metrics(run.declaration)
@@ -276,7 +278,7 @@ def require_common_metric(first: Run, second: Run, metric: str) -> None:
 
 
 def _hold_same_settings(first: Run, second: Run) -> bool:
-    """Return whether the scenarios of two runs are equal except for their names."""
+    """Return whether the scenarios of two runs are equal apart from their names."""
     settings = [
         {key: value for key, value in run.parameters.items() if key != "name"}
         for run in (first, second)
@@ -287,7 +289,7 @@ def _hold_same_settings(first: Run, second: Run) -> bool:
 def _stand_for(
     run: Run, metric: str, *, trust_law: bool, depth: Depth
 ) -> tuple[Side, Scenario | None]:
-    """Return the facts about a run, and the scenario that represents it."""
+    """Return the facts about a run, with the scenario that represents it."""
     logged = measure_run(run, only=[metric])[metric]
     side = _begin_side(run, logged)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
@@ -327,7 +329,7 @@ def _divide(
     depth: Depth,
     work: Work | None,
 ) -> ExplainedDifference:
-    """Return the difference divided among the changes, or why it is withheld."""
+    """Return the difference divided among the changes, or why contributions are withheld."""
     first, second = scenarios
     game = ChangeGame(second, found.metric, changes, first, work)
     own = ChangeGame(first, found.metric, {}, first, work)
@@ -401,7 +403,7 @@ def _list_contributions(
     game: ChangeGame,
     scenarios: Sequence[Scenario],
 ) -> tuple[Change, ...]:
-    """Return the contribution of each acting change, the largest first, and that of the seeds."""
+    """Return the contributions of acting changes, the largest first, then that of the seeds."""
     listed = {one.name: one for one in found.changes}
     shares = [one for one in divided.contributions if one.cause in divided.acting]
     shares.sort(key=lambda one: -abs(one.contribution or 0.0))
@@ -426,7 +428,7 @@ def _complete(change: Change, share: Contribution) -> Change:
 
 
 def _compare_with_logs(found: ExplainedDifference) -> str:
-    """Return the reason why the re-simulations do not represent the logs; empty if they do."""
+    """Return why the re-simulations do not represent the logs; empty if they represent them."""
     for side in (found.first, found.second):
         if side.as_logged is None:
             return f"{side.name} has no value: {side.reason}"
@@ -486,7 +488,7 @@ def _find_span(values: Sequence[float | None]) -> tuple[float, float] | None:
 def _shift_effects(
     scenarios: Sequence[Scenario], metric: str, work: Work | None
 ) -> tuple[EffectShift, ...]:
-    """Return how the contributions of `explain` differ; empty if one run has none."""
+    """Return how the contributions of `explain` differ; empty if a run has no contributions."""
     found = [attribute_scenario(one, metric=metric, work=work) for one in scenarios]
     if any(one.withheld for one in found):
         return ()

@@ -1,6 +1,6 @@
 """Reading of files as columns: thousands of messages at once instead of one by one.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -1,7 +1,7 @@
 """Blocks: segments of records in memory, with the offsets of each channel's messages.
 
-In a file with an index, a block is a chunk and the message indexes give the offsets. They have no
-checksum and are checked against the chunk: the records must fill it without gap or overlap.
+In a file with an index, a block is a chunk and the message indexes give the offsets. The indexes
+have no checksum and are checked against the chunk: its records must fill it without gap or overlap.
 Otherwise the record headers are read one by one.
 """
 
@@ -59,11 +59,11 @@ class Block:
 
     Attributes:
         data: Bytes of the records.
-        byte: Offset in the file of the first record or of its chunk.
+        byte: Offset in the file of the first record, or of the chunk that contains it.
         offsets: Start of each message by channel, shape (n,), increasing.
-        rest: Other records in order: schemas and channels, and outside chunks also headers,
-            metadata and attachments.
-        before: Number of messages by topic in earlier chunks that are read; None if not counted.
+        rest: Other records in order: schemas and channels; outside chunks also headers, metadata
+            and attachments.
+        before: Number of messages by topic in earlier chunks that are read; None without counting.
         unit: Unit of `byte`, if it is not bytes.
     """
 
@@ -140,7 +140,7 @@ def walk_blocks(
     """Yield a complete file as blocks, in file order, and fill the catalogue.
 
     Raises:
-        DamageError: If something is damaged and no list for damages was given.
+        DamageError: If something is damaged and no list for damages is given.
     """
 
     def build(section: Section) -> Block:
@@ -159,7 +159,7 @@ def walk_through(
     """Yield the result of `work` for every section of a file, in file order.
 
     Raises:
-        DamageError: If something is damaged and no list for damages was given.
+        DamageError: If something is damaged and no list for damages is given.
     """
     check_start(stream)
     allowance = Allowance(measure_stored(stream))
@@ -206,7 +206,7 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
 
 
 def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
-    """Return the records of a segment other than messages.
+    """Return all records of a segment that are not messages.
 
     Raises:
         DamageError: If a record is damaged.
@@ -251,7 +251,7 @@ def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
 
 
 def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place]:
-    """Return the offsets of a chunk's other records; its messages must fill the rest, each once.
+    """Return the offsets of a chunk's other records; messages must fill the rest without overlap.
 
     The records form a chain from 0: each message ends at the start of an indexed message or of
     another record. If the lengths add up, no message is outside the chain.
@@ -279,7 +279,7 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> lis
 
 
 def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: int) -> Offsets:
-    """Return the ends of messages; each must be a message of its channel within the chunk."""
+    """Return the ends of messages. Each must be a message of its channel within the chunk."""
     if not len(starts):
         return starts
     if starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD:

@@ -44,7 +44,7 @@ _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
 
 
 Decode = Callable[[int, bytes], dict[str, Any]]
-"""A function from the number and the bytes of a message to an object; errors name the number."""
+"""A function from the number and the bytes of a message to an object. Errors contain the number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,10 +67,11 @@ class TopicPlan:
     Attributes:
         topic: Name of the topic.
         type: Message type; empty if there is no schema.
-        reason: Why the messages cannot be decoded; empty if they can.
+        reason: Why the messages cannot be decoded; empty if they can be decoded.
         fields: Fields of the type.
         layout: Layout of the type; None if its messages differ in size.
-        sequence: Dotted name of a sequence of texts or messages in the type; None if there is none.
+        sequence: Dotted name of a sequence of texts or messages in the type; None if the type has
+            no sequence.
         json: Fields of each message in JSON or protobuf; None for CDR.
         decode: Function that decodes a protobuf message into an object; None for JSON.
         is_ros1: Whether messages are in the ROS 1 format and are converted to CDR first.
@@ -99,7 +100,7 @@ class TopicPlan:
 
     @property
     def meaning(self) -> object:
-        """Properties that channels of one topic must share."""
+        """Properties that all channels of one topic must share."""
         return self.type, self.fields, self.json, self.is_ros1, self.reason
 
 
@@ -112,7 +113,7 @@ class Catalogue:
     """The schemas and channels of a file, in the order of discovery.
 
     Attributes:
-        allowance: Remaining limits of the file.
+        allowance: Remaining limits for reading the file.
     """
 
     def __init__(self, allowance: Allowance) -> None:
@@ -131,7 +132,7 @@ class Catalogue:
 
     @property
     def types(self) -> dict[str, str]:
-        """Message type by topic: that of its first channel."""
+        """Message type by topic, from the first channel of the topic."""
         first = {topic: channels[0].schema_id for topic, channels in self._of_topics.items()}
         names = {number: schema.name for number, schema in self.schemas.items()}
         return {topic: names.get(number, "") for topic, number in first.items()}
@@ -143,7 +144,8 @@ class Catalogue:
         """Add schemas and channels; other records are ignored.
 
         Raises:
-            DamageError: If a record differs from another with its id; `byte` is their place.
+            DamageError: If a record differs from another record with the same id; `byte` is the
+                place of the new records.
         """
         for record in map(_name_type, records):
             if not isinstance(record, Schema | Channel):
@@ -154,7 +156,7 @@ class Catalogue:
                 self.check((record,), byte)
 
     def check(self, records: Collection[Any], byte: int) -> None:
-        """Compare schemas and channels with the known ones; nothing is changed.
+        """Compare schemas and channels with the known ones, without changing anything.
 
         Raises:
             DamageError: If a record differs.
@@ -183,7 +185,7 @@ class Catalogue:
         return reasons
 
     def find_plan(self, topic: str) -> TopicPlan:
-        """Return the plan of a topic that a channel names."""
+        """Return the plan of a topic, which must be the topic of a channel."""
         if topic not in self._plans:
             self._plans[topic] = self._merge_plans(topic)
         return self._plans[topic]
@@ -274,7 +276,7 @@ class Catalogue:
 
 
 def _name_type(record: Any) -> Any:
-    """Return a record; a ROS 1 schema gets the ROS 2 name of its type."""
+    """Return a schema record; a ROS 1 schema gets the ROS 2 name of its type."""
     if not isinstance(record, Schema) or record.encoding != SchemaEncoding.ROS1:
         return record
     from turtlelog.log.engine.ros1_messages import name_as_ros2  # only files of ROS 1 need it
@@ -336,7 +338,7 @@ def _describe_objects(schema: Schema) -> ObjectType:
 
 
 def _read_text(schema: Schema, known: str | None) -> str:
-    """Return a definition in `ros2msg`: that of the schema, otherwise a known definition."""
+    """Return a definition in `ros2msg`: that of the schema, or else a known definition."""
     size = len(schema.data)
     if size > LONGEST_TEXT:
         raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")

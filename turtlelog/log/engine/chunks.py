@@ -21,7 +21,7 @@ _SIZE: Final = struct.Struct("<Q")
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 SPARE: Final = 2**25
-"""Bytes that may be allocated when only a header claims the size."""
+"""Largest number of bytes that may be allocated when only a header claims the size."""
 
 _STEP: Final = 2**22  # bytes unpacked at a time if the header's size may be wrong
 
@@ -32,12 +32,12 @@ class ChunkEntry:
 
     Attributes:
         start: Offset in the file [bytes].
-        length: Length of its record [bytes].
-        index_length: Length of the message indexes after it [bytes].
-        start_ns: Earliest log time of its messages [ns], 0 if it has no messages.
+        length: Length of the chunk record [bytes].
+        index_length: Length of the message indexes after the chunk [bytes].
+        start_ns: Earliest log time of the chunk's messages [ns]; 0 without messages.
         end_ns: Latest log time [ns].
-        channels: Ids of the channels of its messages.
-        size: Decompressed size of its records [bytes].
+        channels: Ids of the channels that have messages in the chunk.
+        size: Decompressed size of the chunk's records [bytes].
     """
 
     start: int
@@ -50,7 +50,7 @@ class ChunkEntry:
 
     @property
     def end(self) -> int:
-        """The offset after its message indexes [bytes]."""
+        """Offset after the chunk's message indexes [bytes]."""
         return self.start + self.length + self.index_length
 
 
@@ -111,7 +111,7 @@ def unpack_chunk(
     largest: int = LARGEST_CHUNK,
     spend: Callable[[int], None] = lambda _: None,
 ) -> bytes:
-    """Return the unpacked bytes of a chunk; the claimed `size` is not trusted.
+    """Return the unpacked bytes of a chunk. The claimed `size` is not trusted.
 
     The result may be longer or shorter than claimed; the checksum shows whether it is valid.
 
@@ -120,11 +120,12 @@ def unpack_chunk(
         packed: Compressed bytes.
         size: Claimed size [bytes].
         largest: Largest size of any unpacked chunk [bytes].
-        spend: Called with the number of unpacked bytes, also for damaged streams; may raise.
+        spend: Function that is called with the number of unpacked bytes, also for damaged streams.
+            The function may raise an error.
 
     Raises:
         LogError: If the stream is damaged, or unpacks to far more than claimed or to more than
-            `largest`; one clause.
+            `largest`; the message is one clause.
     """
     limit = min(max(size, SPARE), largest)
     try:

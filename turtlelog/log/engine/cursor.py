@@ -1,4 +1,4 @@
-"""Decoding of messages that differ in size: field by field for all, or one by one if few.
+"""Decoding of messages that differ in size: field by field for many messages, one by one for few.
 
 A typical recording has one goal and three events. For so few messages, about a hundred numpy calls
 take longer than reading them one by one.
@@ -61,10 +61,11 @@ def decode_messages(
 
 
 _MOST_STEPS: Final = 50_000
-"""Values of one list that are read one by one from all messages; a list of arrays takes 2 s."""
+"""Largest number of values of one list that are read value by value from all messages; a list of
+arrays takes 2 s."""
 
 _MOST_KNOWN: Final = 256
-"""Number of texts of a field that are stored only once; states and frames have few names."""
+"""Number of texts of a field that are stored only once. States and frames have few names."""
 
 
 class _Cursor:
@@ -179,9 +180,9 @@ class _Cursor:
         return arrays
 
     def _take_lists(self, kind: str | tuple[Field, ...], lengths: Offsets) -> Column:
-        """Read the k-th value of every message that has one, for k = 0, 1, ...
+        """Read the k-th value of every message that has so many values, for k = 0, 1, ...
 
-        If only a few messages have more values, these are read message by message.
+        If only a few messages have more values, their values are read message by message.
         """
         lists = np.empty(len(lengths), dtype=object)
         lists[:] = [[] for _ in range(len(lengths))]
@@ -241,7 +242,7 @@ class _Cursor:
 
 
 FEW_MESSAGES: Final = 16
-"""Largest number of messages decoded one by one; from about 25 on the other way is faster."""
+"""Largest number of messages decoded one by one. From about 25 on, the other way is faster."""
 
 _CODES: Final = dict(
     zip(
@@ -253,8 +254,7 @@ _CODES: Final = dict(
 """Type codes of numbers and their `struct` codes."""
 
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
-"""Name, size [bytes] and reader of a number. For a text: None as reader, and the size of its
-length."""
+"""Name, size [bytes] and reader of a number. For a text: no reader, and the size of its length."""
 
 _LENGTH: Final = 4  # bytes of the length before a text
 
@@ -268,8 +268,8 @@ def decode_few(
 ) -> dict[str, Column] | None:
     """Return the fields of little-endian messages, by dotted name.
 
-    None if the type has arrays or sequences or a message is invalid: `decode_messages` then gives
-    the reason.
+    The result is None if the type has arrays or sequences, or if a message is invalid. Then
+    `decode_messages` gives the reason.
 
     Args:
         fields: Fields of the message type.
@@ -315,7 +315,7 @@ def take_few_lists(
 ) -> tuple[list[list[object]], list[int]] | None:
     """Return the texts or messages nested in little-endian messages, and their ends.
 
-    None as for `decode_few`.
+    The result is None in the same cases as for `decode_few`.
 
     Args:
         kind: `TEXT`, or the fields of the nested messages.
@@ -338,7 +338,7 @@ def take_few_lists(
 
 
 class _OtherKindError(Exception):
-    """A type with more than numbers and texts."""
+    """A type that contains more than numbers and texts."""
 
 
 def _read_number(kind: str) -> Callable[[bytes, int], tuple[object, ...]]:
@@ -377,7 +377,7 @@ def _keep_text(known: dict[bytes, str], text: bytes) -> str:
 
 
 def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str, str, int]]:
-    """Yield name, kind and size of every number and text; for a text the size of its length."""
+    """Yield name, kind and size of every number and text; for a text, the size of its length."""
     for field in fields:
         if field.length is not None or field.is_sequence:
             raise _OtherKindError

@@ -1,4 +1,4 @@
-"""Decoding of a topic's messages in a block: fixed size all at once, others field by field."""
+"""Decoding of a topic's messages in a block: all at once if their size is fixed, else by fields."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -66,10 +66,11 @@ def unpack_messages(
 ) -> tuple[Block, Offsets]:
     """Decompress messages that rosbag2 compressed one by one; return others unchanged.
 
-    Compressed messages are recognised by their first byte: it is 0 for CDR, not for zstd.
+    The first byte shows whether a message is compressed: it is 0 for plain CDR, and not 0 for zstd.
 
     Raises:
-        LogError: If a message is damaged, or they unpack to far more than the file's size allows.
+        LogError: If a message is damaged, or the messages unpack to far more than the file's size
+            allows.
     """
     if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
         return block, starts
@@ -131,7 +132,7 @@ class FixedColumns:
         self._columns = _allocate(kinds)
 
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
-        """Copy messages into the rows from `first` on; return whether there was room.
+        """Copy messages into the rows from `first` on; return whether there was enough room.
 
         Several threads may fill different rows at the same time.
 
@@ -289,7 +290,7 @@ def _read_objects(
 
 
 def _check_heads(heads: NDArray[np.void]) -> None:
-    """Check that every message is plain CDR and that its times fit into 63 bits."""
+    """Check that every message is plain CDR, and that its times fit into 63 bits."""
     kinds = heads["#encapsulation"]
     wrong = kinds != LITTLE_ENDIAN
     if wrong.any() and (wrong := wrong & (kinds != BIG_ENDIAN)).any():

@@ -16,10 +16,11 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance, measure_stored
 
 MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
-"""Magic bytes at the start and end of a file; defined here, because mcap.writer loads in 20 ms."""
+"""Magic bytes at the start and end of a file. The constant is defined here, because mcap.writer
+takes 20 ms to load."""
 
 RECORD: Final = struct.Struct("<BQ")
-"""Opcode, length of the body [bytes]."""
+"""Opcode, and length of the body [bytes]."""
 
 SUMMARY_ONLY: Final = frozenset(
     {
@@ -33,12 +34,13 @@ SUMMARY_ONLY: Final = frozenset(
 """Kinds of records that occur only after the data section."""
 
 _CHAIN: Final = 4
-"""Number of consecutive records that are accepted as such without a checksum.
+"""Number of consecutive records that are accepted without a checksum.
 
 The worst case is messages half of zeros: a megabyte contains a thousand places that look like a
 record's head. One in a hundred of these is followed by another such place. By chance, three in a
 row occur once in a gigabyte, four in a row once in 100 GB. After damage, messages are found only if
-this number of them are consecutive."""
+this number of them are consecutive.
+"""
 
 _SQLITE: Final = b"SQLite format 3\0"
 _RERUN: Final = b"RRF2"
@@ -97,7 +99,7 @@ def check_start(stream: BinaryIO) -> None:
 
 
 def find_wrong_start(start: bytes) -> str | None:
-    """Return why a file does not start like MCAP, with advice; None if it does."""
+    """Return why a file does not start like MCAP, with advice; None if it does start so."""
     if start.startswith(MCAP0_MAGIC):
         return None
     found = f"it begins with 0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "it is empty"
@@ -121,7 +123,7 @@ class FileWindow:
 
     Attributes:
         size: Size of the file [bytes].
-        allowance: Limits for unpacking its chunks.
+        allowance: Limits for unpacking the file's chunks.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -147,10 +149,10 @@ class FileWindow:
         return self._data[:count]
 
     def spend(self, count: int) -> bool:
-        """Return whether bytes may be read to try a checksum although no length agrees.
+        """Return whether bytes may be read to try a checksum, although no length agrees.
 
-        The total is limited to the file's size: otherwise overlapping records could be read many
-        times.
+        The total is limited to the file's size, because otherwise overlapping records could be read
+        many times.
         """
         self._spare -= count
         return self._spare >= 0
@@ -162,7 +164,8 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     Bytes after its fields belong to the record if `is_padding` returns True.
 
     Raises:
-        LogError: If its lengths disagree, or the file ends within the record; one clause.
+        LogError: If the lengths disagree, or the file ends within the record; the message is one
+            clause.
     """
     opcode, length = _read_head(window, place)
     end = place + RECORD.size + length
@@ -223,7 +226,7 @@ def is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
 
 
 def _is_followed(window: FileWindow, place: int, after: int) -> bool:
-    """Return whether a record follows whose fields, or whose successor, confirm its length.
+    """Return whether a record follows whose fields, or whose next record, confirm its length.
 
     For a record truncated by the end of the file, a valid header is enough.
     """
@@ -272,10 +275,10 @@ def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
 
 
 def find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int | None:
-    """Return the offset of the next record that can be confirmed, if there is one.
+    """Return the offset of the next record that can be confirmed, if any.
 
     Schemas, channels and messages outside chunks are searched only in files with such messages:
-    within a damaged uncompressed chunk they would look valid without any confirmation.
+    within a damaged uncompressed chunk such records would look valid without any confirmation.
     """
     is_wanted = np.zeros(256, dtype=bool)
     is_wanted[[*_BOUND, Opcode.DATA_END, *(_LONE if is_lone else ())]] = True
@@ -342,7 +345,7 @@ _MOST: Final = 2**14  # messages predicted at a time
 
 
 class MessageWalk:
-    """Prediction of message starts from earlier lengths.
+    """Predicts where messages start, from the lengths of earlier messages.
 
     Attributes:
         is_due: Whether a prediction should be tried now.
@@ -403,7 +406,7 @@ class MessageWalk:
 
 
 def _find_turn(steps: list[int]) -> int:
-    """Return the latest period of the steps; 0 if they did not repeat."""
+    """Return the latest period of the steps; 0 if the steps did not repeat."""
     for turn in range(1, min(len(steps) // 2, _LONGEST_TURN) + 1):
         if steps[-turn:] == steps[-2 * turn : -turn]:
             return turn
@@ -411,9 +414,9 @@ def _find_turn(steps: list[int]) -> int:
 
 
 def skip_followed(data: bytes) -> int:
-    """Return the start of the last of the messages that follow one another from the first byte.
+    """Return the start of the last message in the unbroken series from the first byte on.
 
-    This message may be truncated. 0 if there is none.
+    The last message may be truncated. The result is 0 without any message.
     """
     place, last, walk = 0, 0, MessageWalk(data)
     end, unpack = len(data) - RECORD.size, RECORD.unpack_from

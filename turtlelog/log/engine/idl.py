@@ -9,7 +9,7 @@ from typing import Final, NoReturn
 from turtlelog.errors import LogError
 
 LONGEST_TEXT: Final = 2**19
-"""Largest size of an IDL text with all its types [bytes]; the longest of ROS has a tenth."""
+"""Largest size of an IDL text with all its types [bytes]; the longest in ROS is a tenth of this."""
 
 _DEEPEST: Final = 8  # nested modules or type aliases; ROS has two
 _LONGEST_WORD: Final = 1024
@@ -44,13 +44,13 @@ _KINDS: Final = MappingProxyType(
     }
 )
 _SEVERAL: Final = frozenset({"unsigned", "long", "short", "double"})
-"""Words that may form a type name together."""
+"""Words that may together form a type name."""
 
 _NOT_READ: Final = frozenset({"union", "bitset", "bitmask", "interface", "valuetype", "native"})
 _OTHER_BYTES: Final = frozenset({"optional", "mutable", "bit_bound"})
 """Annotations that change the encoding of a message."""
 _BETWEEN: Final = frozenset({"msg", "srv", "action"})
-"""Module names between package and type in ROS."""
+"""Module names between package and type in ROS names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ def convert_idl(name: str, text: str) -> str:
 
     Args:
         name: `package/msg/Type`, or a scoped name (`package::msg::Type`).
-        text: IDL text, or several, each after a line of equals signs and a line with `IDL:`.
+        text: IDL text; or several texts, each after a line of equals signs and a line with `IDL:`.
 
     Raises:
         LogError: If the text is not IDL, or cannot be expressed in `ros2msg`.
@@ -118,7 +118,7 @@ class _Parser:
         return found
 
     def _skip(self, sign: str) -> bool:
-        """Skip a token if it is the next one."""
+        """Skip a token if it is the next token."""
         if self._next != sign:
             return False
         self._place += 1
@@ -305,7 +305,7 @@ class _Printer:
         return "".join(parts)
 
     def _describe(self, kind: _Kind) -> tuple[str, str]:
-        """Return the `ros2msg` name of a type, and its struct, if it is one."""
+        """Return the `ros2msg` name of a type, and its struct if the type is a struct."""
         brackets = kind.brackets
         for _ in range(_DEEPEST):
             if kind.name in _KINDS:
@@ -320,7 +320,7 @@ class _Printer:
         raise LogError(f"schema {self._name}: expected types that end, found one that is itself")
 
     def _find(self, kind: _Kind) -> str:
-        """Return the scoped name of a type, searched from the naming module outwards."""
+        """Return the scoped name of a type, searched from the using module outwards."""
         name, is_absolute = kind.name.removeprefix("::"), kind.name.startswith("::")
         for count in range(0 if is_absolute else len(kind.scope), -1, -1):
             found = "::".join((*kind.scope[:count], name))
@@ -330,7 +330,7 @@ class _Printer:
 
 
 def _rename(scoped: str) -> str:
-    """Return a scoped name as `package/Type`; names outside ROS get a package of their own."""
+    """Return a scoped name as `package/Type`. Names outside ROS get their own package."""
     *scope, name = scoped.split("::")
     if len(scope) == 2 and scope[1] in _BETWEEN:
         scope.pop()

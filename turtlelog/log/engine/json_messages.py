@@ -16,14 +16,14 @@ from turtlelog.log.engine.message_types import LONGEST_TEXT, Column
 JsonKind = Literal["number", "integer", "boolean", "string", "any"]
 
 LONGEST_MESSAGE: Final = 2**24
-"""Largest size of a message [bytes]; decoded objects may take thirty times as much."""
+"""Largest size of a message [bytes]. Decoded objects may take thirty times as much memory."""
 
 _MOST_FIELDS: Final = 10_000
 _MOST_PARTS: Final = 2**18
 """Largest number of objects, references and choices that are read in a schema.
 
-References to objects with references multiply, even without fields. This number takes 0.5 s; a text
-of 1 MB has fewer objects."""
+References to objects with references multiply, even without fields. Reading this number of parts
+takes 0.5 s; a text of 1 MB has fewer objects."""
 _DEEPEST: Final = 64
 
 _KINDS: Final[tuple[JsonKind, ...]] = ("number", "integer", "boolean", "string")
@@ -36,7 +36,7 @@ _EXPECTED: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 _NUMBERS: Final = MappingProxyType({"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf})
-"""Texts that stand for numbers missing in JSON, in the JSON of protobuf."""
+"""Texts that represent numbers missing in JSON, in protobuf's JSON."""
 
 _ABSENT: Final = object()
 
@@ -47,8 +47,8 @@ class JsonField:
 
     Attributes:
         path: Names of the enclosing objects, then the name of the value.
-        kind: Kind in the schema; `any` for arrays, objects without properties, and several allowed
-            kinds.
+        kind: Kind in the schema; `any` for arrays, objects without properties, and values with
+            several allowed kinds.
     """
 
     path: tuple[str, ...]
@@ -100,7 +100,8 @@ def decode_objects(
     Args:
         fields: Requested fields.
         messages: Messages, one by one.
-        decode: Function that decodes message and index into an object; None: messages are JSON.
+        decode: Function that decodes a message and its index into an object. None: messages are
+            JSON.
 
     Missing numbers are NaN, missing texts empty, other missing values None. Columns of integers or
     truth values with missing values become float columns.

@@ -1,4 +1,4 @@
-"""Limits on memory and time for a file, in proportion to its size.
+"""Limits on memory and time for reading a file, in proportion to the file's size.
 
 A few kilobytes can unpack to gigabytes, or contain millions of empty records. In every command, a
 file of less than 10 MB takes less than 256 MB and 10 s, whatever its content. A larger file may
@@ -30,7 +30,7 @@ COLUMNS: Final = "bytes of columns"
 CHANGES: Final = "channels that change their meaning"
 
 SMALL_FILE: Final = 10**7
-"""Size of a file [bytes] below which reading takes less than 256 MB of memory and 10 s."""
+"""Size of a file below which reading takes less than 256 MB of memory and 10 s [bytes]."""
 
 LARGEST_CHUNK: Final = 2**30
 """Largest size of a chunk, packed or unpacked [bytes]; a damaged header may claim any size."""
@@ -93,7 +93,7 @@ _ENTRY: Final = 200  # bytes in memory of an entry of its table, without its let
 
 
 class Allowance:
-    """Remaining limits of a pass over a file.
+    """Remaining limits of one pass over a file.
 
     Attributes:
         largest_chunk: Largest size of an unpacked chunk [bytes].
@@ -112,11 +112,11 @@ class Allowance:
         return max(self._left[kind], 0)
 
     def spend(self, kind: str, count: int = 1) -> None:
-        """Subtract a number of a kind from the limit.
+        """Subtract a number of a kind from the remaining limit.
 
         Raises:
             LogError: If there are more values than a file of this size may contain. The line
-                contains the error and, for columns, the option that leaves some out.
+                contains the error and, for columns, the option that leaves some columns out.
         """
         with self._spending:  # several threads unpack messages at once
             self._left[kind] = left = self._left[kind] - count
@@ -158,7 +158,7 @@ def grow_bound(bound: tuple[int, float], file_size: int) -> int:
 
 
 def measure_stored(stream: BinaryIO) -> int:
-    """Return the size of a stream's file; for an unpacked file its packed size [bytes]."""
+    """Return the size of a stream's file [bytes]; for an unpacked file, its packed size."""
     stored: int | None = getattr(stream, "stored_size", None)
     if stored is not None:
         return stored

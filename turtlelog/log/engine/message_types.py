@@ -20,7 +20,7 @@ _MOST_FIELDS: Final = 10_000  # nested types multiply fields; common types have 
 _DEEPEST: Final = 64
 
 LONGEST_TEXT: Final = 2**20
-"""Largest size of a definition with all its types [bytes]; the longest known has a tenth."""
+"""Largest size of a definition with all its types [bytes]; the longest known is a tenth of this."""
 
 MOST_KEPT_FIELDS: Final = 200
 """Largest number of fields of a cached type, about 1 kB each; ROS messages have fewer."""
@@ -75,9 +75,9 @@ MESSAGE: Final = np.dtype(
         *(("#encapsulation", "<u2"), ("#options", "<u2")),
     ]
 )
-"""The bytes before the fields of a CDR message, from the record's opcode on.
+"""Bytes before the fields of a CDR message, from the record's opcode on.
 
-The names begin with #, which no ROS field does."""
+The names begin with #; no ROS field has such a name."""
 
 LITTLE_ENDIAN: Final = 0x0100
 """Encapsulation of plain CDR: its first two bytes, read as a little-endian number."""
@@ -95,7 +95,7 @@ class Field:
     """One field of a message type.
 
     Attributes:
-        name: Name without those of the enclosing messages.
+        name: Name of the field alone, without the names of enclosing messages.
         kind: A type code of numpy without byte order, `TEXT`, or the fields of a nested message.
         length: Length of a fixed array; None for single values and sequences.
         is_sequence: Whether the field is a sequence of any length.
@@ -132,7 +132,8 @@ class MessageType:
         fields: Fields of the type, nested fields within their messages.
         layout: Layout of the type; None if its messages differ in size.
         size: Total size of the fields, counted in numbers, texts and sequences.
-        sequence: Dotted name of a sequence of texts or messages in the type; None if there is none.
+        sequence: Dotted name of a sequence of texts or messages in the type; None if the type has
+            no sequence.
     """
 
     fields: tuple[Field, ...]
@@ -146,7 +147,7 @@ _KEEPING: Final = Lock()
 
 
 def read_type(name: str, definition: str) -> MessageType:
-    """Return a message type; common types are parsed only once per process.
+    """Return a message type. Common types are parsed only once per process.
 
     Raises:
         LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
@@ -170,8 +171,8 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
 
     Args:
         name: `package/msg/Type` or `package/Type`.
-        text: Definition of the type; definitions of nested types follow after lines of equals
-            signs.
+        text: Definition of the type. Definitions of nested types follow, each after a line of
+            equals signs.
 
     Raises:
         LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
@@ -190,7 +191,7 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
 
 
 class _Resolver:
-    """Inserts nested types, reads each only once, and counts the total size of the fields."""
+    """Resolver of nested types, which reads each type once and counts the size of all fields."""
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions
@@ -234,7 +235,7 @@ class _Resolver:
 
 
 def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
-    """Yield the lines that define a field; constants and comments are skipped."""
+    """Yield the lines that define a field, without constants and comments."""
     for line in text.splitlines():
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
@@ -247,7 +248,7 @@ def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
 
 
 def shorten_type(name: str, package: str = "") -> str:
-    """Return `package/Type` without names in between or, as eProsima writes them, before."""
+    """Return `package/Type` without names in between or, as eProsima writes them, in front."""
     *before, last = name.split("/")
     if before and before[-1] in {"msg", "srv", "action"}:
         before.pop()
@@ -257,7 +258,7 @@ def shorten_type(name: str, package: str = "") -> str:
 def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
     """Return the layout of a type; None if its messages differ in size.
 
-    CDR aligns a number to its own size, and nothing else.
+    CDR aligns a number to its own size; nothing else is aligned.
     """
     if not _is_fixed(fields):
         return None
@@ -273,7 +274,7 @@ def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
 
 
 def name_parts(field: Field) -> Iterator[str]:
-    """Yield the parts of dotted names for a nested message: one, or one per array element."""
+    """Yield the parts of dotted names for a nested message: one part, or one per array element."""
     if field.length is None:
         yield field.name
     else:

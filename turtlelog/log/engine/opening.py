@@ -36,12 +36,13 @@ class NoMcapError(LogError):
 
 @contextmanager
 def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
-    """Open a file for reading: an MCAP stream (content unchecked) or a SQLite bag.
+    """Open a file for reading: an MCAP stream (with unchecked content) or a SQLite bag.
 
     A file that is compressed as a whole is unpacked into a temporary folder.
 
     Raises:
-        LogError: One line with the file, also for errors while it is open.
+        LogError: If the file cannot be read; one line with the file, also for errors while the file
+            is open.
     """
     path = make_path(path)
     with name_file(path, expected=_describe_expected(path)), _open_content(path) as (stream, place):
@@ -57,7 +58,7 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
 
 @contextmanager
 def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a file that must not be SQLite; errors do not name the file yet."""
+    """Open a file that must not be SQLite. Errors do not contain the file's name yet."""
     with _open_content(make_path(path)) as (stream, _):
         if _read_head(stream) == SQLITE_MAGIC:
             raise NoMcapError("expected an MCAP file, found a bag in SQLite")
@@ -97,7 +98,7 @@ class Damaged:
     Attributes:
         place: Path of the unpacked file.
         bag: Tables of the bag, if the file is in SQLite.
-        fault: Error of its compression.
+        fault: Error of the file's compression.
         stored_size: Packed size [bytes].
     """
 
@@ -109,7 +110,7 @@ class Damaged:
 
 @contextmanager
 def open_damaged(path: Path) -> Iterator[Damaged]:
-    """Open a file for recovery; errors do not name the file yet.
+    """Open a file for recovery. Errors do not contain the file's name yet.
 
     Raises:
         LogError: If nothing in the file can be read.
@@ -127,7 +128,7 @@ def open_damaged(path: Path) -> Iterator[Damaged]:
 
 @contextmanager
 def open_place(found: Damaged) -> Iterator[BinaryIO]:
-    """Open a file for recovery once more, at the path where it is unpacked."""
+    """Open a file for recovery again, at the path of the unpacked file."""
     is_remote = isinstance(found.place, RemotePath)
     place = found.place
     with open_file(place) if is_remote else _Unpacked(place, found.stored_size) as stream:
@@ -143,7 +144,8 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
         faults: List that receives errors of the compression, which are then not raised.
 
     Raises:
-        LogError: If the file cannot be unpacked, is a ROS 1 bag, or is empty and named as SQLite.
+        LogError: If the file cannot be unpacked, is a ROS 1 bag, or is empty with the suffix of
+            SQLite.
     """
     with ExitStack() as closing:
         stream, place = closing.enter_context(open_file(path)), path
@@ -178,13 +180,14 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
 
 
 _COPIES: Final[dict[object, Path]] = {}
-"""MCAP copies of ROS 1 bags, by the identity of the bag; a command opens a file several times."""
+"""MCAP copies of ROS 1 bags, by the identity of the bag, because a command opens a file several
+times."""
 
 _MOST_COPIES: Final = 4
 
 
 def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
-    """Return the path of a ROS 1 bag's messages as an MCAP file, which exists until the exit."""
+    """Return the path of an MCAP file with a ROS 1 bag's messages, which exists until the exit."""
     from multiprocessing.util import Finalize  # few files need these
 
     from turtlelog.log.ros1_bag import copy_ros1_bag
@@ -224,7 +227,7 @@ def _read_head(stream: BinaryIO) -> bytes:
 
 
 def _unpack_file(stream: BinaryIO, place: Path) -> None:
-    """Unpack a file; the size that it claims is not trusted.
+    """Unpack a file. The size that the file claims is not trusted.
 
     Raises:
         LogError: If the file is damaged, truncated, or far larger than its packed size suggests.

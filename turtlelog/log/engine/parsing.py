@@ -69,7 +69,7 @@ _KNOWN: Final = frozenset(
     {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}
 )
 OF_CHUNKS: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
-"""Kinds of records in a chunk besides messages; all others are skipped."""
+"""Kinds of records in a chunk, in addition to messages; all other kinds are skipped."""
 
 _ROWS: Final = 2**16  # messages processed together
 _BYTES: Final = 2**24  # bytes from the first to the last of these messages
@@ -80,8 +80,8 @@ Places = NDArray[np.int64]
 class Place(NamedTuple):
     """A record in a buffer or file: its opcode, the start of its body, and its length [bytes].
 
-    A named tuple, because a file may have some hundred thousand: a frozen dataclass takes three
-    times as long.
+    This is a named tuple, because a file may have some hundred thousand records: a frozen dataclass
+    takes three times as long.
     """
 
     opcode: int
@@ -95,7 +95,7 @@ class Place(NamedTuple):
 
 
 class _ExactStream(ReadDataStream):
-    """A stream that raises an error if too few bytes remain; the library's returns fewer bytes."""
+    """A stream that raises an error if too few bytes remain, unlike the library's stream."""
 
     def __init__(self, body: bytes) -> None:
         super().__init__(BytesIO())
@@ -142,10 +142,11 @@ def take_whole(data: bytes, place: Place) -> bytes:
 
 
 def parse_record(place: Place, body: bytes, byte: int) -> Any:
-    """Return a record of a rare kind from its bytes after checking checksums; None for other kinds.
+    """Return a record of a rare kind from its bytes after checksum checks; None for other kinds.
 
     Raises:
-        DamageError: If the bytes are not a valid record; `byte` is its offset in the file.
+        DamageError: If the bytes are not a valid record; `byte` is the offset of the record in the
+            file.
     """
     kind = _RARE.get(place.opcode)
     if kind is None:
@@ -161,10 +162,10 @@ def parse_record(place: Place, body: bytes, byte: int) -> Any:
 
 
 def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
-    """Return a record and its size [bytes]; bytes that a later version appended may follow.
+    """Return a record and its size [bytes]. Bytes that a later version appended may follow.
 
     Raises:
-        LogError: If there are fewer bytes than the record claims; one clause.
+        LogError: If there are fewer bytes than the record claims; the message is one clause.
     """
     try:
         if kind in _FREQUENT:
@@ -179,7 +180,7 @@ def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
 
 
 def _recall(read: Callable[[bytes], tuple[Rare, int]]) -> Callable[[bytes], tuple[Rare, int]]:
-    """Return a reader that caches short records for the whole process: files repeat them."""
+    """Return a reader with a cache of short records for the process, because files repeat them."""
     keep = lru_cache(maxsize=_MOST_KEPT)(read)
     return lambda body: keep(body) if len(body) <= _LONGEST_KEPT else read(body)
 
@@ -261,7 +262,7 @@ def _check_attachment(body: bytes, byte: int) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordStretch:
-    """Consecutive records, parsed as far as they are valid.
+    """Consecutive records, parsed up to the first invalid record.
 
     Attributes:
         data: Bytes of the records.
@@ -288,11 +289,11 @@ class RecordStretch:
 
 
 def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStretch:
-    """Return the offsets of the messages in bytes; no checksum is needed.
+    """Return the offsets of the messages in bytes. No checksum is needed.
 
     Args:
         data: Bytes of the records.
-        is_chunk: Whether the records are those of a chunk: only messages, schemas and channels.
+        is_chunk: Whether the records belong to a chunk: only messages, schemas and channels.
         most_records: Largest number of records; the rest is ignored.
     """
     starts, others = array("I"), list[tuple[int, int, int]]()
@@ -331,7 +332,7 @@ def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStret
 
 
 def _check_others(count: int, opcode: int, length: int) -> str | None:
-    """Return the reason why a chunk may not contain one more schema or channel; None if it may."""
+    """Return why a chunk may not contain one more schema or channel; None if it may."""
     if count == MOST_DESCRIBED:
         return f"expected up to {MOST_DESCRIBED} schemas and channels, found more"
     if length > LONGEST_DESCRIBED:
@@ -350,8 +351,8 @@ def _describe_fault(opcode: int, left: int, length: int) -> str:
 def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) -> NDArray[Any]:
     """Return `size` bytes from each place in `data`, as an array of V-size rows.
 
-    A view makes a row start at every byte. Indexing it with the places takes a sixth of the time of
-    copying field by field.
+    In a strided view, a row starts at every byte. Indexing this view with the places takes a sixth
+    of the time of copying field by field.
 
     Raises:
         LogError: If fewer than `size` bytes follow a place.

@@ -1,9 +1,9 @@
 """Decoding of protobuf messages into objects like those of JSON, with the file's descriptors.
 
 An MCAP file defines a protobuf type by a FileDescriptorSet, which is a protobuf message itself
-(protobuf.dev/programming-guides/encoding, descriptor.proto). The necessary parts of both are read
-here, within limits and without a library. A stamp has the names of Foxglove's JSON: `sec` and
-`nsec`.
+(protobuf.dev/programming-guides/encoding, descriptor.proto). The necessary parts of both messages
+are read here, within limits and without a library. A stamp has the names of Foxglove's JSON: `sec`
+and `nsec`.
 """
 
 import struct
@@ -36,7 +36,7 @@ _NUMBERS: Final[Mapping[int, tuple[int, str]]] = MappingProxyType(
         16: (_EIGHT, "<q"),
     }
 )
-"""Wire type and `struct` code of types of fixed size, by their number in descriptor.proto."""
+"""Wire type and `struct` code of types with a fixed size, by their number in descriptor.proto."""
 
 _KINDS: Final[Mapping[int, JsonKind]] = MappingProxyType(
     {
@@ -47,7 +47,7 @@ _KINDS: Final[Mapping[int, JsonKind]] = MappingProxyType(
         9: "string",
     }
 )
-"""Kind of a field by the number of its type; bytes and groups have none."""
+"""Kind of a field by the number of its type. Bytes and groups have no kind."""
 
 _ZEROS: Final[Mapping[JsonKind, Any]] = MappingProxyType(
     {"number": 0.0, "integer": 0, "boolean": False, "string": ""}
@@ -63,8 +63,8 @@ class ProtobufField:
     """One field of a type.
 
     Attributes:
-        name: Name in the file's definition; fields of a stamp are named as in JSON.
-        kind: Number of its type in descriptor.proto.
+        name: Name in the file's definition. Fields of a stamp are named as in JSON.
+        kind: Number of the field's type in descriptor.proto.
         of: Type of a nested message; None for other kinds.
         is_repeated: Whether the field may have several values.
     """
@@ -77,7 +77,7 @@ class ProtobufField:
 
 @dataclass(slots=True, kw_only=True)
 class ProtobufType:
-    """A message type; fields whose type may contain itself are left out.
+    """A message type. Fields whose type may contain itself are left out.
 
     Attributes:
         fields: Fields by number.
@@ -135,7 +135,7 @@ class ProtobufType:
 
 
 def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
-    """Return a type from the FileDescriptorSet that defines it.
+    """Return a type from the FileDescriptorSet that defines the type.
 
     Raises:
         LogError: If the data are not such a set, or do not define the type.
@@ -172,7 +172,7 @@ def _describe(
 
 
 class _Builder:
-    """Builder of types that counts their fields: nested types multiply them."""
+    """Builder of types that counts their fields, because nested types multiply fields."""
 
     def __init__(self, described: Mapping[str, Sequence[Mapping[int, list[Any]]]]) -> None:
         self._described, self._left = described, _MOST_FIELDS
@@ -228,7 +228,7 @@ def _read_number(parts: Mapping[int, list[Any]], number: int) -> int:
 
 
 def iterate_fields(data: bytes) -> Iterator[tuple[int, int, Any]]:
-    """Yield number, wire type and value of each field of a message; the value is a number or bytes.
+    """Yield number, wire type and value of each field of a message. Values are numbers or bytes.
 
     Raises:
         LogError: If the bytes are not a message.

@@ -26,7 +26,7 @@ from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_head
 _ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 _LENGTH: Final = struct.Struct("<I")
 _HEADER: Final = f"{'=' * 80}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-"""Header of ROS 1, which counts messages; always part of the definitions."""
+"""Header of ROS 1, which counts messages. Definitions always include the header."""
 
 _RENAMED: Final = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 """Types that have another name in ROS 2."""
@@ -94,7 +94,7 @@ class _Message:
     Attributes:
         data: Message in the ROS 1 format.
         place: Number of bytes read so far.
-        body: Message in CDR, without the encapsulation header.
+        body: Message in CDR so far, without the encapsulation header.
     """
 
     __slots__ = ("body", "data", "place")
@@ -127,7 +127,7 @@ class _Message:
 
 
 def _plan(fields: tuple[Field, ...]) -> tuple[_Step, ...]:
-    """Return the steps that convert a message; consecutive numbers of one size form one step."""
+    """Return the steps that convert a message. Consecutive numbers of one size form one step."""
     runs: list[tuple[int, int] | _Step] = []
     _append_steps(runs, fields)
     return tuple(_copy(*run) if isinstance(run, tuple) else run for run in runs)

@@ -1,4 +1,4 @@
-"""Reading of requested messages piece by piece, with the index or record by record."""
+"""Reading of requested messages piece by piece, by the index or record by record."""
 
 import os
 from collections import Counter, deque
@@ -64,10 +64,11 @@ class Source:
     """An open MCAP file with checked ends and summary.
 
     Attributes:
-        catalogue: Channels and schemas; without an index it fills as blocks are read.
+        catalogue: Channels and schemas. Without an index, the catalogue is filled while blocks are
+            read.
         is_indexed: Whether the summary indexes the complete file.
         statistics: Statistics record; None if the file has none.
-        ends: Offsets of its parts.
+        ends: Offsets of the file's parts.
         allowance: Remaining limits of the file.
         size: Size of the file [bytes].
     """
@@ -85,7 +86,7 @@ class Source:
         self._lone, self._summary = lone or (), summary
 
     def read_lone(self, opcodes: Collection[int]) -> Iterator[Any]:
-        """Yield the records of some rare kinds outside chunks; none if the file has no index."""
+        """Yield the records of several rare kinds outside chunks; none if the file has no index."""
         named = self._summary.named if self.is_indexed else {}
         named = {byte: of for byte, of in named.items() if of[0] in opcodes}
         for place in self._lone:
@@ -111,7 +112,7 @@ class Source:
         return sum(entry.index_length for entry in self._summary.chunks)
 
     def check_data(self) -> None:
-        """Check the checksum of the whole data section; takes a pass over the file."""
+        """Check the checksum of the whole data section, in one pass over the file."""
         check_data(self._stream, self.ends)
 
     def map_blocks(
@@ -177,7 +178,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """Some consecutive messages.
+    """A segment of consecutive messages.
 
     Attributes:
         rows: Rows of requested topics.
@@ -197,15 +198,15 @@ class Selection:
     """The requested messages.
 
     Attributes:
-        topics: Names of the topics to read; None for every topic that can be decoded.
+        topics: Names of the topics to read. None: every topic that can be decoded.
         start_ns: Earliest log time [ns], inclusive.
         end_ns: End of the log time [ns], exclusive.
-        is_lenient: Whether named topics may be missing or undecodable; all chunks are read and
-            checked then.
+        is_lenient: Whether named topics may be missing or undecodable. All chunks are then read and
+            checked.
         is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
             messages take some hundred times their bytes in memory.
         is_counted: Whether the memory of rows is limited in proportion to the file's size.
-        kept: Columns to keep, by topic, log time included; topics that are not listed keep all
+        kept: Columns to keep, by topic, including the log time. Topics that are not listed keep all
             columns.
     """
 
@@ -279,7 +280,7 @@ def iterate_pieces(
 ) -> Iterator[Piece]:
     """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
 
-    Messages of topics in `wholes` are stored there instead of in pieces while there is room.
+    Messages of topics in `wholes` are stored there instead of in pieces, as long as there is room.
 
     Raises:
         LogError: If a requested topic is missing or cannot be decoded.
@@ -312,7 +313,7 @@ def iterate_pieces(
 def count_rows(source: Source | SqliteSource, selection: Selection) -> Mapping[str, int]:
     """Return the number of rows of each topic from the statistics; empty without statistics.
 
-    The numbers are limited to the space in the message indexes, if there are any.
+    If there are message indexes, their size limits the numbers.
     """
     if source.statistics is None or not selection.is_ever:
         return {}
@@ -375,7 +376,7 @@ def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
 
 
 def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
-    """Yield results in order; threads compute them ahead, up to a limited number of bytes."""
+    """Yield results in order. Threads compute them ahead, up to a limited number of bytes."""
     from concurrent.futures import ThreadPoolExecutor  # 8 ms that a file with one chunk saves
 
     waiting: deque[tuple[int, Future[T]]] = deque()

@@ -20,15 +20,15 @@ _BATCH_BYTES: Final = 2**22
 _MOST_NAMED: Final = 10_000  # invalid rows that are listed with their reasons
 _LEAST, _MOST = -(2**63), 2**63 - 1  # smallest and largest row number
 _BEFORE: Final = _LEAST - 1
-"""Row number before the first row: the smallest number may belong to a row."""
+"""Row number before the first row. The smallest number itself may belong to a row."""
 
 
 def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
     """Yield the messages of a bag as sections of records, and the unreadable parts.
 
     Args:
-        source: The bag, opened as damaged.
-        path: Path of the file, for its size.
+        source: Bag that was opened as damaged.
+        path: Path of the file, to find the file's size.
     """
     size, claimed, _ = measure_pages(path)
     yield from _group_rows(source, size)
@@ -54,7 +54,7 @@ def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
 
 
 def _judge_rows(source: SqliteSource) -> Iterator[Row | str]:
-    """Yield the rows that are messages; for other rows and gaps yield the reason."""
+    """Yield the rows that are messages; for other rows and for gaps, yield the reason."""
     faults, left = 0, source.size
     for found in _walk_rows(source):
         if isinstance(found, str):
@@ -81,7 +81,7 @@ def _make_section(source: SqliteSource, rows: SqliteRows) -> Section:
 
 
 def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
-    """Yield the rows that SQLite can read, with their numbers; for gaps yield the reason."""
+    """Yield the rows that SQLite can read, with their numbers; for gaps, yield the reason."""
     last: int | None = _BEFORE
     while last is not None:
         last, error = yield from _walk_sound(source, last)
@@ -132,7 +132,7 @@ def _build_query(source: SqliteSource) -> str:
 
 
 def _read_row(source: SqliteSource, after: int) -> Row | None:
-    """Return the first row after another; () after the last row, None if it cannot be read."""
+    """Return the first row after another row; () after the last row, None if it cannot be read."""
     if after == _MOST:
         return ()
     try:
@@ -143,7 +143,7 @@ def _read_row(source: SqliteSource, after: int) -> Row | None:
 
 
 def _find_next(source: SqliteSource, after: int) -> int | None:
-    """Return the number of the first readable row after a gap; None if there is none."""
+    """Return the number of the first readable row after a gap; None if no such row exists."""
     lost = max(after, 0)
     step, found = 1, None
     while lost + step <= _MOST and (found := _read_row(source, lost + step)) is None:

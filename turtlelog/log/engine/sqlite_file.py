@@ -1,4 +1,4 @@
-"""Opening of SQLite files without writing beside them, and the tables of a bag."""
+"""Opening of SQLite files without writing next to them, and the tables of a bag."""
 
 import os
 import shutil
@@ -35,25 +35,25 @@ _LEAST_LIMIT, _MOST_LIMIT = 2**16, 2**31 - 1  # bytes of a value; turtlelog's ow
 
 _SIDES: Final = ("-wal", "-journal")
 _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
-"""Ends a journal that names another file, which SQLite would delete."""
+"""End of a journal that names another file, which SQLite would delete."""
 
 
 @contextmanager
 def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.Connection, int]]":
     """Open a SQLite file for reading; yield the connection and the file's size [bytes].
 
-    Nothing is written beside the file. A `-wal` file beside it contains committed rows, a
-    `-journal` file contains uncommitted changes to undo. SQLite would write beside the file to use
-    them, so a copy in a temporary folder is opened. The sizes that pages claim are checked before
-    SQLite reads the first table.
+    Nothing is written next to the file. A `-wal` file next to it contains committed rows, a
+    `-journal` file contains uncommitted changes to undo. To use these files, SQLite would write
+    next to the file; therefore a copy in a temporary folder is opened. The sizes that pages claim
+    are checked before SQLite reads the first table.
 
     Args:
         path: Path of the file.
         is_damaged: Whether to read a truncated file as far as possible.
 
     Raises:
-        LogError: One clause, if the file cannot be read; also for errors of SQLite while it is
-            open.
+        LogError: If the file cannot be read, also for errors of SQLite while the file is open; the
+            message is one clause.
     """
     import sqlite3  # MCAP files do not need these
 
@@ -105,7 +105,7 @@ def _connect(place: Path, mode: str, *, is_damaged: bool) -> "sqlite3.Connection
 
 
 def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
-    """Make SQLite merge the files beside a copy into it, without reading a table.
+    """Make SQLite merge the files next to a copy into this copy, without reading a table.
 
     Raises:
         DamageError: If the result is larger than all its source files together.
@@ -164,7 +164,7 @@ _TOPIC_NOTES: Final = {
     "offered_qos_profiles": "offered_qos_profiles",
     "type_description_hash": "topic_type_hash",
 }
-"""Columns of some rosbag2 versions only, and their names in an MCAP channel."""
+"""Columns that only some rosbag2 versions have, and their names in an MCAP channel."""
 
 _ROW_NUMBERS: Final = ("rowid", "_rowid_", "oid")
 

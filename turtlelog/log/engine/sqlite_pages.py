@@ -2,7 +2,8 @@
 
 A row claims its length and the pages of the part that does not fit into its own page. In a valid
 file each page belongs to one tree, and rows have no more bytes than the file. In other files rows
-may share pages: SQLite would copy a megabyte thousands of times if thousands of rows refer to it.
+may share pages: if thousands of rows refer to the same megabyte, SQLite would copy it thousands of
+times.
 
 The format is described at https://www.sqlite.org/fileformat2.html. Numbers are read as SQLite reads
 them, so that every row is counted: offsets in a page wrap around, lengths have 32 bits.
@@ -38,14 +39,15 @@ _DEEPEST: Final = 20  # levels; SQLite reads no deeper tree
 _READ_BYTES: Final = 2**20
 
 MOST_DEFINED: Final = 2**16
-"""Largest size of table definitions [bytes]; a bag has 2,000. SQLite stores 100 times as many."""
+"""Largest size of table definitions [bytes]. A bag has 2,000; SQLite stores 100 times as many."""
 
 _MOST_TABLES: Final = 2**10
 _DAMAGED_SHARE: Final = 64
-"""Rows of the file's size that a recovery accepts: a damaged row may claim any length."""
+"""Total size of rows that a recovery accepts, as a multiple of the file's size; a damaged row may
+claim any length."""
 
 _INTEGERS: Final = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
-"""Size of a whole number in a row, by its kind [bytes]; NULL, 0 and 1 take none."""
+"""Size of a whole number in a row, by its kind [bytes]; NULL, 0 and 1 take no space."""
 
 _ONE: Final = 9
 _REAL: Final = 8  # bytes
@@ -57,8 +59,8 @@ def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
     Args:
         path: Path of the file, without files beside it that change it.
         page_size: Size of a page [bytes].
-        is_damaged: Whether to skip invalid pages and some rows that claim too much. The definitions
-            of tables must be valid in any case.
+        is_damaged: Whether to skip invalid pages, and rows that claim too much. The definitions of
+            tables must be valid in any case.
 
     Raises:
         LogError: If pages belong to two trees, or rows claim more bytes than exist.
@@ -78,7 +80,7 @@ def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Some pages of a tree: their bytes one after another, and the offset of each page's header."""
+    """Several pages of a tree: their bytes one after another, and the offset of each header."""
 
     data: NDArray[np.uint8]
     heads: NDArray[np.int64]
@@ -124,7 +126,7 @@ class _Pages:
 
     Attributes:
         most_bytes: Largest total size of all rows [bytes].
-        is_damaged: Whether duplicate pages are skipped.
+        is_damaged: Whether pages that occur twice are skipped.
     """
 
     def __init__(self, stream: BinaryIO, page_size: int, usable: int) -> None:
@@ -180,7 +182,7 @@ class _Pages:
         return more if more <= self._usable - 35 else least
 
     def count_tree(self, root: int) -> None:
-        """Add the bytes that the rows of a tree claim.
+        """Add the number of bytes that the rows of a tree claim.
 
         Raises:
             LogError: If the rows claim too much.
@@ -208,7 +210,7 @@ class _Pages:
             level = np.concatenate(below)
 
     def _visit(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return pages in order; SQLite reports missing pages itself."""
+        """Return pages in order. SQLite itself reports missing pages."""
         numbers = np.sort(numbers[(numbers > 0) & (numbers <= self._count)])
         is_again = self._seen[numbers]
         is_again[1:] |= numbers[1:] == numbers[:-1]

@@ -1,7 +1,7 @@
 """Reading of requested messages from a SQLite bag, block by block as from an MCAP file.
 
-The blobs of a batch are joined, with space for the header of an MCAP message record before each.
-All headers are written at once; after that, decoding is the same as for MCAP files.
+The blobs of a batch are joined, with space for the header of an MCAP message record before each
+blob. All headers are written at once. After that, decoding is the same as for MCAP files.
 
 A recording cannot run code: only tables are read, never views, and no function of the schema is
 called. Reading a file whose pages form a loop stops after a limited number of steps.
@@ -36,7 +36,8 @@ _MOST_ROWS: Final = 2**9
 _BLOCK_BYTES: Final = 2**22
 
 _ROW_BYTES: Final = 4
-"""Smallest size of a row beside its blob in the limit [bytes]; real rows have about 12."""
+"""Smallest size of a row in addition to its blob, for the limit [bytes]; real rows have about
+12."""
 
 _STEPS: Final = 100_000  # steps of SQLite's virtual machine between two checks of their number
 _BASE_STEPS: Final = 20_000_000
@@ -87,7 +88,7 @@ class SqliteSource:
     Attributes:
         catalogue: Catalogue with topics as channels and types as schemas.
         is_indexed: Always True: the catalogue is complete before the first message is read.
-        statistics: Always None; `count_messages` counts messages.
+        statistics: Always None. `count_messages` counts messages instead.
         size: Size of the file [bytes].
         row_number: Name of the row number in the table `messages`.
     """
@@ -112,7 +113,7 @@ class SqliteSource:
         self.row_number = tables["messages"].row_number
 
     def execute(self, query: str, *values: object) -> "sqlite3.Cursor":
-        """Run a query; the number of steps is limited in proportion to the file's size."""
+        """Run a query. The number of steps is limited in proportion to the file's size."""
         self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self.size
         return self._connection.execute(query, values)
 
@@ -194,7 +195,7 @@ class SqliteSource:
             yield self.build_block(rows, first)
 
     def build_block(self, rows: SqliteRows, first: int) -> Block:
-        """Return rows as a block; `first` is the number of the first row, counted from 1.
+        """Return rows as a block; `first` is the number of the first row, from 1.
 
         Raises:
             DamageError: If a row has no topic, or a time below 0.
@@ -271,7 +272,7 @@ def open_sqlite(
         is_damaged: Whether to read a truncated file as far as possible.
 
     Raises:
-        LogError: One clause, if the file cannot be read or is not a bag.
+        LogError: If the file cannot be read or is not a bag; the message is one clause.
     """
     with open_connection(path, is_damaged=is_damaged) as (connection, size):
         yield SqliteSource(connection, size, stored_size)
@@ -286,7 +287,7 @@ def _name_kind(value: object) -> str:
 def _authorize(
     action: int, _: str | None, second: str | None, __: str | None, inside: str | None
 ) -> int:
-    """Allow reading and counting tables; deny everything within a view or trigger."""
+    """Allow reading and counting tables, and deny everything within a view or trigger."""
     import sqlite3
 
     is_reading = action in {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}

@@ -1,6 +1,7 @@
 """Checking of a file's ends and checksums, and parsing of its summary.
 
-The mcap library checks chunks and the data section, but never the summary.
+This module is needed because the mcap library checks chunks and the data section, but not the
+summary.
 """
 
 import io
@@ -43,7 +44,7 @@ _KINDS: Final[Mapping[int, str]] = {
     Opcode.METADATA: NOTES,
     Opcode.ATTACHMENT: NOTES,
 }
-"""Limit that a record of the summary, or one outside chunks, counts against."""
+"""Limit that a record in the summary, or outside chunks, counts against."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +53,8 @@ class Ends:
 
     Attributes:
         data_end: Offset of the record that ends the data section [bytes].
-        data_crc: Checksum of all bytes before it, 0 if there is none.
-        summary_start: Offset of the summary section [bytes]; the footer's if it is empty.
+        data_crc: Checksum of all bytes before this record; 0 without a checksum.
+        summary_start: Offset of the summary section [bytes]; of the footer if the summary is empty.
         summary: Records of the summary, including summary offsets.
     """
 
@@ -71,9 +72,9 @@ class FileSummary:
         schemas: Schemas in order.
         channels: Channels in order.
         chunks: Chunks in the order of the file.
-        statistics: Statistics record; None if there is none.
-        named: Opcode and name of each metadata record and attachment, by its offset in the file.
-        described: Schemas and channels by their bytes from the opcode on; chunks repeat them.
+        statistics: Statistics record; None if the file has none.
+        named: Opcode and name of each metadata record and attachment, by offset in the file.
+        described: Schemas and channels by their bytes, including the opcode; chunks repeat them.
     """
 
     schemas: tuple[Schema, ...]
@@ -111,7 +112,7 @@ def read_summary(stream: BinaryIO) -> tuple[int, bytes]:
 
 
 def check_data(stream: BinaryIO, ends: Ends) -> None:
-    """Check the checksum of the data section; takes one pass over the file.
+    """Check the checksum of the data section, in one pass over the file.
 
     Raises:
         DamageError: If the bytes differ from those that were written.
@@ -125,7 +126,7 @@ def check_data(stream: BinaryIO, ends: Ends) -> None:
 
 
 def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
-    """Return the offsets of the footer and the summary, and the checksum of both; 0 without one.
+    """Return the offsets of footer and summary, and the summary's checksum; 0 without a checksum.
 
     An empty summary starts at the footer.
     """
@@ -177,7 +178,7 @@ def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
     """Return the contents of the summary section; `byte` is its offset in the file.
 
     Raises:
-        DamageError: If a record in it is invalid, or there are too many.
+        DamageError: If a record in the summary is invalid, or there are too many records.
     """
     chunks: list[ChunkEntry] = []
     statistics, named = None, dict[int, tuple[int, str]]()
@@ -220,8 +221,8 @@ def find_lone_records(
 ) -> tuple[Place, ...] | None:
     """Return the records between the chunks; None if the index is incomplete.
 
-    The index is complete if there is no message and no further chunk between its chunks, and every
-    chunk has message indexes with known channels and schemas.
+    The index is complete under two conditions. There is no message and no further chunk between its
+    chunks. Every chunk has message indexes with known channels and schemas.
     """
     schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without a schema
     known = {channel.id for channel in summary.channels if channel.schema_id in schemas}
@@ -290,7 +291,7 @@ def _parse_entry(data: bytes, place: Place, byte: int) -> ChunkEntry:
 
 
 def salvage_summary(stream: BinaryIO) -> FileSummary | None:
-    """Return the summary, the last record of each id; None if its end or its checksum is wrong."""
+    """Return the last record of each id in the summary; None if its end or checksum is wrong."""
     try:
         start, data = read_summary(stream)
         summary = parse_summary(data, start, Allowance(measure_stored(stream)))

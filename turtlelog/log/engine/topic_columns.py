@@ -40,7 +40,7 @@ _TIMES: Final = ("log_time_ns", "publish_time_ns", "sequence")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TopicColumns(Tabular):
-    """The messages of one topic, as columns in order of log time; equal times as in the file.
+    """The messages of one topic as columns, in order of log time, and at equal times of the file.
 
     Attributes:
         topic: Name of the topic.
@@ -101,14 +101,14 @@ def read_columns(
 
     Args:
         path: The file.
-        topics: Names of topics; None: all that can be decoded. `read_info` lists the others.
+        topics: Names of topics. Default: all that can be decoded; `read_info` lists the others.
         start_ns: Start of the log time [ns], inclusive.
         end_ns: End of the log time [ns], exclusive.
 
     Raises:
-        LogError: One line with the file and the place, if the file cannot be read, is neither MCAP
-            nor SQLite, is unfinished or damaged, or a requested topic is missing or cannot be
-            decoded.
+        LogError: If the file cannot be read, is neither MCAP nor SQLite, is unfinished or damaged,
+            or a requested topic is missing or cannot be decoded. One line with the file and the
+            place.
     """
     with open_source(path) as source:
         return collect_columns(source, _select_topics(topics, start_ns, end_ns))
@@ -143,9 +143,9 @@ def iter_columns(
 ) -> Iterator[Mapping[str, TopicColumns]]:
     """Yield the messages of an MCAP or SQLite file as columns, in batches with bounded memory.
 
-    Batches have the order of the file, and each is sorted by log time: if the times of chunks
+    Batches have the order of the file, and each batch is sorted by log time. If the times of chunks
     overlap, those of batches overlap too. A batch contains up to about `rows` messages per topic,
-    fewer if messages are large, and only topics with messages. Arguments and errors are those of
+    or fewer if messages are large, and only topics with messages. Arguments and errors are those of
     `read_columns`.
     """
     if not isinstance(rows, Integral) or rows < 1:
@@ -180,7 +180,7 @@ def collect_parts(
     selection: Selection,
     look: Callable[[Piece], object] = lambda _: None,
 ) -> dict[str, list[Rows]]:
-    """Return the rows of topics with messages, in parts; `look` is called with every piece."""
+    """Return the rows of topics with messages, in parts; `look` is called with each piece."""
     expected = count_rows(source, selection)
     wholes = _set_aside(source, selection, expected)
     stores: dict[str, _RowStore] = {}
@@ -270,7 +270,7 @@ def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> b
 
 
 class _RowStore:
-    """Rows of one topic, part by part; if their number is known, each row is copied only once."""
+    """Rows of one topic, part by part. If their number is known, each row is copied once."""
 
     def __init__(self, expected: int) -> None:
         self._expected, self._used = expected, 0
@@ -299,6 +299,6 @@ class _RowStore:
 
     @property
     def parts(self) -> list[Rows]:
-        """All rows; a single part if the expected number was right."""
+        """All rows, as a single part if the expected number was right."""
         whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]

@@ -49,13 +49,13 @@ class Section:
     """A segment of records without known damage.
 
     Attributes:
-        data: Records one after the other: opcode u8, length u64, body. All records of an unpacked
-            chunk, or records outside chunks in the data section (header, schemas, channels,
-            messages, metadata, one attachment, the end of the data).
+        data: Records one after the other: opcode u8, length u64, body. The records are all those of
+            an unpacked chunk, or records outside chunks in the data section: header, schemas,
+            channels, messages, metadata, one attachment, the end of the data.
         start: Offset in the file [bytes].
         is_chunk: Whether the segment is a chunk.
-        is_checked: Whether the checksum of the chunk or attachment is correct. For the end of the
-            data, whether the checksum of the whole data section is correct.
+        is_checked: Whether the checksum of the chunk or attachment is correct. For the record at
+            the end of the data: whether the checksum of the whole data section is correct.
     """
 
     data: bytes
@@ -71,7 +71,7 @@ class Loss:
     Attributes:
         start: Offset of the first byte in the file.
         end: Offset after the last byte; equal to `start` if bytes are missing there.
-        reason: One clause with the expectation and the finding.
+        reason: Expected and found content, in one clause.
     """
 
     start: int
@@ -82,11 +82,11 @@ class Loss:
 def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     """Yield the data section in the order of the file, and the segments that cannot be read.
 
-    Reading continues after damage: if a header is invalid, it continues at the next record that can
-    be confirmed. This is a chunk, a message index, or an attachment with its checksum; single
-    messages count only if earlier messages were outside chunks. A chunk that fails its checksum
-    counts as damaged as a whole. An unfinished file ends in damage. The summary is not read. Memory
-    is needed for one chunk at a time, packed and unpacked.
+    After an invalid header, reading continues at the next record that can be confirmed: a chunk, a
+    message index, or an attachment with its checksum. Single messages count only if earlier
+    messages were outside chunks. A chunk that fails its checksum counts as damaged as a whole. An
+    unfinished file ends in damage. The summary is not read. Memory is needed for one chunk at a
+    time, packed and unpacked.
     """
     window, damaged = FileWindow(stream), False
     for found in _walk_records(window):
@@ -101,8 +101,8 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
 def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None, int]]:
     """Yield complete records from `place`, the start of a record, and the place to continue.
 
-    For files that are being written, so it ends before the first incomplete record. After the end
-    of the data, the place to continue is the end of the file.
+    This function reads files that are being written, so it ends before the first incomplete record.
+    After the end of the data, the place to continue is the end of the file.
     """
     window = FileWindow(stream)
     while place < window.size:
@@ -155,10 +155,10 @@ def _is_attachment(section: Section) -> bool:
 def _read_record(
     window: FileWindow, place: int, kind: int
 ) -> tuple[list[Section | Loss], int | None]:
-    """Return the record at `place` and the place to continue, if there is one.
+    """Return the record at `place` and the place to continue, if any.
 
     Raises:
-        LogError: If there is no record that can be skipped; one clause.
+        LogError: If no record at `place` can be skipped; the message is one clause.
     """
     if place >= window.size:
         reason = "expected the end of the data, found that of the file: cut short, or not finished"

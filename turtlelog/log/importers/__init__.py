@@ -1,6 +1,6 @@
 """Import of third-party logs as runs, one module per layout.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

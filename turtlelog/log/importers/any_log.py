@@ -1,4 +1,4 @@
-"""Import of third-party logs and tables; name and content determine the layout."""
+"""Import of third-party logs and tables. The name and the content determine the layout."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -26,7 +26,7 @@ _IMPORTERS: Final[Mapping[str, Callable[[str, Path], PaperLog]]] = MappingProxyT
 
 
 def import_other(path: Path, columns: Mapping[str, str]) -> Run:
-    """Return the run in a log of the paper, or otherwise in a plain table.
+    """Return the run in a log of the paper, or else in a plain table.
 
     Args:
         path: The file.
@@ -34,7 +34,7 @@ def import_other(path: Path, columns: Mapping[str, str]) -> Run:
             log.
 
     Raises:
-        LogError: One line with the file and the place, if it is neither or is invalid.
+        LogError: If the file is neither or is invalid; one line with the file and the place.
     """
     if path.suffix.lower() == ".json" or (not columns and is_papers(path)):
         return import_log(path)

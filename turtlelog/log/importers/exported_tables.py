@@ -46,7 +46,7 @@ _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
 _ROWS_AT_ONCE: Final = 4096
 _ROUNDED_RAD: Final = 2e-15
-"""Rounding of a heading by sine, cosine and arctangent [rad]: 4 float64 steps at pi."""
+"""Rounding error of a heading after sine, cosine and arctangent [rad]: 4 float64 steps at pi."""
 
 _MARKS: Final[Mapping[str, frozenset[str]]] = {
     "events": frozenset({"time_ns", "kind", "text"}),
@@ -57,16 +57,16 @@ _MARKS: Final[Mapping[str, frozenset[str]]] = {
 """Columns that identify the table in a file."""
 
 _CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandColumns}
-"""Classes of the tables with fixed columns; samples also have states of their law."""
+"""Classes of the tables with fixed columns. Samples also have states of their law."""
 
 
 def find_table(columns: Sequence[str]) -> str | None:
-    """Return which table of a run has these columns; None for other tables."""
+    """Return the name of the run's table with these columns; None for other tables."""
     return next((name for name, marks in _MARKS.items() if marks <= {*columns}), None)
 
 
 def list_table_files(folder: Path) -> tuple[Path, ...]:
-    """Return the table files by `turtlelog convert` in a folder; empty for other folders."""
+    """Return the table files from `turtlelog convert` in a folder; empty for other folders."""
     for suffix in TABLE_SUFFIXES:
         if (folder / f"poses{suffix}").is_file():
             files = (folder / f"{name}{suffix}" for name in TABLES)
@@ -75,7 +75,7 @@ def list_table_files(folder: Path) -> tuple[Path, ...]:
 
 
 def holds_tables(path: Path) -> bool:
-    """Return whether a folder or file contains tables by turtlelog, judged by the first line."""
+    """Return whether a folder or file contains tables by turtlelog, judging by the first line."""
     if path.is_dir():
         return bool(list_table_files(path))
     if path.suffix.lower() not in TABLE_SUFFIXES:
@@ -89,7 +89,7 @@ def holds_tables(path: Path) -> bool:
 def import_tables(path: str | Path) -> Run:
     """Return the run from exported CSV or Parquet tables: a folder, or the table of poses.
 
-    CSV lacks the scenario, the goal, the loops of the law and the stop reason.
+    CSV files do not contain the scenario, the goal, the loops of the law and the stop reason.
 
     Raises:
         LogError: If a table is invalid; one line with the file and the column.
@@ -116,8 +116,8 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
 
     Args:
         run: Run that was written.
-        written: Written files; tables among them are read here.
-        read: Run read back from a recording or a bag; None if tables were written.
+        written: Written files. This function reads the tables among them.
+        read: Run that was read back from a recording or a bag; None if tables were written.
 
     Raises:
         LogError: If rows differ; the message gives file, table and column.
@@ -134,7 +134,7 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
 def require_same_poses(path: Path, run: Run) -> None:
     """Raise an error if the written trajectory does not contain the poses of the run.
 
-    Headings are computed from quaternions.
+    The headings of the file are computed from its quaternions.
 
     Raises:
         LogError: If poses differ; the message gives file and column.
@@ -277,7 +277,7 @@ def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
 
 
 class _ParquetTable(Mapping[str, NDArray[Any]]):
-    """The columns of a Parquet file, read on demand and not cached."""
+    """The columns of a Parquet file, read on demand without a cache."""
 
     def __init__(self, path: Path, file: ParquetFile, names: Sequence[str]) -> None:
         self._path, self._file, self._names = path, file, names
@@ -300,7 +300,7 @@ class _ParquetTable(Mapping[str, NDArray[Any]]):
 
 
 def _list_known(table: str | None, columns: Sequence[str]) -> set[str]:
-    """Return the existing columns of a table that are to be read."""
+    """Return the existing columns of a table that will be read."""
     if table is None or table not in _CLASSES:
         return {*columns}
     names = _CLASSES[table].__dataclass_fields__

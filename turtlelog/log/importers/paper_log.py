@@ -29,7 +29,7 @@ _STATES: Final = MappingProxyType(
         "FINALIZADO": _PHASES[DONE],
     }
 )
-"""Phase number by the name of a state, which is that AFTER the callback."""
+"""Phase number by the name of a state, which is the state AFTER the callback."""
 
 _NUMBERS: Final = (
     *("time", "pos_x", "pos_y", "pos_theta", "target_angle_rad", "error_angle", "error_x"),
@@ -50,16 +50,16 @@ _NEVER_LOGGED: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PaperLog:
-    """A log as in its file; each value is checked alone.
+    """A log as in its file. Each value is checked alone.
 
     Attributes:
         name: Name of the run.
         source: Layout and name of the file.
         columns: Lists named in `_NUMBERS`, all of one length.
-        states: Phase after each callback, as long as the columns.
+        states: Phase after each callback, as many as rows.
         parameters: Known values of the scenario, by dotted key.
-        absent: Fields of this layout that the file lacks.
-        notes: As in `Run`.
+        absent: Fields of this layout that the file does not have.
+        notes: Notes, as in `Run`.
     """
 
     name: str
@@ -105,7 +105,7 @@ def _build_columns(
     """Return the numeric columns and the states; `places` are the names of lists in messages.
 
     Raises:
-        LogError: If there is no row, or a value is invalid.
+        LogError: If there are no rows, or a value is invalid.
     """
     if not lists["time"]:
         raise LogError(f"{places['time']}: no rows")
@@ -122,7 +122,7 @@ def _build_columns(
 def build_paper_run(log: PaperLog, *, sort: bool) -> Run:
     """Return the run in a log.
 
-    The log has no stop reason: a complete run gets the stop reason `finished`.
+    The log contains no stop reason, so a complete run gets `finished`.
 
     Raises:
         LogError: If the times do not increase.
@@ -185,7 +185,7 @@ def _build_samples(
 def _find_goal(
     parameters: Mapping[str, float], columns: Mapping[str, NDArray[np.float64]]
 ) -> tuple[float, float] | None:
-    """Return the given goal, or position plus error if it is the same in every row."""
+    """Return the given goal, or else position plus error if the sum is equal in every row."""
     if "goal.x_m" in parameters and "goal.y_m" in parameters:
         return parameters["goal.x_m"], parameters["goal.y_m"]
     goal = np.column_stack(
@@ -197,7 +197,7 @@ def _find_goal(
 def _sort_rows(
     columns: dict[str, NDArray[np.float64]], states: NDArray[np.int64]
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], dict[str, str]]:
-    """Drop duplicate rows, then sort by time; count both."""
+    """Drop duplicate rows, sort the others by time, and count both changes."""
     rows = zip(*(columns[name].tolist() for name in _NUMBERS), states.tolist(), strict=True)
     firsts = np.array(sorted({row: i for i, row in reversed(list(enumerate(rows)))}.values()))
     time = columns["time"][firsts]
@@ -246,7 +246,8 @@ _PARAMETERS: Final = MappingProxyType(
 _PLACES: Final = MappingProxyType({name: f"data.{name}" for name in (*_NUMBERS, "state")})
 
 _MOST_SIGNS: Final = 2**17
-"""Largest number of lists, objects and keys of a JSON text: thousands of times those of a log."""
+"""Largest number of lists, objects and keys of a JSON text: thousands of times the number in a
+log."""
 
 _HEADINGS: Final = MappingProxyType(
     {name: name for name in (*_NUMBERS, "state")} | {"error_angle": "error_angle_rad"}
@@ -390,7 +391,7 @@ def _iterate_rows(text: str) -> Iterator[list[str]]:
 
 
 def _parse(value: str) -> object:
-    """Return a number, or the text if it is not a number; the later check reports its place."""
+    """Return a number, or the text if it is not a number; a later check reports its place."""
     try:
         return float(value)
     except ValueError:

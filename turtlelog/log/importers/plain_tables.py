@@ -37,8 +37,8 @@ def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = Non
     """Return the run in a table with a header, or in a TUM trajectory.
 
     Column names or `columns` determine quantities and units; the note `columns` lists the result.
-    Rows are sorted by time and duplicate rows dropped; if several poses have the same time, the
-    later ones are moved by 1 ns each. The notes give the counts.
+    Rows are sorted by time, and duplicate rows are dropped. If several poses have the same time,
+    the later poses are moved by 1 ns each. The notes give the counts.
 
     Args:
         path: Text file with commas, semicolons, tabs or blanks between cells, or a Parquet file.
@@ -129,7 +129,7 @@ def _build_run(path: Path, cells: Cells) -> Run:
 
 
 def _read_rotation(cells: Cells) -> dict[str, Values]:
-    """Return headings, and the tilt if rotations are quaternions."""
+    """Return headings, and the tilt if the rotations are quaternions."""
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
@@ -162,7 +162,7 @@ def _order_rows(
 
 
 def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColumns:
-    """Return a command for each row that has one; missing columns are 0."""
+    """Return a command for each row that contains one; missing columns count as 0."""
     zeros = np.zeros(len(time_ns))
     found = [values.get(name, zeros) for name in ("command_speed", "command_turn_rate")]
     has = np.isfinite(found).all(axis=0)

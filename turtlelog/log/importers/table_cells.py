@@ -18,15 +18,15 @@ Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _LONGEST_STEP_S: Final = 1000.0
-"""Largest usual step between rows that is read as seconds if the unit is unknown: nobody records a
-drive every quarter of an hour."""
+"""Largest usual step between rows that is read as seconds if the unit is unknown [s]: nobody
+records a drive every quarter of an hour."""
 
 _WRAPS_DEG: Final = (330.0, 361.0)
-"""Steps of a wrapped heading that show degrees if the unit is unknown: a turn, less up to 30 deg of
-rotation between two rows. In radians these steps would be 52 turns and more."""
+"""Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
+deg of rotation between two rows. In radians, these steps would be at least 52 turns."""
 
 _EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
-"""Smallest time since 1970 in each unit; the ranges last from 2001 to 2286."""
+"""Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
 
 _POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 _LATEST_NS: Final = 2**62
@@ -64,7 +64,7 @@ class Cells:
         return numbers * choice.units[choice.unit or self._assume_unit(choice, numbers)]
 
     def require(self, field: str) -> Values:
-        """Return the numbers of a column that is there."""
+        """Return the numbers of an existing column."""
         values = self.read(field)
         assert values is not None
         return values

@@ -41,7 +41,7 @@ UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = MappingProxyType(
         "number": {"1": 1.0},
     }
 )
-"""Units by quantity, the standard unit first, each as a multiple of the standard unit."""
+"""Units by quantity, the standard unit first, each with its factor to the standard unit."""
 
 _SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -92,7 +92,7 @@ _NAMES: Final[Mapping[str, str]] = MappingProxyType(
 
 _COMMANDS: Final = frozenset({"cmd", "command", "commanded", "commands"})
 _OTHERS: Final = frozenset({"measured", "meas", "actual", "odom", "field", "robot", "data"})
-"""Words in column names that only mean that a robot measured the values."""
+"""Words in column names that only indicate that a robot measured the values."""
 
 _WANTED: Final = frozenset(
     {
@@ -100,7 +100,7 @@ _WANTED: Final = frozenset(
         *("error", "err", "cov", "covariance", "std", "var", "sigma"),
     }
 )
-"""Words in names of columns that do not contain the robot's position or motion."""
+"""Words in names of columns without the robot's position or motion."""
 
 
 _LONGEST_NAME: Final = 512
@@ -171,7 +171,7 @@ def _fill_unit(choice: Choice, unit: str | None) -> Choice:
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
-    """Return the column named by the user, with the user's unit or that of its name."""
+    """Return the column named by the user, with the user's unit or the unit in its name."""
     for name, unit in _list_readings(field, text):
         matches = [place for place, known in enumerate(names) if known.strip() == name]
         if len(matches) > 1:
@@ -184,7 +184,7 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
 
 
 def _list_readings(field: str, text: str) -> list[tuple[str, str | None]]:
-    """Return the possible names and units in a text: `psi [deg]` is a name, or psi in deg."""
+    """Return the possible names and units in a text: `psi [deg]` is a name, or `psi` in deg."""
     readings: list[tuple[str, str | None]] = [(text.strip(), None)]
     match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
     if match is not None:
@@ -258,7 +258,7 @@ def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, 
     Args:
         field: Quantity of the column, certain or assumed.
         name: Name of the column.
-        is_asked: Whether the user named this column; otherwise the words before the unit must name
+        is_asked: Whether the user named this column. Otherwise the words before the unit must name
             the quantity.
     """
     text = name.strip().lower()

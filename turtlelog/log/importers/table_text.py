@@ -28,20 +28,21 @@ KITTI_COLUMNS: Final = (
 )
 """Columns of a KITTI trajectory, which has neither header nor times.
 
-They are the first three rows, one after another, of the matrix from the robot's frame to the
-world's."""
+The columns contain the first three rows, one after another, of the matrix from the robot's frame to
+the world frame."""
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
 _LONGEST_HEAD: Final = 64 * 1024
-"""Longest first line, or comments above it, with column names [bytes]: 250 states with names of 60
-letters, and the other columns, fit."""
+"""Longest first line with column names, or longest comments above it [bytes]: 250 states with names
+of 60 letters, and the other columns, fit."""
 
 MOST_COLUMNS: Final = 10_000
 """Largest number of columns: turtlelog's tables have 30, those of robot models hundreds. Names are
 searched once for each quantity, which takes 1 s."""
 
 _MOST_KNOWN: Final = 2**14
-"""Number of cell texts that are stored only once: all numbers of three digits with a point."""
+"""Number of cell texts that are stored only once: all numbers of three digits with a decimal
+point."""
 
 _BLANK: Final = " "
 """Delimiter that means any number of spaces and tabs."""
@@ -51,13 +52,13 @@ class TableColumns(Protocol):
     """Reader of the columns of a table.
 
     Attributes:
-        lines: Number of each row in its file, from 1; known after the first read.
+        lines: Number of each row in its file, from 1; known after the first reading.
     """
 
     lines: Sequence[int]
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of the columns with these indices."""
+        """Return the cells of the columns with the given indices."""
         ...
 
 
@@ -67,9 +68,9 @@ class PlainTable:
 
     Attributes:
         names: Column names in the header.
-        columns: Reader of the cells, from the first row on: texts, or numbers of Parquet.
+        columns: Reader of the cells, from the first row on. Cells are texts, or numbers of Parquet.
         word: Word for the number of a row: `line` or `row`.
-        has_header: Whether the file names its columns; trajectories of TUM and KITTI do not.
+        has_header: Whether the file names its columns. Trajectories of TUM and KITTI have no names.
         units: Known units of columns: times of Parquet are in ns, those of TUM in s.
     """
 
@@ -137,7 +138,7 @@ def require_few_columns(columns: int) -> None:
     """Refuse a table with too many columns.
 
     Raises:
-        LogError: If there are too many; one clause.
+        LogError: If there are too many columns; the message is one clause.
     """
     if columns > MOST_COLUMNS:
         raise LogError(
@@ -188,7 +189,7 @@ class _TextColumns:
     """The columns of a table of text.
 
     Attributes:
-        lines: Line number of each row; known after the first read.
+        lines: Line number of each row; known after the first reading.
     """
 
     def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
@@ -332,7 +333,7 @@ class _StoredColumns:
 
 
 def _unpack(column: Any) -> Sequence[Any]:
-    """Return the cells of a column: numbers, times in ns, otherwise texts; null is empty."""
+    """Return the cells of a column: numbers, times in ns, or else texts; null becomes empty."""
     if not str(column.type).startswith(("dictionary", "string", "large_string")):
         values = column.to_numpy()
         if values.dtype.kind == "M":

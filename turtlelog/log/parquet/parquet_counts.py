@@ -1,7 +1,8 @@
-"""Checks of a Parquet file's footer and pages before Arrow allocates memory.
+"""Checks of a Parquet file's footer and page headers before Arrow allocates memory.
 
-Both are structs in Thrift's compact protocol. A footer of 900 kB can name 300,000 columns, which
-take 210 MB in Arrow. A page of 100 bytes can unpack to gigabytes, whatever the footer says.
+Footer and page headers are structs in Thrift's compact protocol. A footer of 900 kB can name
+300,000 columns, which take 210 MB in Arrow. A page of 100 bytes can unpack to gigabytes, whatever
+the footer claims.
 """
 
 from collections.abc import Iterator, Mapping
@@ -52,8 +53,8 @@ class ChunkClaim:
 
     Attributes:
         values: Number of values.
-        start: Offset of its first page in the file [bytes].
-        size: Size of its pages with their headers [bytes].
+        start: Offset of the column's first page in the file [bytes].
+        size: Size of the column's pages with their headers [bytes].
     """
 
     values: int
@@ -101,7 +102,7 @@ def read_footer_claims(
     Args:
         stream: The file.
         most_bytes: Largest size of the footer [bytes].
-        most_parts: Largest number of columns, groups and other structs in it.
+        most_parts: Largest number of columns, groups and other structs in the footer.
         advice: End of the error line if the footer is larger.
 
     Raises:

@@ -1,6 +1,6 @@
 """Reading of Parquet files as Arrow tables, checked before reading, without threads.
 
-By default pyarrow reads a Python stream in threads of its own. Such a thread may outlive the
+By default pyarrow reads a Python stream in threads of its own. Such a thread may continue after the
 answer, and then ends the process with SIGABRT when Python exits.
 """
 
@@ -31,25 +31,26 @@ _CELLS_A_ROW: Final = 16
 """Number columns that are read at once with the most rows; fewer rows allow more columns."""
 
 _TEXT_BYTES: Final = (24 * 2**20, 2)
-"""Bytes of texts that are read at once, and further bytes per byte of the file (dictionaries)."""
+"""Bytes of texts that are read at once, plus bytes per byte of the file (for dictionaries)."""
 
 _PAGES: Final = (10_000, 1 / 1000)
-"""Number of pages, and further pages per byte of the file.
+"""Number of pages, plus pages per byte of the file.
 
-Writers put 20,000 values or 1 MB into a page. Reading its header takes 30 us."""
+Writers put 20,000 values or 1 MB into a page. Reading the header of a page takes 30 us."""
 
 _PAGE_BYTES: Final = (2**16, 16)
-"""Bytes of a page of numbers, and further bytes per row; the longest numbers have 16."""
+"""Bytes of a page of numbers, plus bytes per row; the longest numbers have 16."""
 
 _FOOTER_BYTES: Final = (2**21, 1 / 16)
 _FOOTER_PARTS: Final = (2**16, 1 / 128)
-"""Bytes and structs of the footer, and further ones per byte of the file. Each column of each row
-group takes 740 bytes in Arrow, and 100 or more in a file by other programs."""
+"""Bytes and structs of the footer, plus those per byte of the file. Each column of each row group
+takes 740 bytes in Arrow, and at least 100 in a file by other programs."""
 
 _REMOTE_FOOTER_BYTES: Final = 2**23
-"""Largest footer behind a URL [bytes], where the server may claim any file size.
+"""Largest footer behind a URL, where the server may claim any file size [bytes].
 
-Reading, copying and decoding the footer takes up to 80 MB."""
+Reading, copying and decoding the footer takes up to 80 MB.
+"""
 _REMOTE_FOOTER_PARTS: Final = 2**17
 """Largest number of structs in a footer behind a URL; they take up to 100 MB in Arrow."""
 
@@ -80,7 +81,7 @@ def describe_rows(found: str, most: int, size: int) -> str:
 
 
 class ParquetFile:
-    """A Parquet file. It is open only during reads, so it may be replaced meanwhile.
+    """A Parquet file. The file is open only during reads and may be replaced between reads.
 
     Attributes:
         metadata: Arrow's metadata of the footer.
@@ -94,8 +95,8 @@ class ParquetFile:
         """Read the footer.
 
         Raises:
-            LogError: If the file is not Parquet, or exceeds limits; the message lacks the file's
-                name.
+            LogError: If the file is not Parquet, or exceeds limits. The message does not contain
+                the file's name.
             LibraryError: If pyarrow is not installed.
         """
         self._path = make_path(path)
@@ -139,11 +140,12 @@ class ParquetFile:
         """Return columns as an Arrow table; texts are dictionary-encoded.
 
         Args:
-            names: Names of columns, with dots for columns within structs; None: all.
-            group: Index of a row group; None: all.
+            names: Names of columns, with dots for columns within structs. Default: all.
+            group: Index of a row group. Default: all.
 
         Raises:
-            LogError: If the columns need too much memory; the message lacks the file's name.
+            LogError: If the columns need too much memory. The message does not contain the file's
+                name.
         """
         places = [place for place in range(len(self.leaves)) if self._is_asked(place, names)]
         groups = range(len(self.group_rows)) if group is None else [group]
@@ -163,7 +165,8 @@ class ParquetFile:
         A long table behind a URL is fetched completely before its number of rows is trusted.
 
         Raises:
-            LogError: With the number of rows, the limit and advice, without the file's name.
+            LogError: If there are too many rows. The message contains the number of rows, the limit
+                and advice, but not the file's name.
         """
         most = count_most_rows(self._size)
         if self.row_count > most:
@@ -177,10 +180,10 @@ class ParquetFile:
 
         Args:
             columns: Number of columns to read.
-            rows: Number of rows of each column; None: all.
+            rows: Number of rows of each column. Default: all.
 
         Raises:
-            LogError: If there are more cells; the message lacks the file's name.
+            LogError: If there are more cells. The message does not contain the file's name.
         """
         rows = self.row_count if rows is None else rows
         most = _CELLS_A_ROW * max(MOST_ROWS, self._believed // _ROW_BYTES)

@@ -61,9 +61,9 @@ class Contents:
     Attributes:
         head: Metadata of the recording.
         attachments: Attached bytes by name.
-        topics: Columns of every expected topic by name, empty without messages; declaration and
+        topics: Columns of every expected topic by name, empty without messages. Declaration and
             effects determine the topics. In a complete file, fields that no run needs are omitted,
-            and log times stand for publish times.
+            and log times replace publish times.
         damages: Segments that could not be read; empty if the file is complete.
         recovered: Note on earlier losses, if the file was recovered.
     """
@@ -84,7 +84,7 @@ class PartialRecordingWarning(UserWarning):
 
 
 def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
-    """Return the contents of a recording; all available checksums are checked.
+    """Return the contents of a recording, after checking all available checksums.
 
     Args:
         stream: The file.
@@ -92,8 +92,8 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
 
     Raises:
         LogError: If the file is not MCAP, or a topic of turtlelog has another type.
-        ForeignFileError: If it is a third-party file.
-        DamageError: If it is unfinished or damaged.
+        ForeignFileError: If the file is a third-party file.
+        DamageError: If the file is unfinished or damaged.
     """
     source = Source(stream)
     try:
@@ -194,7 +194,7 @@ def build_contents(
 
 
 def _list_topics(head: Head, parts: Mapping[str, list[Rows]]) -> tuple[Topic, ...]:
-    """Return the expected topics; for an unfinished recording, its topics show its effects."""
+    """Return the expected topics. For an unfinished recording, its topics show its effects."""
     has_sensing, has_shaping, has_measured = (
         topic.name in head.more_topics or topic.name in parts
         for topic in (SENSED, SHAPED, MEASURED)
@@ -208,7 +208,10 @@ def _list_topics(head: Head, parts: Mapping[str, list[Rows]]) -> tuple[Topic, ..
 
 
 def _find_head(records: Collection[Any]) -> Head:
-    """Return the last metadata record: at the end, a live recording adds its stop reason."""
+    """Return the last metadata record.
+
+    A live recording adds a record with its stop reason at the end.
+    """
     heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
     if not heads:
         raise ForeignFileError(f"not a recording of turtlelog: it has no metadata record {HEAD}")
@@ -279,7 +282,7 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
 
 
 _MORE_OF_SAMPLES: Final = {SENSED.name: "sensed pose", SHAPED.name: "shaped command"}
-"""Other messages of each sample in runs with these topics."""
+"""Other messages of each sample, in runs with these topics."""
 
 
 def _reconcile_sensed(
@@ -310,7 +313,7 @@ def _reconcile_sensed(
 def _take_described(
     samples: TopicColumns, topics: dict[str, TopicColumns], declaration: Declaration
 ) -> TopicColumns:
-    """Return the complete samples, and drop all rows of the others."""
+    """Return the complete samples, and drop all rows of the other samples."""
     if declaration.states:
         samples = samples.select(np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
     if declaration.has_reference:

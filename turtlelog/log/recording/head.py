@@ -29,7 +29,7 @@ HEAD: Final = "turtlelog"
 """Name of the metadata record."""
 
 CHECKSUM: Final = "checksum"
-"""Entry with the crc32 of all other entries, as JSON sorted by name, in hexadecimal."""
+"""Name of the entry with the crc32 of all other entries, as JSON sorted by name, in hexadecimal."""
 
 _FORMAT_VERSION: Final = 2
 SCENARIO_FILE: Final = "scenario.toml"
@@ -39,11 +39,12 @@ _PARAMETER_FILE: Final = "parameters.toml"
 """Attachment with the known values of a scenario."""
 
 _USUAL: Final = 2**13
-"""Largest attachment whose tables are cached [bytes]: 32 of them take at most about 25 MB."""
+"""Largest attachment whose tables are cached [bytes]; 32 such attachments take at most about 25
+MB."""
 
 _LONGEST: Final = 2**18
 """Largest size of the record, and of an attachment, that is read [bytes]; turtlelog writes a few
-thousand. Parsing TOML takes some hundred bytes of memory per byte."""
+thousand. Parsing TOML takes several hundred bytes of memory per byte."""
 
 MAY_BE_ABSENT: Final = (
     *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "bearing_rad", "heading_error_rad"),
@@ -54,9 +55,10 @@ MAY_BE_ABSENT: Final = (
 _REFERENCE: Final = ("reference_xy_m", "reference_heading_rad")
 
 _LONGEST_DECLARATION: Final = _LONGEST // 2
-"""Largest declaration as JSON [bytes]; the record has other entries, too.
+"""Largest declaration as JSON [bytes]; the record has other entries too.
 
-250 names of 60 letters take 16 KiB."""
+250 names of 60 letters take 16 KiB.
+"""
 
 _OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "translate", "done"), ()))
 """Declaration of another law in format 1: the phases that every law had then."""
@@ -68,18 +70,18 @@ class Head:
 
     Attributes:
         format_version: Format version of the recording.
-        source: As in `Run`.
-        name: As in `Run`.
-        stop_reason: As in `Run`.
-        goal_heading_rad: As in `Run`, because a quaternion does not give the exact heading.
-        absent: As in `Run`.
+        source: Source, as in `Run`.
+        name: Name, as in `Run`.
+        stop_reason: Stop reason, as in `Run`.
+        goal_heading_rad: Goal heading, as in `Run`; a quaternion does not give the exact heading.
+        absent: Missing fields, as in `Run`.
         nan_columns: Columns of the run that are None, and NaN in the messages.
-        more_topics: Optional topics of this recording, even without a message: all sensed poses may
+        more_topics: Optional topics of this recording, even without messages: all sensed poses may
             drop out.
-        declaration: As in `Run`; None in format 1.
-        notes: As in `Run`.
-        clock: As in `Run`.
-        simulated_by: As in `Run`.
+        declaration: Declaration, as in `Run`; None in format 1.
+        notes: Notes, as in `Run`.
+        clock: Clock, as in `Run`.
+        simulated_by: Software, as in `Run`.
     """
 
     format_version: int
@@ -142,7 +144,7 @@ def describe_scenario(
 
 
 def format_head(head: Head) -> dict[str, str]:
-    """Return the metadata record; entries that are None are omitted.
+    """Return the metadata record. Entries that are None are omitted.
 
     Raises:
         LogError: If the declaration is longer than readers accept.
@@ -213,11 +215,11 @@ def parse_head(record: Mapping[str, str]) -> Head:
 
 
 _COLUMNS: Final = ("poses", "commands", "samples", "goal_xy_m", "parameters")
-"""Columns of every recording, unless its metadata lists them as absent; events are unknown."""
+"""Columns of every recording, unless its metadata lists them as absent. Events may be missing."""
 
 
 def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
-    """Return the absent fields of an incomplete file: those in its metadata and lost fields.
+    """Return the absent fields of an incomplete file: fields in its metadata, and lost fields.
 
     Args:
         head: Metadata of the recording.
@@ -242,7 +244,7 @@ def format_scenario_file(run: "Run") -> dict[str, bytes]:
 
 
 def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
-    """Return the attached tables, and whether they are a complete scenario; no law is loaded.
+    """Return the attached tables, and whether they are a complete scenario. No law is loaded.
 
     Raises:
         LogError: If the attachment is not TOML.
@@ -263,7 +265,7 @@ def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
 
 
 def _recall_tables(name: str, text: bytes) -> dict[str, Any]:
-    """Return the tables of a text, parsed only once: files of one experiment share them."""
+    """Return the tables of a text from a cache: files of one experiment share their tables."""
     tables: dict[str, Any] = copy_tables(_keep_tables(name, text))
     return tables
 
@@ -339,7 +341,7 @@ def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
 
 
 def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
-    """Return the known declaration of a law in format 1, which stores no declaration.
+    """Return the declaration of a law in format 1, which stores no declaration.
 
     Args:
         tables: Attached tables; missing values have their defaults, so an imported log has the
@@ -369,7 +371,7 @@ _NO_MESSAGE: Final = "no message is lost"
 
 _SUMMARY_ALONE: Final = "no data is lost, only the summary is damaged"
 NO_LOSS: Final = (_SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
-"""Beginnings of notes on files that lost only their summary; the text after a semicolon is another
+"""Beginnings of notes on files that lost only their summary. Text after a semicolon is another
 loss."""
 
 
@@ -386,7 +388,7 @@ def describe_damages(damages: Sequence[Loss]) -> str:
 def format_recovery(
     lost: Sequence[Loss], missing: Mapping[str, int] | None, unchecked: Mapping[str, int]
 ) -> dict[str, str]:
-    """Return the metadata record with each entry as JSON and a checksum of all."""
+    """Return the metadata record, with each entry as JSON and a checksum of all entries."""
     entries = {"lost": lost, "missing": missing, "unchecked": unchecked}
     record = {name: msgspec.json.encode(value).decode() for name, value in entries.items()}
     return {**record, CHECKSUM: sum_up_record(record)}

@@ -74,7 +74,7 @@ NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its
 
 
 def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
-    """Return the run in a recording after checking checksums; its law is not loaded.
+    """Return the run in a recording after checking its checksums. The law is not loaded.
 
     Args:
         path: The recording.
@@ -83,7 +83,7 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
 
     Raises:
         LogError: If the file cannot be read, is not a recording, is damaged, or is from a newer
-            turtlelog; one line with the file and the place.
+            turtlelog. One line with the file and the place.
     """
     return _read_file(path, allow_partial=allow_partial, may_be_foreign=False)
 
@@ -128,14 +128,14 @@ def _survey_rest(stream: BinaryIO) -> Survey | None:
 
 
 def _advise(path: str | Path, survey: Survey | None) -> str:
-    """Return advice on a damaged file; a file without a message cannot be recovered."""
+    """Return advice on a damaged file. A file without any message cannot be recovered."""
     if survey is None or any(survey.counts.values()):
         return f"turtlelog convert --recover {path} -o OUT rewrites what can be read"
     return NOTHING_LEFT
 
 
 def _build_whole_run(contents: Contents) -> Run:
-    """Return the run of a complete file; a recovered file may lack rows, and has a note then."""
+    """Return the run of a complete file. A recovered file may lack rows, and then has a note."""
     if not contents.recovered:
         return build_run(contents)
     reconciled, dropped = reconcile_contents(contents)
@@ -144,7 +144,7 @@ def _build_whole_run(contents: Contents) -> Run:
 
 
 def _build_part(contents: Contents) -> Run:
-    """Return the run of a file that lacks rows; a column without values is absent."""
+    """Return the run of a file without some of its rows. A column without values is absent."""
     head = contents.head
     run = build_run(contents)
     columns = {
@@ -194,7 +194,7 @@ class RecordingTail:
 
     @property
     def is_live(self) -> bool:
-        """Whether a program still writes to it; False if the system has no file locks."""
+        """Whether a program still writes to the recording; False if there are no file locks."""
         return is_live(self._path)
 
     def read_run(self) -> Run | None:
@@ -230,7 +230,7 @@ class RecordingTail:
                 yield section
 
     def _take(self, section: Section) -> bool:
-        """Add a section; return whether it contains new data for a run."""
+        """Add a section, and return whether it contains new data for a run."""
         if not section.is_chunk and section.data[0] == Opcode.DATA_END:
             self.is_finished = True
             return False
@@ -246,7 +246,7 @@ class RecordingTail:
 
 
 def build_run(contents: Contents) -> Run:
-    """Return the run in the contents of a recording. Removes the topics to save memory.
+    """Return the run in the contents of a recording. The topics are removed to save memory.
 
     Raises:
         LogError: If there is no pose, or the contents do not form a run.
@@ -310,7 +310,7 @@ def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
 def _build_measured(
     columns: dict[str, TopicColumns], pose: TopicColumns, head: Head
 ) -> dict[str, Values | None]:
-    """Return the motion reported by the robot; empty if it reported none."""
+    """Return the motion that the robot reported; empty without reports."""
     if MEASURED.name not in columns:
         return {}
     found = columns.pop(MEASURED.name)
@@ -415,7 +415,8 @@ def _gather(fields: Mapping[str, Column], names: tuple[str, ...]) -> Column:
 def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
     """Return a column of samples; None if the metadata says so or a live recording lacks it.
 
-    The metadata at the start of a live recording cannot know which columns its samples will lack.
+    The metadata at the start of a live recording cannot list the columns that its samples will
+    lack.
     """
     if head.format_version > 1 and name in _FOUND_LATE:
         is_nan = np.isnan(values)

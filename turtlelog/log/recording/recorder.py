@@ -22,10 +22,10 @@ from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick, declare_scenario
 
 CHUNK_BYTES: Final = 2**16
-"""Approximate size of a chunk in a live recording [bytes]."""
+"""Approximate chunk size in a live recording [bytes]."""
 
 FLUSH_S: Final = 1.0
-"""Time after which a chunk is written even if it is not full [s of wall clock]."""
+"""Time after which a chunk is written even if it is not full, by the wall clock [s]."""
 
 INTERRUPTED: Final = "interrupted"
 """Stop reason of a run that was ended from outside."""
@@ -47,9 +47,10 @@ class Recorder:
     second; a power failure may also lose data not yet written to disk. Nothing runs in the
     background: if the loop blocks, buffered ticks are written with the next tick.
 
-    As a context manager it finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP or
-    SIGQUIT. An existing file is refused, also one that another recorder is writing. If the file is
-    deleted, moved or replaced, the recording ends with the next chunk: later data would be lost.
+    As a context manager, the recorder finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP
+    or SIGQUIT. An existing file is refused, also if another recorder is writing it. If the file is
+    deleted, moved or replaced, the recording ends with the next chunk, because later data would be
+    lost.
     """
 
     def __init__(
@@ -114,8 +115,8 @@ class Recorder:
         """Record a tick.
 
         Raises:
-            LogError: If the file cannot be written; it is then closed and readable up to that
-                point.
+            LogError: If the file cannot be written. The file is then closed, and readable up to
+                that point.
         """
         if not self._is_open:
             raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
@@ -140,12 +141,12 @@ class Recorder:
             raise self._describe_loss(loss)
 
     def close(self, notes: Mapping[str, str] = _NO_NOTES) -> None:
-        """Finish the file; a second call does nothing.
+        """Finish the file. A second call does nothing.
 
         A recording closed by Ctrl-C or an exit gets the stop reason `interrupted`.
 
         Args:
-            notes: See `Run`.
+            notes: Notes of the run, as in `Run`.
 
         Raises:
             LogError: As for `flush`.
@@ -180,7 +181,7 @@ class Recorder:
                 self._ticks, self._size = [], 0
 
     def _find_loss(self) -> str | None:
-        """Return what happened to the file if its name no longer leads to it; None otherwise."""
+        """Return what happened to the file if its name no longer leads to it; else None."""
         try:
             own = fstat(self._stream.fileno())
             with suppress(FileNotFoundError, NotADirectoryError):
@@ -229,7 +230,7 @@ class Recorder:
 
     @contextmanager
     def _guard(self) -> Iterator[None]:
-        """Delay signals until a write ends; if the write fails, close the readable file."""
+        """Delay signals until a write ends. If the write fails, close the readable file."""
         try:
             with hold_stop():
                 yield

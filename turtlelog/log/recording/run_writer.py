@@ -50,13 +50,13 @@ _WARN: Final = 30
 
 
 def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -> None:
-    """Write a run as an MCAP file; equal runs give identical files.
+    """Write a run as an MCAP file. Equal runs give identical files.
 
     Args:
         run: Run to write.
         path: The file.
-        shares_poses: Whether to write poses also to `/odom`, `/tf` and `/path` for other programs;
-            turtlelog ignores these topics.
+        shares_poses: Whether to write the poses also to `/odom`, `/tf` and `/path` for other
+            programs; turtlelog ignores these topics.
 
     Raises:
         LogError: If the file cannot be written, or a recording cannot store the run.
@@ -75,7 +75,7 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
 
 
 def build_messages(run: Run) -> tuple[TopicColumns, ...]:
-    """Return the messages of a run in the order of `list_topics`; empty topics are left out.
+    """Return the messages of a run in the order of `list_topics`, without empty topics.
 
     Raises:
         LogError: If a time or a number exceeds the range of its field.
@@ -139,7 +139,7 @@ def _collect(
     fields: Mapping[str, Column],
     sequence: NDArray[np.uint32] | None = None,
 ) -> TopicColumns:
-    """Return messages of a topic, numbered from 0 unless `sequence` gives their numbers."""
+    """Return messages of a topic, numbered from 0 or by `sequence`."""
     return TopicColumns(
         topic=topic.name,
         type=topic.schema,
@@ -234,7 +234,7 @@ def _build_states(run: Run) -> list[TopicColumns]:
 
 
 def _build_references(run: Run) -> list[TopicColumns]:
-    """Return the reference poses, for other tools and exact; samples without one have no row.
+    """Return the reference poses, for other tools and in exact form, one per sample with one.
 
     Messages for other tools contain a quaternion.
     """
@@ -303,8 +303,8 @@ _ROBOT: Final = "turtle1"
 MOST_SHARED: Final = 100_000
 """Largest number of poses that are also written for other programs.
 
-An odometry message has 720 bytes, mostly covariances; with the transforms, this number takes 160 MB
-during writing. At 62.5 Hz it is a drive of 27 minutes."""
+An odometry message has 720 bytes, mostly covariances. Together with the transforms, this number of
+poses takes 160 MB during writing. At 62.5 Hz, it is a drive of 27 minutes."""
 
 _LATEST_NS: Final = 2**31 * 1_000_000_000
 """Latest time of a stamp [ns]: its seconds have 32 bits."""
@@ -313,7 +313,8 @@ _LATEST_NS: Final = 2**31 * 1_000_000_000
 def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
     """Return the poses as odometry, as transforms and, at the time of the last pose, as one path.
 
-    Empty if there are more than `MOST_SHARED` poses, or times beyond those of stamps.
+    The result is empty if there are more than `MOST_SHARED` poses, or times beyond the range of
+    stamps.
     """
     poses = run.poses
     if not _can_share(run):
@@ -390,10 +391,10 @@ def list_unshared(run: Run) -> list[str]:
 
 
 def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return forward speed [m/s] and turn rate [rad/s] of every pose, NaN if unknown.
+    """Return forward speed [m/s] and turn rate [rad/s] of every pose; NaN if unknown.
 
-    The values are those that the robot measured, otherwise those that turtlesim applied. turtlesim
-    publishes the magnitude of its speed; the sign is that of the motion along the heading.
+    The values are measured by the robot, or else applied by turtlesim. turtlesim publishes the
+    magnitude of its speed; the sign comes from the motion along the heading.
     """
     poses = run.poses
     unknown = np.full(len(poses), np.nan)
@@ -406,7 +407,7 @@ def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _find_signs(poses: PoseColumns) -> NDArray[np.float64]:
-    """Return -1 for poses that the robot reached backward, otherwise 1."""
+    """Return -1 for poses that the robot reached backward, and 1 for other poses."""
     step_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1])
     along_m = (
         step_m * np.column_stack([np.cos(poses.heading_rad), np.sin(poses.heading_rad)])

@@ -49,7 +49,7 @@ _PLACES: Final = {
     name: [_FIELDS.index(field) for field in CONTROL_COLUMNS[name]]
     for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
 }
-"""Indices in a sample's row of the values that are missing without a goal."""
+"""Indices of the values in a sample's row that are missing without a goal."""
 
 _LIST: Final = attrgetter(
     *("sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
@@ -62,7 +62,7 @@ _WORLD: Final = slice(_FIELDS.index("world_v_x"), _FIELDS.index("world_v_y") + 1
 
 
 def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
-    """Return a packer of complete records of a fixed-size type; CDR's padding becomes zeros."""
+    """Return a packer of complete records of a fixed-size type. CDR's padding becomes zeros."""
     layout = read_type(topic.schema, definitions[topic.schema]).layout
     if layout is None or layout.little.fields is None:
         raise TypeError(f"{topic.schema}: expected messages of one size")
@@ -109,7 +109,7 @@ class _Messages:
         topic: Name and type of the topic.
         number: Number of its channel.
         pack: Function that packs a record, if the type has a fixed size.
-        length: Length of such a record, as its length field counts.
+        length: Length of such a record, as in its length field.
         count: Number of messages so far.
         entries: Log times and offsets of the messages in the present chunk, alternating.
     """
@@ -126,8 +126,8 @@ class TickRecords:
     """Encoder of ticks as numbered messages, like `build_messages` for a complete run.
 
     If the law blocks and declares the end of its phase, the message of the pause comes with the
-    sample that begins it. Otherwise the next sample shows the pause, and its message has the
-    earlier time. Poses are recorded in double precision if the scenario requests it.
+    sample that begins the pause. Otherwise the next sample shows the pause, and the message gets
+    the earlier time. Poses are recorded in double precision if the scenario requests it.
 
     Attributes:
         more_topics: Optional topics of this recording.
@@ -172,7 +172,7 @@ class TickRecords:
         return frozenset(f"samples.{name}" for name in self._lacking | worldless)
 
     def encode(self, ticks: Iterable[Tick]) -> ChunkRows:
-        """Return the messages of the next ticks, of which there must be at least one."""
+        """Return the messages of the next ticks, at least one tick."""
         for tick in ticks:
             time_ns = tick.time_ns
             self._add_pose(time_ns, tick)
@@ -264,7 +264,7 @@ class TickRecords:
     def _add_varied(
         self, topic: Topic, time_ns: int, values: Mapping[str, Any], number: int | None = None
     ) -> None:
-        """Add a message; without a number it is numbered from 0."""
+        """Add a message. Without a given number, messages are numbered from 0."""
         messages = self._messages[topic.name]
         kind = read_type(topic.schema, SCHEMAS[topic.schema])
         stamp = messages.count if number is None else number, time_ns, time_ns

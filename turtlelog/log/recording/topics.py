@@ -22,7 +22,7 @@ class Topic:
 
     Attributes:
         name: ROS name of the topic.
-        schema: Its message type, a key of `SCHEMAS`.
+        schema: Message type of the topic, a key of `SCHEMAS`.
     """
 
     name: str
@@ -30,28 +30,30 @@ class Topic:
 
 
 GOAL: Final = Topic("/turtle1/goal", "geometry_msgs/msg/PoseStamped")
-"""Goal of the turtle, one message."""
+"""Topic of the turtle's goal, with one message."""
 
 POSE: Final = Topic("/turtle1/pose", "turtlesim/msg/Pose")
-"""Poses, one message each."""
+"""Topic of poses, with one message each."""
 
 POSE64: Final = Topic("/turtle1/pose64", "geometry_msgs/msg/Pose2D")
-"""Exact poses, only if 32-bit floats would lose digits; readers prefer them."""
+"""Topic of exact poses, only if 32-bit floats would lose digits. Readers prefer this topic."""
 
 VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
-"""Applied velocities of the exact poses, likewise."""
+"""Topic of the applied velocities of exact poses, only together with these poses."""
 
 SENSED: Final = Topic("/turtle1/sensed_pose", "turtlesim/msg/Pose")
-"""Sensed poses with the numbers of their poses; none for a pose that dropped out."""
+"""Topic of sensed poses with the numbers of their poses. A pose that dropped out has no message."""
 
 SENSED64: Final = Topic("/turtle1/sensed_pose64", "geometry_msgs/msg/Pose2D")
-"""Exact sensed poses, only if 32-bit floats would lose digits; readers prefer them."""
+"""Topic of exact sensed poses, only if 32-bit floats would lose digits. Readers prefer this
+topic."""
 
 MEASURED: Final = Topic("/turtle1/measured", "geometry_msgs/msg/Twist")
-"""Motion reported by the robot: one message per pose, with the pose's number and time."""
+"""Topic of the motion reported by the robot: one message per pose, with the pose's number and
+time."""
 
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
-"""Samples, one message each, at the time when the sample's pose was answered."""
+"""Topic of samples, with one message each at the time when the sample's pose was answered."""
 
 CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -69,41 +71,42 @@ CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "world_velocity_m_s": ("world_v_x", "world_v_y"),
     }
 )
-"""Columns of `SampleColumns` and the fields of the message that contain each, in its order."""
+"""Columns of `SampleColumns`, each with the fields of the message that contain it, in order."""
 
 LAW_STATE: Final = "/turtle1/law_state"
-"""Numbers of the law's own, one message per sample; the law determines the type."""
+"""Topic of the law's own numbers, with one message per sample. The law determines the type."""
 
 REFERENCE: Final = Topic("/turtle1/reference", "geometry_msgs/msg/PoseStamped")
-"""Reference pose for other tools: one message per sample that has one."""
+"""Topic of reference poses for other tools: one message per sample with a reference."""
 
 REFERENCE64: Final = Topic("/turtle1/reference64", "geometry_msgs/msg/Pose2D")
-"""Exact reference poses for readers, because a quaternion does not give the exact heading."""
+"""Topic of exact reference poses for readers, because a quaternion does not give the exact
+heading."""
 
 SHAPED: Final = Topic("/turtle1/shaped", "geometry_msgs/msg/Twist")
-"""Shaped command of a sample before the limits, one message per sample."""
+"""Topic of the shaped command of a sample before the limits, with one message per sample."""
 
 COMMAND: Final = Topic("/turtle1/cmd_vel", "geometry_msgs/msg/Twist")
-"""Commands, one message each, at the time of publication."""
+"""Topic of commands, with one message each at the time of publication."""
 
 PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
-"""Name of the phase at each change, for people; readers use the samples."""
+"""Topic with the name of the phase at each change, for people. Readers use the samples instead."""
 
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
-"""Events, one message each."""
+"""Topic of events, with one message each."""
 
 ODOMETRY: Final = Topic("/odom", "nav_msgs/msg/Odometry")
-"""Poses for other programs, like the next two topics; readers use `POSE`."""
+"""Topic of poses for other programs, like the next two topics. Readers use `POSE` instead."""
 
 TRANSFORMS: Final = Topic("/tf", "tf2_msgs/msg/TFMessage")
-"""Poses as transforms from the world to the robot, for other programs."""
+"""Topic of poses as transforms from the world to the robot, for other programs."""
 
 PATH: Final = Topic("/path", "nav_msgs/msg/Path")
-"""All poses in one message at the time of the last, for other programs."""
+"""Topic of all poses in one message at the time of the last pose, for other programs."""
 
 _POSES: Final = (GOAL, POSE, POSE64, VELOCITY64)
 _AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)
-"""Topics of every recording: those before `CONTROL`, then those after the optional topics."""
+"""Topics of every recording: topics before `CONTROL`, then topics after the optional ones."""
 
 OF_SENSING: Final = (SENSED, SENSED64)
 """Topics of a recording whose controller reads poses through a sensor."""
@@ -179,10 +182,11 @@ turtlesim/msg/Pose 739beba26bcba6920404ba722b7b8321348512f92ea5be235c47251940dd8
 TYPE_HASHES: Final[Mapping[str, str]] = MappingProxyType(
     {name: f"RIHS01_{digest}" for name, digest in map(str.split, _DIGESTS.splitlines())}
 )
-"""Hash by message type, for every key of `SCHEMAS`: text and hash change together.
+"""Hash by message type, for every key of `SCHEMAS`. Text and hash must change together.
 
 RIHS01 is the SHA-256 of a type's description (REP 2011). ROS 2 compares it with the hash of the
-installed type."""
+installed type.
+"""
 
 _FLOAT64: Final = MappingProxyType(
     {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
@@ -191,7 +195,7 @@ _FLOAT64: Final = MappingProxyType(
 
 _PACKAGE: Final = "turtlelog_msgs/msg"
 _LONGEST_TYPE: Final = 60
-"""Longest name of a type [letters]; a class may have any name."""
+"""Longest name of a type [letters]. A class may have a name of any length."""
 
 
 def define_states(names: Iterable[str]) -> str:
@@ -209,7 +213,7 @@ SCHEMAS: Final[Mapping[str, str]] = MappingProxyType(
     {kind: text for kind in _KNOWN if (text := find_definition(kind))}
     | {"turtlelog_msgs/msg/ControlSample": _CONTROL_SAMPLE}
 )
-"""Definition by message type; dependencies follow a line of 80 equals signs."""
+"""Definition by message type. Dependencies follow a line of 80 equals signs."""
 
 
 def find_type_hash(kind: str, definition: str) -> str | None:
@@ -240,7 +244,7 @@ def list_topics(
     has_shaping: bool = False,
     has_measured: bool = False,
 ) -> tuple[Topic, ...]:
-    """Return the topics of a recording; messages with equal times have this order.
+    """Return the topics of a recording. Messages with equal times have this order.
 
     Args:
         declaration: Declaration of the law; None in format 1.
@@ -275,7 +279,7 @@ def name_state_type(kind: object) -> str:
 def describe_topics(
     topics: Sequence[tuple[str, str]], definitions: Mapping[str, str]
 ) -> list[tuple[Schema, Channel]]:
-    """Return schema and channel of topics, given by name and type; ids count from 1.
+    """Return schema and channel of topics, given by name and type. Ids begin at 1.
 
     Raises:
         LogError: If the `ros2msg` text of a type is not among the definitions.

@@ -1,4 +1,4 @@
-"""Reading of third-party bags as runs; detection of bag folders.
+"""Reading of third-party bags as runs, and detection of bag folders.
 
 The modules, in the order in which they read a bag: `bag_metadata` and `bag` find its files and open
 them. `bag_topics` chooses topics; `bag_poses`, `bag_transforms` and `computed_poses` find the
@@ -6,7 +6,7 @@ poses. `bag_columns` makes columns of messages, and `reported_motion` judges the
 `stamps` and `bag_clock` time the rows. `bag_references` adds goal and path, `bag_commands` adds
 commands and samples, and `bag_reader` builds the run.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

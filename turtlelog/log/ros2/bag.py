@@ -81,21 +81,23 @@ def open_bag(path: str | Path) -> Bag:
 
 
 _PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")
-"""Pattern of the ends of names of a bag's parts."""
+"""Pattern for the ends of the names of a bag's parts."""
 
 _MOST_NAMED: Final = 6
 """Largest number of files that an error names: one line of a terminal."""
 
 _MOST_OVERLAP: Final = 0.5
-"""Largest overlap of two parts, as a share of the shorter: queued messages overlap by seconds, two
-recordings completely."""
+"""Largest overlap of two parts, as a share of the shorter part. Queued messages overlap by seconds,
+two recordings completely."""
 
 _MOST_APART_NS: Final = 10_000_000_000
-"""Time from the end of a part to the next [ns]: rosbag2 begins a part with the next message, and a
-robot that runs publishes transforms, diagnostics or odometry at least every few seconds."""
+"""Longest time from the end of a part to the next part [ns]. rosbag2 begins a part with the next
+message, and a running robot publishes transforms, diagnostics or odometry at least every few
+seconds."""
 
 _MOST_APART_STEPS: Final = 100.0
-"""Or this many times the mean time between messages: slow topics alone may be silent for longer."""
+"""The same limit as a multiple of the mean time between messages, because slow topics alone may be
+silent for longer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +116,7 @@ class BagFiles:
 
 
 def list_bag_files(path: str | Path) -> tuple[Path, ...]:
-    """Return the files of a bag in its own order: those of a folder, or a single file.
+    """Return the files of a bag in the bag's order: the files in a folder, or a single file.
 
     Raises:
         LogError: As for `_find_bag_files`.
@@ -127,7 +129,7 @@ def _find_bag_files(path: str | Path) -> BagFiles:
 
     Raises:
         LogError: If a folder contains no files of a bag, lacks a file named in its metadata, or
-            mixes kinds.
+            mixes kinds of files.
     """
     path = make_path(path)
     if not path.is_dir():
@@ -169,7 +171,7 @@ def _list_present(folder: Path) -> tuple[Path, ...]:
 
 
 def read_compression(folder: Path) -> str:
-    """Return `message` if a bag's metadata say that messages are compressed one by one."""
+    """Return `message` if a bag's metadata show that messages are compressed one by one."""
     try:
         found = read_bag_metadata(folder).compression
     except LogError:
@@ -182,7 +184,7 @@ def _is_bag_file(file: Path) -> bool:
 
 
 def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
-    """Return the files in the folder, if no readable metadata name them.
+    """Return the files in the folder, if no readable metadata name files.
 
     Raises:
         LogError: If there are no files.
@@ -203,7 +205,7 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
 
 
 def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
-    """Return the files named in the metadata; a single renamed file is accepted.
+    """Return the files named in the metadata. A single renamed file is accepted.
 
     Raises:
         LogError: If a file is missing or named twice.
@@ -268,9 +270,9 @@ def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
 
 
 def _find_break(files: tuple[Path, ...]) -> str | None:
-    """Return why numbered files are not parts of one bag; None if each part continues another one.
+    """Return why numbered files are not parts of one bag; None if each part continues another part.
 
-    Recordings by turtlelog begin at 0 each, and none has parts.
+    Every recording by turtlelog begins at 0, and no recording has parts.
     """
     found: list[tuple[tuple[int, int], int, str]] = []
     is_whole = True
@@ -312,7 +314,7 @@ def _require_one_kind(files: tuple[Path, ...]) -> None:
 
 
 def _require_distinct(files: tuple[Path, ...]) -> None:
-    """Refuse a file with two names in the folder: its messages would be duplicated."""
+    """Refuse a file with two names in the folder, because its messages would be duplicated."""
     places: dict[tuple[int, int], Path] = {}
     for file in files if len(files) > 1 else ():
         found = file.stat()

@@ -1,10 +1,10 @@
 """Times of the poses and commands of a bag: stamps compared with the recorder's clock.
 
 A message has two times: its stamp, set by the publisher, and its log time, when the recorder
-received it. They differ by the offset of two clocks and the transport delay. Stamps have less
-jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed by
-their stamps, mapped to the recorder's clock by the messages with the shortest transport delay. That
-delay is unknown; all pose times are late by it.
+received it. The two times differ by the offset of two clocks and the transport delay. Stamps have
+less jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed
+by their stamps, mapped to the recorder's clock by the messages with the shortest transport delay.
+The shortest delay is unknown, so all pose times are late by this delay.
 """
 
 from collections.abc import Mapping
@@ -34,12 +34,12 @@ CLOSE_ROWS: Final = "close_rows"
 """Name of the note on dropped poses at nearly equal times."""
 
 _CLOSEST_NS: Final = 1_000_000
-"""Smallest time between two poses that gives a rate [ns]: noise of 0.2 mm becomes 0.2 m/s and
-more."""
+"""Smallest time between two poses that gives a usable rate [ns]: noise of 0.2 mm becomes 0.2 m/s
+and more."""
 
 _CLOSEST_SHARE: Final = 0.25
-"""Poses count as close only below this share of the usual step, because a motion capture may run at
-2 kHz."""
+"""Share of the usual step below which poses count as close, because a motion capture may run at 2
+kHz."""
 
 _SAME_CLOCK_NS: Final = 1_000_000_000
 """Largest time between a stamp of a command and its reception [ns] for stamps of the poses'
@@ -69,7 +69,7 @@ class BagTimes:
     Attributes:
         poses: Times of the poses that are kept.
         commands: Times of all commands.
-        clock: Clock that times the poses; None if they have no stamps.
+        clock: Clock that times the poses; None if the poses have no stamps.
         notes: Description of the timing, for the notes of a run.
     """
 
@@ -86,12 +86,12 @@ def time_rows(
 
     The timeline is the recorder's clock. If stamps run at another rate, as in simulation, the
     motion follows the stamps: the timeline has the rate of the stamps, and commands are mapped to
-    it. Commands with usable stamps are timed by these, as poses are.
+    it. Commands with usable stamps are timed by their stamps, like poses.
 
     Args:
         poses: Stamps of the pose topic, in order of log time.
         commands: Stamps of the command topic, in order of log time; None without commands.
-        time: `auto`: by the stamps of poses if these are usable, otherwise by log times.
+        time: `auto`: stamps of poses if they are usable, or else log times.
         noun: Name of the rows given as poses: `commands` for a bag without poses. No command is
             dropped, however close in time.
 
@@ -174,7 +174,7 @@ def _describe(found: StampClock) -> str:
     else:
         texts.append(
             f" {_format_offset(offset_ns)}, mapped to the recorder's clock by the fastest message,"
-            f" whose transport is unknown; usually it takes {jitter_ns / 1e6:.1f} ms more"
+            f" whose transport is unknown; usually others take {jitter_ns / 1e6:.1f} ms more"
         )
         if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
             drift = f"{(pace - 1.0) * 1e6:+.0f} ppm"
@@ -214,7 +214,7 @@ def _build(poses: TimedRows, commands: TimedRows, clock: Clock, text: str) -> Ba
 
 
 def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
-    """Return which rows to keep: rows that no other row follows too closely to give a rate.
+    """Return which rows to keep: those that no other row follows too closely for a rate.
 
     The last of several close rows is kept: if poses were delayed, its time is correct.
     """

@@ -26,7 +26,7 @@ Values = NDArray[np.float64]
 
 
 def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
-    """Return x, y [m] and heading [rad], and speeds, height and tilt if the messages have them.
+    """Return x, y [m] and heading [rad], and speeds, height and tilt if messages contain them.
 
     turtlesim publishes the applied velocities (`speed`, `turn_rate`), odometry the measured ones
     (`measured_speed`, `measured_lateral_speed`, `measured_turn_rate`). `z` is the height [m],
@@ -101,13 +101,13 @@ POSITIONS: Final = {kind: shape.position for kind, shape in _SHAPES.items()}
 """Prefix of x and y in the fields of each pose type."""
 
 _NO_SHAPE: Final = _join_shape("pose.")
-"""Shape for errors on missing fields: that of a stamped pose."""
+"""Shape for errors about missing fields: the shape of a stamped pose."""
 
 _ANGLES: Final = ("theta", "heading", "yaw", "orientation.yaw", "rotation.yaw")
 
 
 def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
-    """Return the fields of a pose in an unknown type, judged by their names; None if there is none.
+    """Return the fields of a pose in an unknown type, by their names; None without such fields.
 
     Known fields are position and orientation, translation and rotation (quaternions), and x, y with
     theta, heading or yaw. The name of an angle in degrees ends in `_deg`.
@@ -118,7 +118,7 @@ def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
 
 
 def _find_turn(fields: Collection[str], place: str) -> PoseShape | None:
-    """Return the pose with x and y after a prefix; None if no angle belongs to it."""
+    """Return the pose with x and y after a prefix; None if no angle belongs to the pose."""
     home = place.removesuffix("position.").removesuffix("translation.")
     for turn in ("orientation", "rotation"):
         if home != place and all(f"{home}{turn}.{axis}" in fields for axis in "xyzw"):
@@ -138,7 +138,7 @@ def extract_commands(
         kind: Type of the messages.
         fields: Fields of the messages.
         wheelbase_m: Distance between the axles [m], required for Ackermann commands: a car turns
-            with speed * tan(steering angle) / wheelbase. The turn rate is nan from 90 deg on.
+            with speed * tan(steering angle) / wheelbase. The turn rate is NaN from 90 deg on.
     """
     if kind in ACKERMANN_TYPES and wheelbase_m is not None:
         drive = "drive." if kind.endswith("Stamped") else ""
@@ -169,7 +169,7 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
-    """Return heading and tilt of quaternions of any length [rad]; NaN for those of length 0.
+    """Return heading and tilt of quaternions of any length [rad]; NaN for length 0.
 
     The heading is that of the robot's forward axis seen from above, for any tilt.
     """
@@ -206,7 +206,7 @@ class OrderedRows:
     Attributes:
         time_ns: Time in the file [ns], shape (n,), not decreasing.
         columns: Columns by name, shape (n,) each.
-        late: Number of rows that followed a later row.
+        late: Number of rows that came after a row with a later time.
         duplicates: Number of exact duplicate rows, which were dropped.
         stamp_ns: Stamp of each row [ns], shape (n,); None if the type has no stamps.
     """
@@ -227,7 +227,7 @@ class OrderedRows:
         rows: NDArray[np.int64] | NDArray[np.bool_],
         time_ns: NDArray[np.int64] | None = None,
     ) -> "OrderedRows":
-        """Return some of the rows in any order, with new times if given."""
+        """Return some of the rows in any order, with given new times, if any."""
         if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):
             return self if time_ns is None else replace(self, time_ns=time_ns)
         return replace(
@@ -252,7 +252,7 @@ def _is_whole(rows: NDArray[Any]) -> bool:
 def order_rows(
     found: Sequence[TopicColumns], tables: Sequence[Mapping[str, Values]]
 ) -> OrderedRows:
-    """Return a topic's rows in several files as one table, sorted by time, each row once.
+    """Return a topic's rows in several files as one table, sorted by time, without duplicates.
 
     Args:
         found: The messages of each file.
@@ -308,17 +308,17 @@ def order_topic(
 
 
 def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return arrays as one; a single one is not copied."""
+    """Return arrays as one array. A single array is not copied."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 _LARGEST: Final = 1e30
-"""Larger values [m, m/s, rad/s] come from memory that was never set; their squares of squares, and
-the 32-bit numbers of pictures, are still finite."""
+"""Largest plausible value [m, m/s, rad/s]: larger values come from memory that was never set. The
+fourth powers of smaller values, and the 32-bit numbers of pictures, are finite."""
 
 
 def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedRows, int]:
-    """Return the rows whose columns of some names are usable numbers, and how many were not."""
+    """Return the rows with usable numbers in columns of these names, and the number of others."""
     kept = np.ones(len(rows.time_ns), dtype=np.bool_)
     for name in names:
         kept &= np.abs(rows.columns[name]) <= _LARGEST  # nan is not
@@ -328,7 +328,7 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
 
 
 _LEAP_M: Final = 0.1
-"""Smallest step of a leap [m]; the noise of a filter from pose to pose is less."""
+"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
 
 _LEAP_BACK: Final = 0.2
 """Largest distance of a later pose from the start of the leap, as a share of the leap."""
@@ -364,7 +364,7 @@ def describe_leaps(xy_m: Values) -> str | None:
 
 
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Return strictly increasing times, and the number of times moved to 1 ns after the previous.
+    """Return strictly increasing times, and how many were moved to 1 ns after the previous time.
 
     Rows with equal times are different ticks; dropping one would lose a step of the motion.
     """
@@ -376,7 +376,7 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
 def _find_duplicates(
     time_ns: NDArray[np.int64], contents: Sequence[NDArray[Any]]
 ) -> NDArray[np.bool_]:
-    """Return which rows, in order of time, repeat an earlier row; only rows at equal times can."""
+    """Return which rows repeat an earlier row. Only rows at equal times can do so."""
     repeated = np.zeros(len(time_ns), dtype=bool)
     same = np.flatnonzero(np.diff(time_ns) == 0)
     order = np.union1d(same, same + 1)

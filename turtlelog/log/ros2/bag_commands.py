@@ -118,9 +118,10 @@ def name_bag(path: Path) -> tuple[str, str]:
 def choose_commands(
     topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
 ) -> tuple[Pick | None, str]:
-    """Return the topic of the commands, or a reason why there is none; the reason may be empty.
+    """Return the topic of the commands, or the reason why there is none, which may be empty.
 
-    Ackermann commands have priority if a wheelbase is given; without one they give no turn rate.
+    Ackermann commands have priority if a wheelbase is given. Without a wheelbase, they give no turn
+    rate.
 
     Raises:
         LogError: If several topics are equally likely, or the requested topic cannot be read.
@@ -146,7 +147,7 @@ def choose_commands(
 def order_commands(
     found: Held, topic: TopicInfo, choice: ReadChoice
 ) -> tuple[OrderedRows | None, int]:
-    """Return finite commands and the number of dropped ones; None instead of no commands."""
+    """Return finite commands and the number of dropped ones; None if no command is finite."""
     extract = partial(extract_commands, wheelbase_m=choice.wheelbase)
     ordered = order_topic(found, topic, extract)
     rows, dropped = drop_not_finite(ordered, [*ordered.columns])
@@ -173,7 +174,7 @@ _UNKNOWN: Final = "the law, its loops and its parameters are not known"
 
 
 def add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
-    """Return a run with the samples of its bag if they fit its poses; a note describes the result.
+    """Return a run with the samples of its bag if they fit its poses. A note describes the result.
 
     Args:
         run: Run of the bag, with the poses of `/turtle1/pose`.
@@ -237,7 +238,7 @@ def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
 
 
 def _lacks(name: str, values: NDArray[np.float64]) -> bool:
-    """Return whether a column was not recorded; samples may lack a velocity in the world frame."""
+    """Return whether a column was not recorded. Samples may lack a velocity in the world frame."""
     unknown = np.isnan(values)
     return bool(unknown.all() if name == "world_velocity_m_s" else unknown.any())
 
@@ -286,7 +287,7 @@ def _read_names(
 
 
 def _declare(named: Mapping[int, str] | None, highest: int) -> Declaration:
-    """Return phases without loops, by number; unnamed phases have their number as name."""
+    """Return phases without loops, by number. An unnamed phase gets its number as name."""
     usual = dict(enumerate(SEQUENTIAL_P.phase_names))
     if named is None or all(usual.get(number) == name for number, name in named.items()):
         named = usual

@@ -1,4 +1,4 @@
-"""Maps and costmaps of a bag: occupancy by cells, and where the cells are."""
+"""Maps and costmaps of a bag: occupancy by cells, and the positions of the cells."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -19,21 +19,22 @@ Values = NDArray[np.float64]
 GRID: Final = "nav_msgs/msg/OccupancyGrid"
 
 UNKNOWN: Final = 255
-"""Value of a cell whose occupancy is not known; the message has -1."""
+"""Value of a cell with unknown occupancy; the message has -1."""
 
 _MOST_OCCUPANCY: Final = 100
 
 _MOST_GRID: Final = 16_000_000
-"""Cells of a map that is read: 200 m by 200 m of 0.05 m."""
+"""Largest number of cells of a map that is read: 200 m by 200 m with 0.05 m."""
 
 _LONGEST_SIDE: Final = 4096
-"""Cells of a picture's side: graphics cards of browsers draw no larger ones."""
+"""Largest number of cells along a picture's side; graphics cards of browsers draw no larger
+pictures."""
 
 _OCCUPIED: Final = 65
-"""Occupancy from which a cell is a wall [%]: the default of ROS's map_server."""
+"""Occupancy from which a cell is a wall [%], the default of ROS's map_server."""
 
 _MOST_CELLS: Final = 20_000
-"""Occupied cells that set the range of a view: walls of 1 km."""
+"""Largest number of occupied cells that determine the range of a view: walls of 1 km."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,11 +43,11 @@ class OccupancyMap:
 
     Attributes:
         topic: Topic of the map.
-        is_costmap: Whether the values are costs of driving there, not probabilities.
+        is_costmap: Whether the values are costs of driving, not probabilities.
         cells: Occupancy [%] or `UNKNOWN`, by row and column, shape (height, width).
         corner_xy_m: Corner of the first cell [m], shape (2,).
-        column_xy_m: From one column to the next [m], shape (2,).
-        row_xy_m: From one row to the next [m], shape (2,).
+        column_xy_m: Vector from one column to the next [m], shape (2,).
+        row_xy_m: Vector from one row to the next [m], shape (2,).
     """
 
     topic: str
@@ -57,7 +58,7 @@ class OccupancyMap:
     row_xy_m: Values
 
     def list_occupied(self) -> Values:
-        """Return the centers of occupied cells, evenly chosen of many [m], shape (n, 2)."""
+        """Return centers of occupied cells [m], shape (n, 2); of very many, an even selection."""
         occupied = (self.cells >= _OCCUPIED) & (self.cells != UNKNOWN)
         places = np.flatnonzero(occupied)
         places = places[:: -(-max(len(places), 1) // _MOST_CELLS)]
@@ -71,7 +72,7 @@ def pick_maps(topics: Collection[TopicInfo], home: str) -> list[TopicInfo]:
 
     Args:
         topics: Topics of the bag.
-        home: What the names of the robot's own topics begin with.
+        home: Beginning of the names of the robot's own topics.
     """
 
     def rank(topic: TopicInfo) -> tuple[bool, bool, int, int]:
@@ -95,7 +96,7 @@ def _is_costmap(topic: str) -> bool:
 def place_map(
     messages: Sequence[TopicColumns], run: Run, tree: Tree, notes: list[str]
 ) -> OccupancyMap | None:
-    """Return the last map of a topic in the frame of the poses; None, and a note, without one."""
+    """Return the last map of a topic in the frame of the poses; without a map, None and a note."""
     columns, row = messages[-1], len(messages[-1]) - 1
     fields, topic = columns.fields, columns.topic
     width, height = int(fields["info.width"][row]), int(fields["info.height"][row])
@@ -148,7 +149,7 @@ def _place_corners(columns: TopicColumns, row: int, size_m: float) -> Values | N
 
 
 def _read_cells(data: NDArray[np.generic]) -> tuple[NDArray[np.uint8], int]:
-    """Return the cells of a map, joined where there are too many, and how many are joined."""
+    """Return the cells of a map, joined if there are too many, and the number of joined cells."""
     signed = data.astype(np.int8)  # messages hold signed bytes; JSON has any numbers
     known = np.where((signed < 0) | (signed > _MOST_OCCUPANCY), np.int8(-1), signed)
     height, width = known.shape
@@ -163,5 +164,5 @@ def _read_cells(data: NDArray[np.generic]) -> tuple[NDArray[np.uint8], int]:
 
 
 def name_frame(columns: TopicColumns, row: int) -> str:
-    """Return the frame of a message, without the slash that early versions put first."""
+    """Return the frame of a message, without the leading slash of early versions."""
     return str(columns.fields["header.frame_id"][row]).lstrip("/")

@@ -20,14 +20,14 @@ from turtlelog.log.error_boundary import name_file, open_file
 METADATA_FILE: Final = "metadata.yaml"
 
 _LARGEST: Final = 2**24
-"""Largest size of metadata.yaml [bytes]; with 2,000 topics it has 2 MB."""
+"""Largest size of metadata.yaml [bytes]; a file with 2,000 topics has 2 MB."""
 
 _MOST_ENTRIES: Final = 1000
 _MOST_FILES: Final = 100_000
 _MOST_LINES: Final = 10 * _MOST_FILES
 """Largest number of lines: a file takes eight, and the text is read up to four times."""
-"""Largest number of entries right below the root, of which rosbag2 writes 12, and of files: a day
-in parts of a second each. Ten million of them fit into a text of this size."""
+"""Largest numbers of entries directly below the root, of which rosbag2 writes 12, and of files: a
+day in parts of one second. A text of this size could contain ten million entries."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
 
@@ -114,7 +114,7 @@ def parse_bag_metadata(text: str) -> BagMetadata:
     """Return the entries about files in the text of a metadata.yaml.
 
     Raises:
-        LogError: If the text is invalid; with the line.
+        LogError: If the text is invalid; the message contains the line.
     """
     if text.count("\n") > _MOST_LINES:
         raise LogError(f"expected up to {_MOST_LINES:,} lines, found more")
@@ -236,7 +236,7 @@ def _read_file_name(number: int, value: str) -> str:
 
 
 def _read_below(number: int, under: str, value: str) -> dict[str, str]:
-    """Return the additions of a line to the entry above; empty for entries that are not needed."""
+    """Return what a line adds to the entry above; empty for entries that are not needed."""
     if under in _TEXTS:
         raise LogError(f"line {number}: {under}: expected text, found {value[:60]!r}")
     if under != _DURATION:

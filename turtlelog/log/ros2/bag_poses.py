@@ -96,7 +96,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
 
 
 def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
-    """Return the messages of a topic of poses; `found` contains them if they were read already."""
+    """Return the messages of a topic of poses; `found` contains them if they were read before."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
         raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
@@ -118,7 +118,7 @@ def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
 def _integrate_wheels(
     bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice, frames: Sequence[str]
 ) -> PoseSource:
-    """Return the odometry of two wheels as messages of an own topic."""
+    """Return the odometry of two wheels as messages of a separate topic."""
     if choice.wheel_joints is None or choice.wheels is None:
         given, needed = ("wheels", "wheel_joints")
         if choice.wheels is None:
@@ -153,7 +153,7 @@ def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
 
 
 def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
-    """Return all transforms of a bag, or only those of the robot's topics (/robot1/tf) if any.
+    """Return all transforms of a bag, or those of the robot's own topics (/robot1/tf), if any.
 
     Raises:
         LogError: If the transforms cannot be read.
@@ -184,7 +184,7 @@ def _is_static(topic: str) -> bool:
 
 
 def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
-    """Return the topic of poses, by its type or else by its fields, which requires reading."""
+    """Return the topic of poses, by its type or else by its fields, which must be read."""
     try:
         return choose_pose_topic(topics, asked)
     except NoPosesError:
@@ -195,14 +195,14 @@ def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
 
 
 _FEWEST_STILL: Final = 20
-"""Number of equal messages from which a topic counts as never moving: fewer may be a waiting
+"""Number of equal messages from which a topic counts as never moving; fewer may be a waiting
 robot."""
 
 
 def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[Pick, Found | None]:
     """Return a moving topic instead of one that never moves, with its messages if they were read.
 
-    Some robots publish an odometry of zeros beside a computed one.
+    Some robots publish an odometry of zeros next to a computed odometry.
     """
     if not pick.others or pick.topic.type not in POSITIONS:
         return pick, None
@@ -229,7 +229,7 @@ class _Read(NamedTuple):
 
 
 def _read_moving(bag: Bag, topic: TopicInfo) -> _Read | None:
-    """Return the messages of a topic and whether it moves; None if that is unknown."""
+    """Return the messages of a topic and whether they move; None if that is unknown."""
     if topic.count < _FEWEST_STILL or topic.reason:
         return None
     place, found = POSITIONS[topic.type], [*bag.read({topic.topic})]
@@ -262,7 +262,7 @@ def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
 def _trace_poses(
     bag: Bag, pick: Pick, topics: Collection[TopicInfo], choice: ReadChoice
 ) -> PoseSource:
-    """Return poses of one frame in another as messages of an own topic."""
+    """Return poses of one frame in another frame as messages of a separate topic."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
     frames = {"robot": choice.pose_frame, "world": choice.world_frame}

@@ -62,25 +62,25 @@ NOT_UNDERSTOOD: Final = "not_understood"
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
 _RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
-"""Rates in messages of poses; a topic of sensed poses has nan in all of them."""
+"""Rates in messages of poses. In a topic of sensed poses, all rates are NaN."""
 
 
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     """Return the run in a ROS 2 bag, or in an MCAP file by another recorder.
 
-    Poses with stamps are timed by these, mapped to the recorder's clock, and poses at nearly equal
-    times are dropped (`time_rows`). Times count from the first pose or command. Rows are sorted by
-    time and exact duplicates dropped; if several poses without stamps have the same time, the later
-    ones are moved by 1 ns each. The run's notes give the counts, and the chosen topics with the
-    alternatives.
+    Poses with stamps are timed by their stamps, mapped to the recorder's clock; poses at nearly
+    equal times are dropped (`time_rows`). Times count from the first pose or command. Rows are
+    sorted by time, and exact duplicates are dropped. If several poses without stamps have the same
+    time, the later poses are moved by 1 ns each. The run's notes give the counts, and the chosen
+    topics with the alternatives.
 
     Args:
         path: A folder, with or without `metadata.yaml`, or a single MCAP or SQLite file.
-        options: Fields of a `ReadChoice`: topics, frames and goal, to add to or override those
+        options: Fields of a `ReadChoice`: topics, frames and goal, which add to or override those
             found in the bag.
 
     Raises:
-        LogError: If the bag cannot be read, contains no poses, or several topics are possible; one
+        LogError: If the bag cannot be read, contains no poses, or several topics are possible. One
             line with the file and the place.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
@@ -132,7 +132,7 @@ def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
 
 @contextmanager
 def _name_once(bag: Bag) -> Iterator[None]:
-    """Add the bag's name to errors, unless they name one of its files."""
+    """Add the bag's name to errors, unless an error names one of its files."""
     try:
         with name_file(bag.path, expected="a bag"):
             yield
@@ -144,7 +144,7 @@ def _name_once(bag: Bag) -> Iterator[None]:
 
 
 def describe_chosen(notes: Mapping[str, str]) -> str:
-    """Return one line on the topics that were read, and their alternatives."""
+    """Return one line on the topics that were read, with the alternatives."""
     command = notes.get("command_topic")
     poses = notes.get("pose_topic")
     parts = [f"poses from {poses}" if poses else "no poses"]
@@ -273,7 +273,7 @@ def _build_run(
 
 
 def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
-    """Return the finite poses and the number of dropped ones; speeds with nan are dropped.
+    """Return the finite poses and the number of dropped poses. Speeds with NaN are dropped.
 
     Raises:
         LogError: If no pose is finite.
@@ -298,12 +298,12 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
 
 
 _CROWDED_NS: Final = 10_000
-"""Usual time between poses below which their times are wrong [ns]: the fastest motion capture takes
-a pose every 100 us."""
+"""Usual time between poses below which the times are wrong [ns]: the fastest motion capture takes a
+pose every 100 us."""
 
 
 def _describe_crowded(time_ns: NDArray[np.int64]) -> str:
-    """Return a sentence on poses whose times lie too close together for a sensor; may be empty."""
+    """Return a sentence on poses that are too close in time for a sensor; it may be empty."""
     steps_ns = np.diff(time_ns)
     if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
         return ""
@@ -320,7 +320,7 @@ def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Value
 
 
 def _name_others(text: str, source: PoseSource) -> str:
-    """Return a sentence on possibly wrong poses, with the topics of other poses."""
+    """Return a sentence on possibly wrong poses, with the other topics of poses."""
     others = source.notes.get("other_pose_topics")
     return text if others is None or "poses" not in text else f"{text}; others: {others}"
 
@@ -351,8 +351,8 @@ def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
 def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values | None:
     """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
 
-    None if there are no sensed poses, or their times do not identify the poses, as with a wall
-    clock.
+    The result is None if there are no sensed poses, or their times do not identify the poses, as
+    with a wall clock.
     """
     kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     if moved or not any(SENSED.name in of_file for of_file in found):

@@ -22,21 +22,20 @@ from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 Values = NDArray[np.float64]
 
 _AT_ROBOT_M: Final = 0.1
-"""Largest distance from a path's end to the robot for a path that is its trace [m].
+"""Largest distance of a path's end from the robot at which the path is the robot's trace [m].
 
-The value is a robot's width; the last recorded position is a few tenths of a second old. A plan
-ends at the goal, which is farther away."""
+The distance is a robot's width, because the last recorded position is a few tenths of a second old.
+A plan, in contrast, ends at the goal, which is farther away."""
 
 _AT_ROBOT_SHARE: Final = 0.1
-"""The same as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
+"""The same distance as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
 
 _MOST_PATHS: Final = 1000
 """Largest number of path messages that are read without request. A trace that grows point by point
-takes 300 MB and 3 s; a plan of Nav2, one per second, lasts a quarter of an hour."""
+takes 300 MB and 3 s. With one Nav2 plan per second, the number lasts a quarter of an hour."""
 
 _MOST_LOOKED_AT: Final = 50
-"""Number of messages of a path that are compared with the robot's position; their median
-decides."""
+"""Number of messages of a path that are compared with the robot's position. The median decides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,7 +46,7 @@ class Track:
         time_ns: Time on the recorder's clock [ns], shape (n,), not decreasing.
         xy_m: Position [m], shape (n, 2).
         frame: Frame of the poses; empty if unknown.
-        tree: Transforms between frames; empty if there are none.
+        tree: Transforms between frames; empty without transforms.
     """
 
     time_ns: NDArray[np.int64]
@@ -129,8 +128,8 @@ class FoundGoal:
 def find_goal(messages: Sequence[TopicColumns], topic: str, track: Track) -> FoundGoal:
     """Return the last goal that was set while the robot was recorded.
 
-    A goal in another frame is converted to that of the poses by the transforms at the time when it
-    was set. If there are none, there is no goal, and the note gives the reason.
+    A goal in another frame is converted to the frame of the poses by the transforms at the time of
+    the goal. Without such transforms, there is no goal, and the note gives the reason.
     """
     rows = sorted(
         (time_ns, number, row)
@@ -168,7 +167,7 @@ def _name_place(columns: TopicColumns, row: int) -> tuple[str, ...]:
 def _bring_over(
     track: Track, frame: str, place_m: Values, turn: Values, time_ns: int
 ) -> tuple[Values, Values, str] | str:
-    """Return positions and forward directions in the poses' frame, and how; or a reason why not."""
+    """Return positions and forward directions in the poses' frame, and the method; or why not."""
     frame, ahead = frame.lstrip("/"), rotate(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
     if frame == track.frame:
         return place_m, ahead, ""
@@ -202,7 +201,7 @@ def find_path(
 ) -> FoundPath:
     """Return the first path with a length, preferably after a time.
 
-    A topic with the robot's own trace is not a reference.
+    A path topic with the robot's own trace does not count.
 
     Args:
         messages: Messages of `nav_msgs/msg/Path`, by file.
@@ -239,7 +238,7 @@ def find_path(
 
 
 def _read_points(columns: TopicColumns, row: int, time_ns: int, track: Track) -> tuple[Values, str]:
-    """Return the points of a path in the frame of the poses; otherwise no points and the reason."""
+    """Return the points of a path in the frame of the poses, or no points and the reason."""
     try:
         found: list[dict[str, Any]] = columns.fields["poses"][row]
         frame = str(columns.fields["header.frame_id"][row])

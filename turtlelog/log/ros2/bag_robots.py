@@ -25,12 +25,12 @@ _PARTS: Final = re.compile(
     r"(?i)(?:front|rear|left|right)?_?(?:camera|cam|imu|lidar|laser|scan|gps|gnss|sensor|wheel|tag"
     r"|marker|motor|arm|joy)s?_?"
 )
-"""Names, without their numbers, of parts of a robot."""
+"""Names, without their numbers, that belong to parts of a robot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagRobot:
-    """A robot among several.
+    """One of several robots.
 
     Attributes:
         name: Word that occurs only in the topics of this robot.
@@ -54,8 +54,8 @@ class BagRobot:
 def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
     """Return the robots that topic names distinguish; empty for a bag of one robot.
 
-    Topics of one type whose namespaces differ in one word belong to several robots if these words
-    differ only by number, or if both poses and commands have them.
+    Several robots have topics of one type whose namespaces differ in one word. These words differ
+    only by number, or both poses and commands have them.
     """
     held = [topic for topic in topics if topic.count]
     kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))
@@ -70,7 +70,7 @@ def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
 
 
 _Place = tuple[str, ...]
-"""The words before the robot's name in the name of a topic."""
+"""The words before the robot's name in a topic name."""
 
 
 def _group_words(held: Sequence[TopicInfo]) -> Iterator[tuple[_Place, dict[str, bool]]]:
@@ -93,7 +93,7 @@ def select_robot(
     """Return the topics of one robot and those of no robot, and all robots.
 
     Without a name, the first robot with poses is chosen if the robots differ only by number. A name
-    that occurs in no topic may be that of frames in transforms.
+    that occurs in no topic may occur in the frames of transforms.
 
     Raises:
         LogError: If several robots are equally likely.
@@ -128,7 +128,8 @@ def require_robot(name: str, topic: str, robots: Collection[BagRobot]) -> None:
     """Refuse a requested robot if the topic of poses or commands belongs to another.
 
     Raises:
-        LogError: With the names of the robots.
+        LogError: If the topic belongs to another robot. The message contains the names of the
+            robots.
     """
     if name in topic.split("/")[:-1]:
         return

@@ -33,11 +33,11 @@ Times = NDArray[np.int64]
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
 MOST_SCANS: Final = 400
-"""Largest number of scans, chosen evenly: a minute at 7 Hz, or one in seven of ten minutes at 5
-Hz."""
+"""Largest number of scans, evenly selected: a minute at 7 Hz, or one in seven scans of ten minutes
+at 5 Hz."""
 
 MOST_RAYS: Final = 360
-"""Largest number of points per scan, chosen evenly: one per degree."""
+"""Largest number of points per scan, evenly selected: one per degree."""
 
 CELL_M: Final = 0.05
 """Cell size for thinning the points of all scans [m]; usual for maps."""
@@ -46,8 +46,8 @@ MOST_CELLS: Final = 20_000
 """Largest number of cells: walls of 1 km."""
 
 _MOST_MESSAGES: Final = 20_000
-"""Largest number of scans that are read: an hour at 5 Hz. More scans of 360 rays take over 100
-MB."""
+"""Largest number of scans that are read: an hour at 5 Hz. More scans of 360 rays would take over
+100 MB."""
 
 _LONGEST_RAY_M: Final = 10_000.0
 """Range beyond that of any scanner on a robot [m]; `range_max` may be infinite."""
@@ -65,7 +65,7 @@ class Surroundings:
         scans_xy_m: Points of each scan [m], shape (k, 2) each.
         walls_xy_m: Centers of the cells that contain scan points [m], shape (m, 2).
         maps: The last map, and the last global costmap.
-        notes: Sources and omissions, in sentences.
+        notes: Sources and parts left out, in sentences.
     """
 
     time_ns: Times
@@ -76,7 +76,7 @@ class Surroundings:
 
     @property
     def map_xy_m(self) -> Values:
-        """Centers of the occupied cells of the map, evenly chosen of many [m], shape (c, 2)."""
+        """Centers of occupied cells of the map [m], shape (c, 2); if many, an even selection."""
         return self.maps[0].list_occupied() if self.maps else np.zeros((0, 2))
 
 
@@ -84,14 +84,14 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
     """Return the laser scans and the map in the bag of a run.
 
     A scan is placed at the robot's linearly interpolated pose. /tf gives the place of the scanner
-    on the robot; otherwise it is the robot's origin. Scans and rays are thinned.
+    on the robot; without /tf, the scanner is at the robot's origin. Scans and rays are thinned.
 
     Args:
         path: The bag of the run.
         run: Run read from this bag.
 
     Returns:
-        None: If the bag has neither, or the run's clock is unknown.
+        None: If the bag has neither a scan nor a map, or the run's clock is unknown.
 
     Raises:
         LogError: If the bag cannot be read.
@@ -107,7 +107,7 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
 
 
 def _pick_scan(topics: Collection[TopicInfo], home: str) -> TopicInfo | None:
-    """Return the topic of scans below the robot's name, or else with the most messages."""
+    """Return the topic of scans below the robot's name, or else the one with the most messages."""
 
     def rank(topic: TopicInfo) -> tuple[bool, int, int]:
         return topic.topic.rpartition("/")[0] == home, topic.count, -len(topic.topic)
@@ -188,7 +188,7 @@ def _time_scans(columns: TopicColumns, run: Run) -> Times:
 
 
 def _has_pose(run: Run, time_ns: Times) -> NDArray[np.bool_]:
-    """Return at which times there is a pose shortly before and shortly after."""
+    """Return whether there is a pose shortly before and shortly after each time."""
     poses_ns = run.poses.time_ns
     after = np.searchsorted(poses_ns, time_ns)
     inside = (after > 0) & (after < len(poses_ns))

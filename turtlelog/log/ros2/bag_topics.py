@@ -1,4 +1,4 @@
-"""The topics of a bag with poses and commands, by type and name or as requested."""
+"""The topics of a bag with poses and commands, chosen by type and name or as requested."""
 
 import re
 from collections import Counter
@@ -31,8 +31,8 @@ _TIERS: Final = {
     **dict.fromkeys(TRANSFORM_TYPES, 5),
     FIX: 6,
 }
-"""Priority of pose types: odometry first (it has rates), then types with stamps; satellite fixes
-come last, because they give no heading."""
+"""Priority of pose types: odometry first, because it has rates, then types with stamps. Satellite
+fixes come last, because they give no heading."""
 
 POSE_TYPES: Final = tuple(_TIERS)
 _POSES_IN_SHORT: Final = (
@@ -81,7 +81,7 @@ _COMMAND_NAMES: Final = (
     re.compile(r"cmd_vel_smoothed"),
     re.compile(r"(?s:cmd_vel.*|.*(?:cmd|command).*)"),
 )
-"""Patterns of names of command topics, the one that a base listens to first."""
+"""Patterns for names of command topics; the topic that a base usually listens to is first."""
 
 _POSE_NAMES: Final = (
     re.compile(r"odom|odometry|pose"),
@@ -103,11 +103,14 @@ class NoPosesError(LogError):
 
 
 _MOST_LISTED: Final = 100
-"""Largest number of names in a note; a file of 400 kB can have 65,000 topics."""
+"""Largest number of names in a note. A file of 400 kB can have 65,000 topics."""
 
 
 def list_first_names(names: Sequence[str]) -> str:
-    """Return names for a note; if there are too many, the first and the number of the others."""
+    """Return names for a note.
+
+    If there are too many names, the note has the first names and the number of the others.
+    """
     few = ", ".join(names[:_MOST_LISTED])
     more = len(names) - _MOST_LISTED
     return f"{few} and {more:,} more" if more > 0 else few
@@ -120,7 +123,7 @@ class Pick:
     Attributes:
         topic: The chosen topic.
         others: Names of the alternatives.
-        still: Name of a topic that was rejected because it never moves; empty if there is none.
+        still: Name of a topic that was rejected because it never moves; empty without such a topic.
     """
 
     topic: TopicInfo
@@ -133,7 +136,7 @@ class Pick:
 
 
 def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
-    """Return the requested topic, or otherwise the most likely one.
+    """Return the requested topic, or else the most likely topic.
 
     Raises:
         LogError: If there is no such topic, or several are equally likely.
@@ -159,7 +162,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
 
 
 def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
-    """Return the requested topic of joint states, or the one with the usual name.
+    """Return the requested topic of joint states, or else the one with the usual name.
 
     Raises:
         LogError: If there is no such topic, or several are equally likely.
@@ -181,7 +184,7 @@ def choose_command_topic(
     pose_topic: str,
     types: Collection[str] = COMMAND_TYPES,
 ) -> Pick | None:
-    """Return the requested topic, or the most likely one; None if there is none.
+    """Return the requested topic, or else the most likely one; None if there is none.
 
     The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
     the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
@@ -260,7 +263,7 @@ def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick |
 
 
 def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
-    """Return topics whose fields may be a pose's: types with such names, or unknown types."""
+    """Return topics whose fields may belong to a pose: types with such names, or unknown types."""
     return [
         topic
         for topic in topics
@@ -324,7 +327,7 @@ _GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
 def _list_first(
     topics: Sequence[TopicInfo], rank: Callable[[TopicInfo], tuple[int, ...]]
 ) -> list[TopicInfo]:
-    """Return the topics with the lowest rank."""
+    """Return the topics with the best rank."""
     ranks = [rank(topic) for topic in topics]
     least = min(ranks)
     return [topic for topic, of_topic in zip(topics, ranks, strict=True) if of_topic == least]
@@ -373,7 +376,7 @@ def _rank_path(topic: str, pose_topic: str) -> tuple[int, ...]:
 
 
 def _rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
-    """Return the distance of a topic from the poses: number of different words, then depth."""
+    """Return the distance of a topic from the poses: number of differing words, then depth."""
     own, home = topic.split("/")[1:-1], pose_topic.split("/")[1:-1]
     shared = 0
     while shared < min(len(own), len(home)) and own[shared] == home[shared]:
@@ -407,7 +410,7 @@ def _is_another_robots(topic: str, pose_topic: str) -> bool:
 
 
 def _drop_two_types(fitting: list[TopicInfo], present: Collection[TopicInfo]) -> list[TopicInfo]:
-    """Return topics without those that have messages of two types; refuse if none is left."""
+    """Return topics without those that have messages of two types. Refuse if no topic remains."""
     counts = Counter(topic.topic for topic in present)
     left = [topic for topic in fitting if counts[topic.topic] == 1]
     if fitting and not left:
@@ -453,7 +456,10 @@ def _take_last(topic: str) -> str:
 
 
 def list_numbers(name: str) -> list[tuple[int, str]]:
-    """Return the numbers in a name as a sort key; kept as texts, because they may be very long."""
+    """Return the numbers in a name as a sort key.
+
+    The numbers remain texts, because they may be very long.
+    """
     digits = (found.lstrip("0") for found in _NUMBER.findall(name))
     return [(len(found), found) for found in digits]
 

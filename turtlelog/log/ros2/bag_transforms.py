@@ -25,7 +25,7 @@ _ROBOTS: Final = (
     re.compile(r"base_link"),
     re.compile(r"base|base_frame|robot|robot_base|chassis|body|turtle\d+"),
 )
-"""Patterns of robot frames (REP 105, REP 120), the one on the ground first."""
+"""Patterns for robot frames (REP 105, REP 120); the frame on the ground is first."""
 
 _WORLDS: Final = re.compile(r"earth|map|world|odom|odom_\w+|\w+_odom|mocap|optitrack|vicon")
 
@@ -45,7 +45,8 @@ class Link:
         stamp_ns: Stamp of each message [ns], shape (n,).
         place_m: Position of the child's origin in the parent frame [m], shape (n, 3).
         turn: Rotation of the child as quaternions x, y, z, w, shape (n, 4).
-        is_static: Whether the transform is static, so that its last message is used.
+        is_static: Whether the transform is static. Only the last message of a static transform is
+            used.
     """
 
     parent: str
@@ -73,7 +74,7 @@ class Link:
         return place_m, turn
 
     def interpolate(self, stamp_ns: int) -> tuple[Values, Values] | None:
-        """Return place and turn at a stamp, between its neighbours; None if the stamps say nothing.
+        """Return place and turn at a stamp, between its neighbours; None if stamps are unusable.
 
         A stamp before the first or after the last message has the values of that message, up to 1 s
         away.
@@ -208,7 +209,7 @@ def choose_frames(
     """Return the requested frames, completed by the most likely ones.
 
     Frames of a robot and of the world have well-known names. Without such names, the only moving
-    link is chosen. A link below a robot's frame is a joint, and is never chosen.
+    link is chosen. A link below a robot's frame is a joint and is never chosen.
 
     Args:
         tree: The transforms.
@@ -282,7 +283,7 @@ def _list_other_parents(tree: Tree, robot: str, world: str) -> tuple[str, ...]:
 
 
 def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
-    """Return pairs of well-known frames, one per robot; each robot has a prefix of its own."""
+    """Return pairs of well-known frames, one pair per robot. Each robot has its own prefix."""
     robots: dict[str, tuple[int, str]] = {}
     for _, child in tree:
         prefix, _, name = child.rpartition("/")
@@ -303,7 +304,7 @@ def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
 
 
 def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
-    """Return moving links that are not joints: no frame above them moves or is a robot's."""
+    """Return moving links that are not joints: no frame above them moves or belongs to a robot."""
     found = []
     for (parent, child), link in tree.items():
         is_root = not _list_moving(tree, parent) and not is_robot_frame(parent)
@@ -333,7 +334,7 @@ def _climb(tree: Tree, frame: str) -> list[str]:
 
 
 def _find_world(tree: Tree, robot: str) -> str:
-    """Return the highest frame above a frame with a name of the world, otherwise the root.
+    """Return the highest frame above a frame with a name of the world, or else the root.
 
     Raises:
         LogError: If there is no frame above.
@@ -346,7 +347,7 @@ def _find_world(tree: Tree, robot: str) -> str:
 
 
 def find_carrier(tree: Tree, frame: str) -> str | None:
-    """Return the robot's frame that carries a fixed frame; None if no transform has the frame.
+    """Return the robot's frame that carries a fixed frame; None if no transform contains the frame.
 
     The result is the highest frame above with a robot's name, otherwise the first that moves.
     """
@@ -370,7 +371,7 @@ def is_robot_frame(frame: str) -> bool:
 
 
 def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]]:
-    """Return one frame in another, at every message of the moving link next to the robot.
+    """Return one frame in another frame, at every message of the moving link next to the robot.
 
     Other links that move, such as a localisation's correction map -> odom, are held at their last
     recorded value.
@@ -404,13 +405,13 @@ def locate_frame(
     time_ns: NDArray[np.int64],
     stamp_ns: int | None = None,
 ) -> tuple[Values, Values] | None:
-    """Return where a frame is in another at some times; None if nothing joins the two.
+    """Return the pose of a frame in another frame at some times; None if they are not connected.
 
     Args:
         tree: The transforms.
         world: The other frame.
         frame: The frame.
-        time_ns: Log times [ns], shape (n,): links are as last recorded.
+        time_ns: Log times [ns], shape (n,). Links are used as last recorded.
         stamp_ns: Stamp of a single time [ns]: links with stamps are interpolated at this stamp.
     """
     try:
@@ -463,7 +464,7 @@ def compose_way(
 
 
 def build_link_columns(link: Link, topic: str) -> TopicColumns:
-    """Return a link as TransformStamped messages of a topic of its own."""
+    """Return a link as TransformStamped messages of a separate topic."""
     numbers = {
         **{f"transform.{name}": link.place_m[:, k] for k, name in enumerate(_NUMBERS)},
         **{f"transform.{name}": link.turn[:, k] for k, name in enumerate(_TURNS)},

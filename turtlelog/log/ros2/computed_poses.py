@@ -51,7 +51,7 @@ class JoinedMessages:
         return np.asarray((time_ns - time_ns[:1]) / 1e9)
 
     def make_poses(self, rows: NDArray[np.int64], columns: Mapping[str, Values]) -> TopicColumns:
-        """Return computed poses for some of the messages, as messages of the same topic."""
+        """Return poses computed from some of the messages, as messages of the same topic."""
         stamp_ns = self.stamp_ns[rows]
         return TopicColumns(
             topic=self.topic,
@@ -113,32 +113,34 @@ _FLATTENING: Final = 1.0 / 298.257223563
 """Flattening of the WGS84 ellipsoid (NGA.STND.0036)."""
 
 _LEAST_WAY_M: Final = 0.5
-"""Smallest distance over which a course is computed [m]: for noise of 5 cm or less."""
+"""Smallest distance over which a course is computed [m], suitable for noise up to 5 cm."""
 
 _NOISES: Final = 10.0
-"""Distance in standard deviations of the noise, which turns the course by sqrt(2) / 10 rad, 8
-deg."""
+"""The same distance in standard deviations of the noise, which then turns the course by sqrt(2) /
+10 rad, 8 deg."""
 
 _LONGEST_S: Final = 10.0
 """Longest time in which a moving receiver covers this distance [s]: half a metre at 0.05 m/s. A
 receiver at rest drifts by metres in minutes."""
 
 _FEWEST: Final = 3
-"""Fixes needed for a course: its own, one before and one after."""
+"""Number of fixes needed for a course: its own, one before and one after."""
 
 _MEDIAN_OF_SECOND: Final = 2.884
 """Median length of second differences of positions in the plane, in standard deviations of the
 noise of one axis.
 
-It is sqrt(6) for a second difference, times sqrt(2 ln 2) for the median of a Rayleigh distribution.
+The factor is sqrt(6) for a second difference, times sqrt(2 ln 2) for the median of a Rayleigh
+distribution.
 """
 
 
 def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str, str]]:
     """Return the poses from fixes of sensor_msgs/NavSatFix, and notes on them.
 
-    x, y and z are east, north and up of the first fix. While the receiver moves, the heading is its
-    course; at rest, the heading is held. Before the first course, the heading equals that course.
+    x, y and z are the distances east, north and up from the first fix. While the receiver moves,
+    the heading is its course; at rest, the heading is held. Before the first course, the heading
+    equals that course.
 
     Args:
         found: Messages of NavSatFix, by file.
@@ -199,7 +201,7 @@ def _describe_standing(time_s: Values, place_m: Values) -> str:
 
 
 def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values) -> Values:
-    """Return positions east, north and up of the first one [m], shape (n, 3)."""
+    """Return positions east, north and up of the first position [m], shape (n, 3)."""
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
     squared = _FLATTENING * (2.0 - _FLATTENING)
     normal_m = _AXIS_M / np.sqrt(1.0 - squared * np.sin(latitude) ** 2)
@@ -224,11 +226,11 @@ def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values)
 
 
 def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
-    """Return the courses [rad], the distance that they are computed over [m], and the number held.
+    """Return courses [rad], the distance over which they are computed [m], and how many are held.
 
-    A course leads from the last position at least half that distance behind to the first one at
-    least half of it ahead, both within ten seconds. Otherwise the previous course is held; at the
-    start the first course is used. NaN throughout if nothing moves.
+    A course leads from a position at least half this distance behind to a position at least half of
+    it ahead, both within ten seconds. Otherwise the previous course is held; at the start, the
+    first course is used. All courses are NaN if nothing moves.
 
     Args:
         time_s: Times of the positions, not decreasing [s], shape (n,).
@@ -260,7 +262,7 @@ def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
 
 
 def _find_far(offsets_m: Values, least_m: float) -> int | None:
-    """Return the index of the first offset that is long enough; None if there is none."""
+    """Return the index of the first offset that is long enough; None if no offset is."""
     far = np.flatnonzero(np.hypot(*offsets_m.T) >= least_m)
     return int(far[0]) if len(far) else None
 
@@ -271,7 +273,7 @@ _JOINT_FIELDS = ("name", "position", "velocity")
 def integrate_wheels(
     found: Sequence[TopicColumns], joints: tuple[str, str], wheels_m: tuple[float, float]
 ) -> tuple[TopicColumns, str]:
-    """Return the poses computed from two wheels in sensor_msgs/JointState, and the method in words.
+    """Return poses computed from two wheels in sensor_msgs/JointState, and the method in words.
 
     The robot starts at the origin, along x. Between messages it drives the arc given by both
     wheels, which is exact if they turn evenly. Without positions, velocities are integrated: the

@@ -1,4 +1,4 @@
-"""Comparison of path lengths and rates reported by odometry with those of its poses."""
+"""Comparison of path lengths and rates that odometry reports with those of its poses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,32 +16,33 @@ PATH_NOTE: Final = "path_by_speed"
 """Name of the note on poses and reported speeds with different path lengths."""
 
 _APART: Final = 0.2
-"""Share by which two path lengths differ. Wheel odometry integrates its own speed and is within 5
-%; those of a camera or a filter are within 10 %."""
+"""Share by which two path lengths must differ. Wheel odometry integrates its own speed and is
+within 5 %; odometry of a camera or a filter is within 10 %."""
 
 _LEAST_M: Final = 0.5
 """Shortest path that is compared [m]: noise of 5 mm from pose to pose adds up to it in 100
 poses."""
 
 _STILL_M: Final = 1e-3
-"""Largest extent of poses that never move [m]: an encoder's tick is less, and noise is more."""
+"""Largest extent of poses that never move [m]; an encoder's tick is smaller, and noise is
+larger."""
 
 _LONGEST_NS: Final = 1_000_000_000
 """Longest step in time that counts [ns]: the motion during longer steps is unknown."""
 
 _STRIDE_NS: Final = 200_000_000
-"""Time over which poses are differenced [ns], for which 1 mm of noise is 7 mm/s."""
+"""Time over which poses are differenced [ns]; in this time, 1 mm of noise is 7 mm/s."""
 
 _JUMP_M: Final = 0.05
 """Excess of a step over the reported speed from which it is a jump [m]: the length of a step at 20
 Hz and 1 m/s."""
 
 _MOST_JUMPS: Final = 0.1
-"""Largest share of jumps among the steps; if there are more, they are the usual motion."""
+"""Largest share of jumps among the steps. More jumps would be the usual motion."""
 
 _NEARER: Final = 2.0
-"""Ratio of two distances from the path of the commands beyond which the farther path is likely
-wrong."""
+"""Ratio of two paths' distances from the path of the commands, from which the farther path is
+probably wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +53,8 @@ class Paths:
         is_still: Whether the poses never move.
         by_poses: Sum of distances from pose to pose.
         by_strides: Sum of distances between poses 0.2 s apart.
-        by_speed: Integral of the magnitude of the reported velocity; None if it is not reported.
-        in_jumps: Sum of the excess of single steps over that velocity.
+        by_speed: Integral of the magnitude of the reported velocity; None without reports.
+        in_jumps: Sum of the excess of single steps over the reported velocity.
         by_commands: Integral of the magnitude of the commands; None without commands.
     """
 
@@ -115,13 +116,13 @@ def _integrate(step_ns: _TimesNs, columns: Mapping[str, Values]) -> Values | Non
 
 
 def _hold(time_ns: _TimesNs, speed_m_s: Values) -> float:
-    """Return the path length of commands, each held until the next but at most for a second [m]."""
+    """Return the path length of commands [m], each held until the next but at most for a second."""
     held_s = np.minimum(np.diff(time_ns), _LONGEST_NS) / 1e9
     return float((np.abs(speed_m_s[:-1]) * held_s).sum())
 
 
 def describe_paths(paths: Paths) -> str | None:
-    """Return a sentence on paths that differ and on the likely error; None if they agree."""
+    """Return a sentence on paths that differ, and on the likely error; None if the paths agree."""
     if paths.is_still:
         return _describe_still(paths)
     if paths.by_speed is None or max(paths.by_poses, paths.by_speed) < _LEAST_M:
@@ -134,7 +135,7 @@ def describe_paths(paths: Paths) -> str | None:
 
 
 def _describe_still(paths: Paths) -> str | None:
-    """Return a sentence on poses that never move although speeds or commands do; None otherwise."""
+    """Return a sentence on poses that never move although speeds or commands do; else None."""
     if paths.by_speed is not None and paths.by_speed >= _LEAST_M:
         way = format_short(paths.by_speed, "m")
         return f"the poses never move, and are likely wrong: the reported speed drives {way}"
@@ -148,7 +149,7 @@ def _describe_still(paths: Paths) -> str | None:
 
 
 def _blame(paths: Paths, by_speed: float) -> str:
-    """Return which of two paths is more likely wrong, with the reason."""
+    """Return which of two paths is more probably wrong, with the reason."""
     if paths.in_jumps and not _differ(paths.by_poses - paths.in_jumps, by_speed):
         jumps = format_short(paths.in_jumps, "m")
         return f"the poses are more likely wrong, whose jumps add {jumps}"
@@ -174,11 +175,11 @@ def _differ(one_m: float, other_m: float) -> bool:
 
 
 _LEAST_LEAP_M: Final = 0.01
-"""Smallest leap of a driving robot [m]: positions are rounded to a centimetre at most, and the
-noise of a filter is less."""
+"""Smallest leap of a driving robot [m]. Positions are rounded to a centimetre at most, and the
+noise of a filter is smaller."""
 
 _ROWS: Final = 4
-"""Number of poses on either side that give the robot's motion; leaps cancel out in them."""
+"""Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
 
 _SHARE: Final = 0.2
 """Smallest share of steps that leap if two programs publish, one as rarely as every fourth pose."""
@@ -197,7 +198,7 @@ positions."""
 
 
 def describe_small_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses of two programs that are a few centimetres apart; None otherwise.
+    """Return a sentence on poses of two programs that are a few centimetres apart; else None.
 
     Args:
         xy_m: Positions in the order of reception [m], shape (n, 2).
@@ -226,27 +227,27 @@ def describe_small_leaps(xy_m: Values) -> str | None:
 
 
 REPORTED_RATES: Final = "reported_rates"
-"""Name of the note on odometry rates that are left out or turned."""
+"""Name of the note on odometry rates that are left out or rotated."""
 
 SPEED: Final = "measured_speed"
 LATERAL: Final = "measured_lateral_speed"
 TURN_RATE: Final = "measured_turn_rate"
 
 MOVED_M: Final = 0.1
-"""Extent of a robot that moved, jumps excluded [m]: noise of robots at rest is less."""
+"""Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
 
 TURNED_RAD: Final = 0.2
-"""The same for its heading [rad]."""
+"""Smallest turn of a robot that turned [rad]."""
 
 _JUMPS: Final = 0.99
-"""Quantile of steps above which they may be jumps, as from corrections of a robot at rest."""
+"""Quantile of steps above which steps may be jumps, for example corrections of a robot at rest."""
 
 _SLOWEST_M_S: Final = 0.05
-"""Difference of twists and path below which it may be noise (rms) [m/s]."""
+"""Difference between twists and path up to which it may be noise (rms) [m/s]."""
 
 _MUCH_BETTER: Final = 3.0
-"""Ratio of fits from which twists count as along the world's axes. The twists of a robot that never
-turns away from the x axis fit both."""
+"""Ratio of fits from which twists count as along the world's axes. Twists of a robot that never
+turns away from the x axis fit both axes equally."""
 
 
 def judge_rates(
@@ -255,7 +256,7 @@ def judge_rates(
     """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
     Twists that were never set are all zeros; such rates are left out if the poses move. Twists
-    along the axes of the world, a common fault, are turned into the robot's.
+    along the axes of the world are a common fault; they are rotated into the robot's axes.
 
     Args:
         time_ns: Time of each pose [ns], shape (n,), not decreasing.

@@ -11,7 +11,7 @@ Values = NDArray[np.float64]
 def compose(
     place_m: Values, turn: Values, next_m: Values, next_turn: Values
 ) -> tuple[Values, Values]:
-    """Return a transform followed by another; positions have shape (n, 3), rotations (n, 4)."""
+    """Return a transform followed by another. Positions have shape (n, 3), rotations (n, 4)."""
     return place_m + rotate(turn, next_m), multiply(normalise(turn), normalise(next_turn))
 
 
@@ -24,7 +24,7 @@ def rotate(turn: Values, vector: Values) -> Values:
 
 
 def invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
-    """Return the transform back."""
+    """Return the inverse transform."""
     back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
     return -rotate(back, place_m), back
 
@@ -57,4 +57,4 @@ def turn_between(first: Values, last: Values, share: float) -> Values:
 
 
 _SMALL_RAD: Final = 1e-6
-"""Below this angle an arc is a line to the last bit."""
+"""Angle below which an arc equals a line to the last bit [rad]."""

@@ -22,44 +22,45 @@ _FIELDS: Final = tuple(
 """Fields of stamps: in ROS 2 headers, in other types, in Foxglove's messages."""
 
 _MOST_DRIFT: Final = 2e-3
-"""Largest drift between two computer clocks: quartz has about 1e-4, and correction at most 5e-4
-each way. Stamps that are faster or slower come from a simulation."""
+"""Largest drift between two computer clocks: quartz has about 1e-4, and correction at most 5e-4 on
+each side. Faster or slower stamps come from a simulation."""
 
 FIRST_WALL_NS: Final = 1_000_000_000_000_000_000
 """Smallest stamp of a wall clock [ns], in 2001: a simulation's stamps begin at 0. Later stamps at
 another rate may come from a simulation, or from a recorder that falls behind."""
 
 _MOST_FREE_DRIFT: Final = 5e-4
-"""Largest drift of a clock that was never set: two quartz clocks differ by at most 2e-4. Stamps of
-no wall clock that are faster or slower come from a simulation."""
+"""Largest drift of a clock that was never set: two quartz clocks differ by at most 2e-4. If stamps
+are not of a wall clock, faster or slower stamps come from a simulation."""
 
 _PARTED_NS: Final = 100_000_000
 """Drift over a recording up to which two clocks may be one with a changing transport delay [ns]."""
 
 _LATE_SPREADS: Final = 3.0
-"""The same as a multiple of the usual variation of the transport delay."""
+"""The same drift as a multiple of the usual variation of the transport delay."""
 
 _LATE_NS: Final = 1_000_000_000
-"""Drift beyond which clocks are always two [ns]."""
+"""Drift from which there are always two clocks [ns]."""
 
 _JUMP_NS: Final = 500_000_000
-"""Step between the clocks from which one was set forward [ns]: transport delays change by less."""
+"""Step between the clocks from which a clock was set forward [ns]; transport delays change by
+less."""
 
 _JUMP_STEPS: Final = 3.0
-"""Smallest step in usual steps: if there is one pose per second, some may be lost."""
+"""Smallest step in usual steps. With one pose per second, some poses may be lost."""
 
 _JUMP_ROWS: Final = 5
-"""Messages that show that a clock was set: fewer are late, or wrongly stamped."""
+"""Number of messages that show that a clock was set; fewer are late, or wrongly stamped."""
 
 _NEAR_ROWS: Final = 3
-"""Messages on either side that show which stamps are valid."""
+"""Number of messages on either side that show which stamps are valid."""
 
 _LEAST_STAMPED: Final = 0.5
 """Smallest share of messages with a stamp; otherwise most times would be interpolated."""
 
 _LEAST_ADVANCES: Final = 0.25
 """Smallest share of messages with a stamp of their own. Some programs publish each pose several
-times, others never update the time."""
+times; other programs never update the time."""
 
 _STRETCH_ROWS: Final = 20
 """Smallest mean number of messages between two jumps; a clock that is set more often is not
@@ -90,7 +91,7 @@ class StampClock:
     """Properties of the stamps of a topic.
 
     Attributes:
-        reason: Why the stamps are not usable; empty if they are.
+        reason: Why the stamps are not usable; empty if they are usable.
         time_ns: Time of each message's stamp [ns], shape (n,), on the recorder's clock. At another
             rate, stamp seconds are counted from the first log time. Messages without a usable stamp
             have log times.
@@ -98,11 +99,11 @@ class StampClock:
         is_other_pace: Whether the rate differs by more than the drift of computer clocks.
         offset_ns: Recorder's time minus stamp at the first stamp, for the shortest transport delay
             [ns].
-        jitter_ns: Median transport delay minus the shortest [ns]; None at another rate.
+        jitter_ns: Median transport delay minus the shortest delay [ns]; None at another rate.
         stamps_span_ns: Time from first to last stamp, without jumps [ns].
-        log_span_ns: The same on the recorder's clock [ns].
+        log_span_ns: The same time on the recorder's clock [ns].
         jumps: Number of jumps of the stamps' clock.
-        odd: Number of messages whose stamp is 0 or far from those of their neighbours.
+        odd: Number of messages whose stamp is 0 or far from those of neighbouring messages.
         disordered: Number of messages whose stamp is before that of an earlier message.
         known: Rows of the messages that are timed by their stamps.
     """
@@ -122,7 +123,7 @@ class StampClock:
 
 
 def read_stamps(columns: TopicColumns) -> TimesNs | None:
-    """Return the stamps in the headers of messages [ns]; None if their type has none."""
+    """Return the stamps in the headers of messages [ns]; None if their type has no stamps."""
     fields = columns.fields
     for seconds, rest in _FIELDS:
         if seconds in fields and rest in fields:
@@ -149,12 +150,12 @@ def read_stamp_clock(stamps: Stamps) -> StampClock:
 
 
 def _take(values: TimesNs, rows: Rows) -> TimesNs:
-    """Return the values at increasing indices; if these are all rows, nothing is copied."""
+    """Return the values at increasing indices. If these are all rows, nothing is copied."""
     return values if len(rows) == len(values) else values[rows]
 
 
 def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
-    """Return the reason why stamps are not usable; empty if they are."""
+    """Return why stamps are not usable; empty if they are usable."""
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
         return "all stamps are 0 or before 1970" if stamp_ns.any() else "all stamps are 0"
@@ -174,7 +175,7 @@ _ROWS_AT_ONCE: Final = 65_536
 
 
 def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
-    """Return which stamps differ from those of the messages on either side."""
+    """Return which stamps differ from the stamps of the messages on either side."""
     late_ns = log_ns - stamp_ns
     if len(late_ns) <= 2 * _NEAR_ROWS:
         return np.zeros(len(late_ns), dtype=bool)
@@ -325,7 +326,7 @@ def _map(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> TimesNs:
 
 
 def _chain(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], pace: float) -> TimesNs:
-    """Return segments of stamps in their own seconds, one after another."""
+    """Return segments of stamps in their own seconds, joined one after another."""
     times: list[TimesNs] = []
     start, last = int(log_ns[stretches[0][0]]), stretches[0][0]
     for rows in stretches:
@@ -352,7 +353,7 @@ def place_log_times(clock: StampClock, of_ns: TimesNs, log_ns: TimesNs) -> Times
 
 
 def _count_backward(stamp_ns: TimesNs) -> int:
-    """Return the number of stamps far before an earlier stamp: those of a second clock."""
+    """Return the number of stamps far before an earlier stamp, which come from a second clock."""
     if len(stamp_ns) < 2:
         return 0
     back_ns = np.maximum.accumulate(stamp_ns) - stamp_ns

@@ -1,1 +1,1 @@
-"""Writing of messages: encoded, in chunks, into containers and other formats."""
+"""Encoding of messages, and writing of chunks, containers and other formats."""

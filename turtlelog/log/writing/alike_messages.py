@@ -16,7 +16,10 @@ from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
 
 @dataclass(frozen=True, slots=True)
 class PackedItems:
-    """Items of a sequence, encoded one after another; the first starts at a multiple of 8 bytes."""
+    """Items of a sequence, encoded one after another.
+
+    The first item starts at a multiple of 8 bytes.
+    """
 
     count: int
     data: bytes
@@ -43,7 +46,7 @@ class AlikeLayout:
 
         Args:
             rows: Number of messages.
-            columns: Numbers by field name, little-endian and of the field's type; missing fields
+            columns: Numbers by field name, little-endian and of the field's type. Missing fields
                 are 0.
         """
         found = np.zeros((rows, self.size), dtype=np.uint8)
@@ -57,11 +60,11 @@ class AlikeLayout:
 
 
 def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
-    """Return the layout of messages; None if more than numbers differs.
+    """Return the layout of messages; None if the messages differ in more than numbers.
 
     Args:
         fields: Fields of the type.
-        columns: Columns by dotted field name. Items of a sequence of messages have names with their
+        columns: Columns by dotted field name. Items of a sequence of messages have names with an
             index, as in `transforms.0.child_frame_id`.
     """
     layout = AlikeLayout()

@@ -1,8 +1,8 @@
 """Writing of topics or MCAP records: header, chunks with indexes, summary and checksums.
 
-Every chunk contains the schemas and channels of its messages, so that it can be read alone. The
-mcap library's writer writes them once and takes messages one by one; chunks and summary are
-therefore assembled here from its records.
+Every chunk contains the schemas and channels of its messages, so that the chunk can be read alone.
+The mcap library's writer writes schemas and channels once, and takes messages one by one. Therefore
+chunks and summary are assembled here from the library's records.
 """
 
 import os
@@ -70,14 +70,14 @@ def write_columns(
     metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
     attachments: Mapping[str, bytes] = _NO_FILES,
 ) -> None:
-    """Write topics as an MCAP file in order of log time; equal columns give identical files.
+    """Write topics as an MCAP file in order of log time. Equal columns give identical files.
 
     Args:
-        topics: Topics as from `read_columns`; missing fields are 0 or empty. Messages with equal
+        topics: Topics, as from `read_columns`. Missing fields are 0 or empty. Messages with equal
             times have the order of the topics.
         path: Path of the file, which is replaced when the new file is complete.
-        definitions: The `ros2msg` text of every message type that occurs; None: the types of
-            turtlelog's recordings.
+        definitions: The `ros2msg` text of every message type. Default: the types of turtlelog's
+            recordings.
         metadata: Metadata records by name.
         attachments: Attached files by name.
 
@@ -144,7 +144,7 @@ class _PackedChunk:
 
 
 class McapFile:
-    """A writer of MCAP records to a new stream; each call writes complete records at once.
+    """A writer of MCAP records to a new stream. Each call writes complete records at once.
 
     Attributes:
         end: Number of bytes written so far, all in complete records.
@@ -202,7 +202,10 @@ class McapFile:
         self._append(_pack_chunk(rows))
 
     def add_chunks(self, chunks: Iterable[ChunkRows]) -> None:
-        """Write chunks in order, with the same bytes as `add_chunk`; compression uses threads."""
+        """Write chunks in order, with the same bytes as from `add_chunk`.
+
+        Threads compress the chunks.
+        """
         for packed in _pack_ahead(iter(chunks)):
             self._append(packed)
 
@@ -271,7 +274,7 @@ class McapFile:
 
 
 def _pack_ahead(chunks: Iterator[ChunkRows]) -> Iterator[_PackedChunk]:
-    """Yield packed chunks in order; several chunks are packed on threads, a few at a time.
+    """Yield packed chunks in order. Threads pack several chunks, a few at a time.
 
     zstd and the checksum release the interpreter lock.
     """

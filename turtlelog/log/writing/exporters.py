@@ -28,10 +28,10 @@ _LONGEST_NAME: Final = 255  # bytes; the limit of file systems
 _DEFAULT_TABLE: Final = "poses"
 
 _ROWS: Final = 4096
-"""Rows converted to Python values at once, which take five times as many bytes."""
+"""Number of rows converted to Python values at once; these take five times as many bytes."""
 
 _ROWS_GROUPED: Final = 2**16
-"""Rows of a Parquet file encoded at once; each takes 160 bytes during encoding."""
+"""Number of rows of a Parquet file encoded at once; each row takes 160 bytes during encoding."""
 
 _Write = Callable[[Run, str, Path], None]
 
@@ -101,7 +101,7 @@ def describe_bag(files: Sequence[Path], compression: str = "") -> str:
 
 
 def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
-    """Write the tables of a run as CSV and return the files; numbers can be read back exactly.
+    """Write the tables of a run as CSV and return the files. Numbers can be read back exactly.
 
     Args:
         run: Run to write.
@@ -131,8 +131,8 @@ def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> t
 def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
     """Write the poses of a run as a TUM trajectory, replacing the file, and return the file.
 
-    One line per pose, for programs such as evo: time [s], x y z [m], and the quaternion x y z w of
-    the heading. Position and time can be read back exactly, the heading to about 1e-15 rad.
+    Each pose is one line, for programs such as evo: time [s], x y z [m], and the quaternion x y z w
+    of the heading. Position and time can be read back exactly, the heading to about 1e-15 rad.
 
     Raises:
         LogError: If the file cannot be written.
@@ -156,7 +156,7 @@ def _format_tum(run: Run) -> Iterator[str]:
 
 
 def _list_rows(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of columns of equal length as Python values, a few in memory."""
+    """Yield the rows of equally long columns as Python values, with few rows in memory."""
     for first in range(0, len(columns[0]), _ROWS):
         parts = (column[first : first + _ROWS].tolist() for column in columns)
         yield from zip(*parts, strict=True)

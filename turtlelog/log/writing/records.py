@@ -80,10 +80,10 @@ class ChunkRows:
     """The messages of one chunk.
 
     Attributes:
-        channels: Channels of the messages, with their schemas if they have any.
+        channels: Channels of the messages, with their schemas, if any.
         records: Message records, one after the other.
-        index: By channel number: log time [ns] and offset in `records` of each of its messages,
-            shape (n, 2).
+        index: By channel number: log time [ns] and offset in `records` of each message, shape (n,
+            2).
         start_ns: Least log time [ns].
         end_ns: Greatest log time [ns].
     """
@@ -96,7 +96,7 @@ class ChunkRows:
 
 
 def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
-    """Merge chunks into one; a channel number has the same meaning in all of them."""
+    """Merge chunks into one chunk. A channel number must have the same meaning in all chunks."""
     if len(chunks) == 1:
         return chunks[0]
     channels: dict[int, tuple[Schema | None, Channel]] = {}
@@ -121,7 +121,7 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
     """Return the messages of a topic as records in order of log time.
 
     Args:
-        columns: Columns in any order of time; missing fields are 0 or empty.
+        columns: Columns in any order of time. Missing fields are 0 or empty.
         schema: Schema of the type, as `ros2msg`.
         channel: Channel of the topic.
 
@@ -208,7 +208,7 @@ def _encode_varied(
     stamps: Mapping[str, Column],
     channel: int,
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Encode messages one by one; there are rarely many with texts."""
+    """Encode messages one by one, because messages with texts are rarely many."""
     data, sizes = bytearray(), []
     times = zip(*(values.tolist() for values in stamps.values()), strict=True)
     for row, (log_time, publish_time, sequence) in enumerate(times):
@@ -225,7 +225,7 @@ def _encode_varied(
 
 
 def _fit(name: str, values: Column, kind: str) -> Column:
-    """Return numbers of a kind; integers must fit, floats beyond 32 bits become inf."""
+    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
     target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
     if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
         expected = "numbers" if target.kind == "f" else "whole numbers"
@@ -260,7 +260,7 @@ def encode_message(
 
     Args:
         fields: Fields of the message type.
-        values: Values by dotted name, as a row of `TopicColumns`; missing values are 0 or empty.
+        values: Values by dotted name, like a row of `TopicColumns`. Missing values are 0 or empty.
         channel: Channel number of the record.
         stamp: Sequence, log time and publish time [ns].
 
@@ -321,7 +321,7 @@ def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> 
 def cut_chunks(
     channels: Sequence[ChannelRecords], *, chunk_bytes: int = CHUNK_BYTES
 ) -> Iterator[ChunkRows]:
-    """Yield chunks of all records in order of log time; equal times channel by channel.
+    """Yield chunks of all records in order of log time; at equal times, channel by channel.
 
     Args:
         channels: Channels with records in order of log time.

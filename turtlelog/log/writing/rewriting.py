@@ -26,20 +26,21 @@ _SMALL_CHUNK: Final = 2**16  # bytes of records
 _MOST_NOTES: Final = 2000
 """Largest number of metadata records and attachments.
 
-Together with their index entries, a file of any size may have twice as many."""
+Together with their index entries, a file of any size may have twice as many.
+"""
 
 Numbers = NDArray[np.int64]
 
 _MOST_IDS: Final = 2**16 - 1
 
 Pair = tuple[Schema | None, Channel]
-"""A channel, with its schema if it has one."""
+"""A channel, with its schema, if any."""
 
 Described = TypeVar("Described", Header, Schema, Channel, Metadata, Attachment)
 
 
 class Numbering:
-    """Mapping from the ids of a file to those of another; only ids with two meanings change.
+    """Mapping from the ids of a file to those of another file. Only ids with two meanings change.
 
     Attributes:
         schemas: Schemas by source id, as valid at this place of the source, with their target ids.
@@ -119,7 +120,7 @@ class _Ids:
         self._taken: set[int] = set()
 
     def choose(self, wanted: int) -> int:
-        """Return the wanted id, or the largest free one: small ids may be wanted later."""
+        """Return the wanted id, or else the largest free id: small ids may be wanted later."""
         number = wanted
         if wanted < self._least or wanted in self._taken:
             while self._greatest in self._taken:
@@ -158,7 +159,7 @@ class Rewriter:
         self._small_size = 0  # bytes of the small chunks' records
 
     def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
-        """Write records at an offset of the source; return their errors.
+        """Write the records at an offset of the source, and return their errors.
 
         A later description of an id is valid from there on.
         """
@@ -200,7 +201,7 @@ class Rewriter:
         self._file.finish()
 
     def _take_description(self, opcode: int, body: bytes, flush: Callable[[], None]) -> None:
-        """Add a schema or channel; `flush` earlier records first if its id had another meaning."""
+        """Add a schema or channel. If its id had another meaning, `flush` earlier records first."""
         known, digest = self._last[opcode], blake2b(body, digest_size=16).digest()
         if known.get(body[:2]) == digest:
             return
@@ -239,7 +240,7 @@ class Rewriter:
             )
 
     def _begin(self, header: Header | None = None) -> None:
-        """Write the header first; if it is lost, write a header by turtlelog."""
+        """Write the header first. If the source's header is lost, write a header by turtlelog."""
         if not self._is_begun:
             header = header or Header(profile="", library=LIBRARY)
             self._file.begin(profile=header.profile, library=header.library)
@@ -262,7 +263,7 @@ class Rewriter:
             self._count(chunk, is_checked=is_checked)
 
     def _add_chunk(self, chunk: ChunkRows) -> None:
-        """Write a chunk; small chunks are merged, because readers refuse very many."""
+        """Write a chunk. Small chunks are merged, because readers refuse very many chunks."""
         self._begin()
         if len(chunk.records) >= _SMALL_CHUNK:
             self._write_small()
@@ -348,10 +349,10 @@ def _rename(records: bytearray, places: Numbers, numbers: Numbers) -> None:
 
 
 def parse_exact_record(kind: type[Described], body: bytes) -> Described:
-    """Return a record with consistent lengths; bytes that a later version appended are ignored.
+    """Return a record with consistent lengths. Bytes that a later version appended are ignored.
 
     Raises:
-        LogError: If the lengths are inconsistent; one clause.
+        LogError: If the lengths are inconsistent; the message is one clause.
     """
     record, size = parse_body(kind, body)
     if isinstance(record, Channel | Schema):

@@ -1,4 +1,4 @@
-"""The metrics of the registry: importing this package enters them, in display order."""
+"""The metrics of the registry. Importing this package registers them in display order."""
 
 from turtlelog.measure.metrics import loop_metrics  # isort: skip
 from turtlelog.measure.metrics import tracking  # isort: skip

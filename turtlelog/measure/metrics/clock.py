@@ -1,8 +1,8 @@
-"""Metrics of sampling times and of their sequence numbers.
+"""Metrics of sampling times and of the sequence numbers of samples.
 
-A period is the time from one row to the next, `np.diff(time_s)`, shape (n - 1,). Rows of a burst
-share one time: their periods are 0 and count as such, and the silence before a burst is one long
-period. The mean is therefore the length divided by the count, the median is the usual period of the
+A period is the time from one row to the next, `np.diff(time_s)`, shape (n - 1,). The rows of a
+burst share one time: their periods are 0 and are counted. The silence before a burst is one long
+period. Therefore the mean is the length divided by the count. The median is the usual period of the
 loop, and the percentiles show bursts and pauses.
 """
 
@@ -85,7 +85,7 @@ def _count_missing(context: RunContext) -> Result:
 
 
 def _read_note(name: str) -> Callable[[RunContext], Result]:
-    """Return the metric that an importer has counted; empty if no importer counted it."""
+    """Return a metric that the importer has counted; empty if no importer counted it."""
 
     def read(context: RunContext) -> Result:
         note = context.run.notes.get(name, "0")
@@ -98,7 +98,7 @@ def _read_note(name: str) -> Callable[[RunContext], Result]:
 
 
 def compute_rate(periods_s: Values) -> float | None:
-    """Return rows per second over the whole length [Hz]; None if no time passes."""
+    """Return the number of rows per second over the whole length [Hz]; None if no time passes."""
     length_s = float(periods_s.sum())
     return len(periods_s) / length_s if length_s > 0.0 else None
 
@@ -112,19 +112,19 @@ def compute_spread(periods_s: Values) -> float:
 def compute_jitter(periods_s: Values) -> float | None:
     """Return the root mean square of the change from one period to the next [s].
 
-    The cycle-to-cycle jitter (JEDEC JESD65B), as RMS: unlike the standard deviation it ignores a
-    slow drift of the rate. None for fewer than two periods.
+    This is the RMS cycle-to-cycle jitter (JEDEC JESD65B). Unlike the standard deviation, it ignores
+    a slow drift of the rate. The result is None for fewer than two periods.
     """
     changes = np.diff(periods_s)
     return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
 
 
 def find_percentile(ordered_s: Values, percent: int) -> float:
-    """Return the shortest period that at least `percent` of all do not exceed [s]; 50: the median.
+    """Return the shortest period that at least `percent` % of all periods do not exceed [s].
 
     Args:
         ordered_s: Periods in rising order, at least one.
-        percent: Percentage, from 1 to 100.
+        percent: Percentage, from 1 to 100; 50 gives the median.
     """
     if percent == 50:
         return compute_median(ordered_s)
@@ -137,7 +137,7 @@ def count_burst_rows(periods_s: Values) -> int:
 
 
 def count_missing(sequence: NDArray[np.int64]) -> int:
-    """Return the count of missing numbers between the first and the last; they increase by 1."""
+    """Return how many numbers are missing between the first and the last; numbers increase by 1."""
     return int(sequence[-1] - sequence[0]) + 1 - len(sequence) if len(sequence) else 0
 
 
@@ -170,7 +170,7 @@ for _percent in _PERCENTS:
     run_metric(
         f"run.sample_period_p{_percent}",
         "s",
-        f"{_percent} % of the times between samples are no longer than this.",
+        f"{_percent}th percentile of the time from one sample to the next.",
         better=None if _percent == 50 else "lower",
         needs_poses=False,
     )(_pick(_percent))
@@ -210,7 +210,7 @@ def tell_sample(course: RunContext, row: int) -> float:
     "run.largest_gap", "s", "Longest time without a sample.", grows=True, needs_poses=False
 )
 def measure_largest_gap(course: RunContext) -> Outcome:
-    """Return the longest period; its time is its beginning."""
+    """Return the longest period. The time of the metric is the beginning of the period."""
     if course.sample_count == 0:
         return math.nan, math.nan, _ROWS_UNKNOWN
     periods_s = get_sample_periods(course)
@@ -223,7 +223,7 @@ def measure_largest_gap(course: RunContext) -> Outcome:
 run_metric(
     "run.burst_samples",
     "1",
-    "Samples that share their time with the one before.",
+    "Number of samples that have the same time as the sample before.",
     grows=True,
     needs_poses=False,
 )(_on_periods("sample", lambda periods_s: float(count_burst_rows(periods_s)), fewest=0))
@@ -231,7 +231,7 @@ run_metric(
 run_metric(
     "run.dropped_samples",
     "1",
-    "Sequence numbers that are missing between the first and the last sample.",
+    "Number of missing sequence numbers between the first and the last sample.",
     grows=True,
 )(_count_missing)
 
@@ -256,7 +256,7 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
 run_metric(
     "run.duplicates",
     "1",
-    "Duplicate rows of the imported file, which were dropped.",
+    "Number of duplicate rows of the imported file, which were dropped.",
     grows=True,
     needs_poses=False,
 )(_read_note("dropped_duplicates"))
@@ -264,7 +264,7 @@ run_metric(
 run_metric(
     "run.disorder",
     "1",
-    "Rows of the imported file that were out of order and were sorted.",
+    "Number of rows of the imported file that were out of order, and were sorted.",
     grows=True,
     needs_poses=False,
 )(_read_note("sorted_rows"))

@@ -1,9 +1,9 @@
 """Steps of the commands sent to a robot, and the response of its measured rate.
 
-Before a step, a command was held long enough for the robot to settle; after it, another command is
-held long enough for the response. Commands from a joystick or a ramp change with every message and
-contain no steps. A response is judged by its own initial and final values: a robot that drives at
-0.9 times the commanded speed has no steady-state error here.
+Before a step, a command is held long enough for the robot to settle. After the step, another
+command is held long enough for the response. Commands from a joystick or a ramp change with every
+message and contain no steps. A response is judged by its own initial and final values: a robot that
+drives at 0.9 times the commanded speed has no steady-state error here.
 """
 
 import math
@@ -25,22 +25,22 @@ Values = NDArray[np.float64]
 
 HELD_BEFORE_S: Final = 0.5
 HELD_AFTER_S: Final = 1.0
-"""Time for which a command is held before and after a step [s]. It is five and ten time constants
-of 0.1 s, usual for small wheeled robots (a TurtleBot3: 0.07 to 0.09 s), and longer than the 0.1 s
-between messages of a ramp."""
+"""Time for which a command is held before and after a step [s]: five and ten time constants of 0.1
+s, the usual value for small wheeled robots (a TurtleBot3: 0.07 to 0.09 s). This time is longer than
+the 0.1 s between messages of a ramp."""
 
 LEAST_STEP: Final = 0.1
-"""Smallest step as a share of the run's largest command: smaller ones are hidden by noise."""
+"""Smallest step as a share of the run's largest command; noise hides smaller steps."""
 
 _LONGEST_S: Final = 5.0
 """Longest time of a response that is evaluated [s]: later motion has another cause."""
 
 _ANSWERED: Final = 0.5
-"""Smallest share of a step that the robot must perform: otherwise it is blocked, or does not
-listen."""
+"""Smallest share of a step that the robot must perform. A robot that performs less is blocked or
+does not receive commands."""
 
 _FEWEST: Final = 5
-"""Measured rates that are needed in the second after a step."""
+"""Smallest number of measured rates in the second after a step."""
 
 _BAND: Final = 0.05
 """Smallest half-width of the settling band as a share of the response: odometry is noisier than the
@@ -48,15 +48,15 @@ _BAND: Final = 0.05
 
 _WIDEST: Final = 0.2
 """Scatter as a share of the response above which settling and overshoot are not visible. Above
-twice this, the rise is not visible either, because it is found by the first values beyond 10 % and
-90 %."""
+twice this share the rise is not visible either, because it is found by the first values beyond 10 %
+and 90 %."""
 
 _LONGEST_GAP_S: Final = 1.5 / _FEWEST
-"""Longest time without a measured rate in the second after a step [s]: 1.5 times the usual one."""
+"""Longest time without a measured rate in the second after a step [s]: 1.5 times the usual time."""
 
 _MARK: Final = 0.1
-"""Largest quantisation step of a rate, as a share of the response, at which its rise is visible:
-the rise begins at 10 %. For settling, it must be within the band."""
+"""Largest quantisation step of a rate, as a share of the response, at which the rise is visible:
+the rise begins at 10 %. For settling, the quantisation step must be within the band."""
 
 _ROUNDING: Final = 1e-6
 """Share of a response below which two values are equal, because differences of positions are
@@ -89,8 +89,8 @@ class CommandStep:
 
     Attributes:
         time_s: Publication time, from time zero of the run [s].
-        end_s: End of its hold [s].
-        before: Command before [m/s or rad/s].
+        end_s: End of the command's hold [s].
+        before: Command before the step [m/s or rad/s].
         after: Command after the step [m/s or rad/s].
     """
 
@@ -174,7 +174,7 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
 
 
 def _find_quantum(values: Values, initial: float, final: float) -> float:
-    """Return the quantisation step of the levels that repeat during a response; 0 if none repeat.
+    """Return the quantisation step of the levels that repeat in a response; 0 if no level repeats.
 
     A quantised value stays at a level for several samples and then steps to the next; a value that
     is only sampled never repeats.
@@ -251,7 +251,7 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.{_axis}_steps",
         "1",
-        f"Steps of the published {_words}: held for 0.5 s before, and for 1 s after.",
+        f"Number of steps of the published {_words}: constant for 0.5 s before and 1 s after.",
         better=None,
         needs_poses=False,
     )(_count_steps(_name))

@@ -1,9 +1,9 @@
 """Metrics of a command that is held from one row to the next, and their algorithms.
 
 `time_s` and `values` have shape (n,), n >= 1, times not decreasing; the last value is held until
-`end_s`. Commands of a burst share one time: all but the last have no duration. These count in
-numbers of commands (variation, jumps, reversals) but not in durations (effort, saturation, slew
-rate).
+`end_s`. Commands of a burst share one time: all but the last have no duration. Such commands count
+for variation, jumps and reversals, but not for effort, saturation and slew rate, which need
+durations.
 """
 
 import math
@@ -91,7 +91,7 @@ def measure_largest_jump(commands: CommandStretch) -> Result:
 @_command_metric(
     "largest_slew_rate",
     "{command}/s^2",
-    "Largest change of the {command} per time; samples with one time count as one.",
+    "Largest change of the {command} per time; samples with the same time count as one sample.",
     grows=True,
 )
 def measure_largest_slew_rate(commands: CommandStretch) -> Result:
@@ -100,7 +100,9 @@ def measure_largest_slew_rate(commands: CommandStretch) -> Result:
     return _ONE_TIME if found is None else Found(found[0], float(commands.time_s[found[1]]))
 
 
-@_command_metric("reversals", "1", "How often the {command} changes its sign.", grows=True)
+@_command_metric(
+    "reversals", "1", "Number of times that the {command} changes its sign.", grows=True
+)
 def measure_reversals(commands: CommandStretch) -> Result:
     """See `count_reversals`."""
     return Found(float(count_reversals(commands.values)))
@@ -123,7 +125,10 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
     needs_whole=False,
 )
 def measure_saturated_share(curve: Response) -> Outcome:
-    """Return the fraction of samples at the limit; its time is the first saturated sample."""
+    """Return the fraction of samples at the limit.
+
+    The time of the metric is that of the first saturated sample.
+    """
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
     count, first = count_beyond(curve.commands.values, curve.limit)
@@ -138,7 +143,7 @@ def measure_saturated_share(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def measure_saturated_time_share(commands: CommandStretch) -> Result:
-    """Return the fraction of time at the limit; its time is the first saturated sample."""
+    """Return the fraction of time at the limit, and the time of the first saturated sample."""
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT
@@ -177,8 +182,8 @@ def _tell_first(commands: CommandStretch) -> float | None:
 def compute_effort(held_s: Values, values: Values) -> float:
     """Return the integral of the squared command [unit^2 s]: the energy of the input signal.
 
-    The input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore, Optimal
-    Control). `held_s`: hold time of each value [s].
+    The effort is the input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore,
+    Optimal Control). `held_s` is the hold time of each value [s].
     """
     return sum_products(held_s, values, values)
 
@@ -186,8 +191,8 @@ def compute_effort(held_s: Values, values: Values) -> float:
 def compute_total_variation(values: Values) -> float:
     """Return the sum of the magnitudes of all changes (total variation) [unit].
 
-    TV of S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning", J.
-    Process Control 13 (2003).
+    The sum is the measure TV of S. Skogestad, "Simple analytic rules for model reduction and PID
+    controller tuning", J. Process Control 13 (2003).
     """
     return float(np.abs(np.diff(values)).sum())
 
@@ -204,7 +209,8 @@ def find_largest_jump(values: Values) -> tuple[float, int]:
 def find_largest_slew_rate(time_s: Values, values: Values) -> tuple[float, int] | None:
     """Return the largest change per time between held values [unit/s], and the row after it.
 
-    A change is divided by the time from the previous row. None if no two rows differ in time.
+    A change is divided by the time from the previous row. The result is None if all rows have the
+    same time.
     """
     step_s, rows = np.diff(time_s), np.arange(len(time_s))
     if not step_s.all():
@@ -230,6 +236,6 @@ def find_longest_held(held_s: Values, mask: Mask) -> tuple[float, int] | None:
 
 
 def count_reversals(values: Values) -> int:
-    """Return the number of sign changes of the command; zeros in between do not count."""
+    """Return the number of sign changes of the command, ignoring zeros in between."""
     turning = values[values != 0.0] > 0.0
     return int(np.count_nonzero(turning[1:] != turning[:-1]))

@@ -41,7 +41,7 @@ def _get_heading_error(course: Any) -> float:
 
 @compiled_as(_get_heading_error)
 def get_heading_error(course: RunContext) -> float:
-    """Return the reference heading minus the heading at the end [rad]; NaN if unknown."""
+    """Return the reference heading minus the final heading [rad]; NaN if unknown."""
     error_rad = _find_heading_error(course, None)
     return math.nan if error_rad is None else error_rad
 
@@ -49,7 +49,7 @@ def get_heading_error(course: RunContext) -> float:
 @course_metric(
     "final.heading_error",
     "deg",
-    "Magnitude of reference heading minus heading at the end.",
+    "Magnitude of the reference heading minus the heading at the end.",
 )
 def measure_heading_error(course: RunContext) -> Outcome:
     """Return the magnitude of the heading error."""
@@ -75,7 +75,7 @@ def measure_position_error(course: RunContext) -> Outcome:
     better=None,
 )
 def measure_last_cross_track(course: RunContext) -> Outcome:
-    """Return the signed distance of the last pose."""
+    """Return the signed cross-track distance of the last pose."""
     offset_m = course.last_cross_track_m
     if math.isnan(offset_m):
         return math.nan, math.nan, _NO_BEARING
@@ -85,7 +85,7 @@ def measure_last_cross_track(course: RunContext) -> Outcome:
 @course_metric(
     "final.goal_heading_error",
     "deg",
-    "Magnitude of the goal's heading minus heading at the end.",
+    "Magnitude of the goal's heading minus the heading at the end.",
 )
 def measure_goal_heading_error(course: RunContext) -> Outcome:
     """Return the magnitude of the heading error relative to the goal's heading."""
@@ -111,7 +111,7 @@ def _compute_heading_error_at_15s(context: RunContext) -> Result:
 @run_metric(
     "final.position_error_at_15s",
     "m",
-    "Distance to the goal 15 s after the first sample, or at the end: the paper's.",
+    "Distance to the goal 15 s after the first sample, or at the end: the paper's definition.",
 )
 def _compute_position_error_at_15s(context: RunContext) -> Result:
     goal_xy_m, time_s = context.run.goal_xy_m, context.pose_time_s
@@ -139,7 +139,7 @@ def _find_heading_error(context: RunContext, at_s: float | None) -> float | None
 
 
 def _read_reference_at(time_s: Values, reference: float | Values, at_s: float | None) -> float:
-    """Return a reference, linearly interpolated between rows along the shorter turn."""
+    """Return a reference heading, linearly interpolated between rows along the shorter turn."""
     if not isinstance(reference, np.ndarray):
         return reference
     row = _find_row(time_s, at_s)
@@ -151,14 +151,14 @@ def _read_reference_at(time_s: Values, reference: float | Values, at_s: float | 
 
 
 def _find_row(time_s: Values, at_s: float | None) -> int:
-    """Return the last row at or before a time; the last row of all if the time is None."""
+    """Return the last row at or before a time; without a time, the last row of all."""
     if at_s is None:
         return len(time_s) - 1
     return max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
 
 
 def _read_at(time_s: Values, values: Values, at_s: float | None) -> float:
-    """Return a linearly interpolated value; the last row's after the end or if at_s is None."""
+    """Return a linearly interpolated value; after the end or without a time, the last value."""
     return float(values[-1]) if at_s is None else float(np.interp(at_s, time_s, values))
 
 
@@ -167,7 +167,7 @@ def _tell_time(context: RunContext) -> float:
 
 
 def _find_cut(context: RunContext) -> Missing | None:
-    """Return None for a run that ended by itself, which keeps its last value, else the reason."""
+    """Return why a run was cut off; None if it ended by itself and keeps its last value."""
     run = context.run
     length_s = (run.end_ns - run.start_ns) / 1e9
     if run.is_complete or length_s >= PAPER_WINDOW_S:

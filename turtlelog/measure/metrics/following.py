@@ -1,4 +1,4 @@
-"""Metrics of how a robot follows its commands, axis by axis, from any sender.
+"""Metrics of how closely a robot follows commands from any source, axis by axis.
 
 Between two poses, the mean of the measured rate is compared with the mean of the held commands. A
 time shift is therefore found to a fraction of a sample.
@@ -18,27 +18,28 @@ from turtlelog.measure.reductions import sum_products
 
 EARLIEST_S: Final = -0.5
 LATEST_S: Final = 2.0
-"""Largest lag that is searched [s]: nobody drives by hand a robot that answers two seconds late. A
-robot that answers before its command has other clocks."""
+"""Largest lag that is searched [s]: nobody drives by hand a robot that answers two seconds late. If
+a robot answers before its command, the clocks differ."""
 
 _FEWEST: Final = 20
 """Smallest number of intervals between poses that shows a lag."""
 
 _FOLLOWS: Final = 0.5
-"""Correlation of shifted commands and measured rate from which the robot follows [1]: they explain
-a quarter of its motion. For 100 unrelated values, 0.3 is reached once in 400 times."""
+"""Correlation of shifted commands and measured rate from which the robot counts as following [1];
+the commands then explain a quarter of its motion. For 100 unrelated values, 0.3 is reached once in
+400 times."""
 
 _ALIKE: Final = 0.95
 _VALLEY: Final = 0.9
-"""A second shift fits equally if its correlation is the first share of the best and falls below the
-second share in between: commands repeat."""
+"""Shares of the best correlation that define a second fit: another shift has at least the first
+share, and shifts in between fall below the second share. Then the commands repeat."""
 
 _MOST_INTERVALS: Final = 20_000
 """Largest number of intervals in which the lag is searched: a quarter of an hour at 20 Hz."""
 
 _INSIDE_S: Final = 0.5
-"""Smallest distance of a change of command from the ends of the data [s]: the earliest lag that is
-searched."""
+"""Smallest distance of a change of command from the ends of the data [s], equal to the earliest
+searched lag."""
 
 _STEADY: Final = Missing(
     status=Status.UNDETERMINED,
@@ -114,10 +115,10 @@ def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
 
 
 def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
-    """Return the shift of the commands that fits the measured rates best [s], or why there is none.
+    """Return the shift of the commands that fits the measured rates best [s], or why it is unknown.
 
-    The best fit has the largest correlation, that is, the least squares once the commands are
-    scaled and offset. For a first-order lag it is the dead time plus ln 2 times the time constant:
+    The best fit has the largest correlation, which is the least-squares fit of scaled and offset
+    commands. For a first-order lag, the shift is the dead time plus ln 2 times the time constant:
     the time after which half of a step is done.
     """
     step_s = np.diff(edges_s)
@@ -159,7 +160,7 @@ def _correlate(asked: Values, done: Values, step_s: Values) -> Values:
 
 
 def _has_second(found: Values, best: int) -> bool:
-    """Return whether a separate second shift, beyond a valley, fits as well."""
+    """Return whether a second, separate shift fits equally well."""
     for side in (found[best:], found[best::-1]):
         low = np.flatnonzero(side < _VALLEY * found[best])
         if len(low) and side[low[0] :].max() >= _ALIKE * found[best]:

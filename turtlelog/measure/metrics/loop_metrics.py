@@ -1,4 +1,4 @@
-"""Step and error metrics of a loop, each a function of its curve, plain and compiled."""
+"""Step and error metrics of a loop, each a function of its curve that runs plain and compiled."""
 
 import math
 from typing import Final
@@ -86,14 +86,14 @@ def find_delay_time(curve: Response) -> Outcome:
 @curve_metric(
     "rise_time",
     "s",
-    "Time from 10 % to 90 % of the step, each first reached.",
+    "Time from first reaching 10 % of the step to first reaching 90 %.",
     needs_step=True,
     applies=has_step,
     is_awaited=True,
     needs_whole=False,
 )
 def find_rise_time(curve: Response) -> Outcome:
-    """Return the time from 10 % to 90 % of the step; its time is the end."""
+    """Return the time from 10 % to 90 % of the step. The time of the metric is the end."""
     if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
         return math.nan, math.nan, _BEGINS_BEYOND
     begin_s, end_s = find_rise(curve.time_s, curve.values, curve.initial, curve.reference)
@@ -105,7 +105,7 @@ def find_rise_time(curve: Response) -> Outcome:
 @curve_metric(
     "peak",
     "{value}",
-    "The {signal} where it is furthest in the direction of the step.",
+    "Furthest value of the {signal} in the direction of the step.",
     needs_step=True,
     applies=has_step,
     better=None,
@@ -134,14 +134,15 @@ def find_peak_time(curve: Response) -> Outcome:
 @curve_metric(
     "overshoot",
     "%",
-    "Furthest {signal} beyond the {goal}, as a share of the step; negative if it stays short.",
+    "Furthest {signal} beyond the {goal}, as a share of the step; negative if the {signal} stays"
+    " short.",
     needs_step=True,
     floor=0.0,
     grows=True,
     applies=has_sides,
 )
 def measure_overshoot(curve: Response) -> Outcome:
-    """See `find_overshoot`; its time is the peak."""
+    """See `find_overshoot`. The time of the metric is the peak."""
     share = find_overshoot(curve.values, curve.initial, curve.reference)
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
@@ -150,7 +151,8 @@ def measure_overshoot(curve: Response) -> Outcome:
 @curve_metric(
     "undershoot",
     "%",
-    "Furthest {signal} behind its initial value, as a share of the step; negative if never.",
+    "Furthest {signal} behind its initial value, as a share of the step; negative if the {signal}"
+    " is always beyond that value.",
     needs_step=True,
     applies=has_step,
     floor=0.0,
@@ -172,7 +174,7 @@ def measure_undershoot(curve: Response) -> Outcome:
     needs_whole=False,
 )
 def measure_settling_time(curve: Response) -> Outcome:
-    """See `find_settling_time`; a response ended from outside must have stayed in the band."""
+    """See `find_settling_time`. A response ended from outside must have stayed in the band."""
     time_s, values, reference = curve.time_s, curve.values, curve.reference
     settled_s = find_settling_time(time_s, values, curve.initial, reference, curve.band)
     if math.isnan(settled_s):
@@ -188,16 +190,20 @@ def measure_settling_time(curve: Response) -> Outcome:
 def find_needed_hold(time_s: Values, values: Values, reference: float, half_width: float) -> float:
     """Return the time that a response ended from outside must stay in the band to have settled [s].
 
-    At least `step_response.SHORTEST_HOLD_S` and one period of the remaining oscillation.
+    This is at least `step_response.SHORTEST_HOLD_S` and one period of the remaining oscillation.
     """
     return max(SHORTEST_HOLD_S, find_swing_period(time_s, values, reference, half_width))
 
 
 @curve_metric(
-    "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
+    "crossings",
+    "1",
+    "Number of times that the {signal} passes the {goal}.",
+    grows=True,
+    applies=has_sides,
 )
 def count_crossings(curve: Response) -> Outcome:
-    """Return the number of crossings; the time is that of the first."""
+    """Return the number of crossings. The time of the metric is the first crossing."""
     rows = find_crossing_rows(curve.error, 0.0, curve.memory)
     at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
     return float(len(rows)), at_s, FOUND
@@ -229,7 +235,7 @@ def measure_decay_ratio(curve: Response) -> Outcome:
     applies=has_sides,
 )
 def judge_stability(curve: Response) -> Outcome:
-    """See `judge_swings`, for the poses up to the last answered one."""
+    """See `judge_swings`; poses after the last answered one are ignored."""
     error = curve.error[: curve.answered]
     if len(error) < 2:
         return math.nan, math.nan, _ONE_ANSWER
@@ -253,7 +259,7 @@ def find_final_error(curve: Response) -> Outcome:
 @curve_metric(
     "steady_state_error",
     "{value}",
-    "Reference minus final {signal}: positive if short of it, negative if past it.",
+    "Reference minus final {signal}: positive short of the reference, negative past it.",
     better=None,
     applies=has_step,
 )
@@ -282,7 +288,7 @@ def _fold_error(curve: Response) -> tuple[Values, Values, Values]:
 
 @compiled_as(_fold_error)
 def fold_error(curve: Response) -> tuple[Values, Values, Values]:
-    """Return times, time steps and magnitudes of the error, as stored with the run."""
+    """Return times, time steps and magnitudes of the error, cached for the run."""
     return curve.folded_error
 
 

@@ -1,14 +1,14 @@
-"""Metrics of the deviation of a response from theory: ideal, sampled, sampled with dead time.
+"""Metrics of the deviation of a response from theory: ideal, sampled, and sampled with dead time.
 
-All three are an integrator under proportional feedback with the gain of the run and without a limit
-on the command. They lead from the response's own initial value to its reference:
+All three theories describe an integrator under proportional feedback with the gain of the run and
+without a limit on the command. Each leads from the response's own initial value to its reference:
 
 - ideal: dy/dt = Kp (r - y), so y = r + (y0 - r) exp(-Kp t);
 - sampled: the command is held for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
-- delayed: it is answered d samples late: y[k+1] = y[k] + Kp T (r - y[k-d]), at rest before.
+- delayed: each pose is answered d samples late: y[k+1] = y[k] + Kp T (r - y[k-d]), at rest before.
 
-Between samples a sampled loop moves along a line, because the command is held. The deviation is the
-measured value minus theory, linearly interpolated at the response's own times.
+Between samples, a sampled loop moves along a line, because the command is held. The deviation is
+the measured value minus the theory, which is linearly interpolated at the times of the response.
 """
 
 from collections.abc import Callable, Mapping
@@ -51,7 +51,7 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share on
 
 
 def has_theory(loop: ControlLoop) -> bool:
-    """Return whether theory covers a loop: an integrator under u = Kp e."""
+    """Return whether theory covers a loop: an integrator with u = Kp e."""
     return not loop.moves and loop.has_theory
 
 
@@ -63,7 +63,7 @@ def has_theory(loop: ControlLoop) -> bool:
     needs_whole=False,
 )
 def compute_dead_time(context: RunContext, response: Response) -> Result:
-    """See `dead_time.find_dead_time`; ticks times the time between poses."""
+    """See `dead_time.find_dead_time`. The value is ticks times the time between poses."""
     ticks = context.find_dead_time_ticks(response.loop)
     if isinstance(ticks, Missing):
         return ticks

@@ -1,4 +1,4 @@
-"""Metrics of loops with a moving reference: their delay, and the overshoot at corners."""
+"""Metrics of loops with a moving reference: the delay, and the overshoot at corners."""
 
 from collections.abc import Callable
 from typing import Final
@@ -19,23 +19,23 @@ _NO_CORNER: Final = Missing(status=Status.NO_STEP, reason="the path has no corne
 _NOT_PASSED: Final = Missing(status=Status.NOT_REACHED, reason="no corner of the path was passed")
 
 _COARSE_ROWS: Final = 400
-"""Largest number of rows in the first search of a lag; of more, every n-th is used. It is a tenth
-of a second of a path of 40 s, in which a path hardly bends."""
+"""Largest number of rows in the first search of a lag. Of more rows, every n-th is used: a tenth of
+a second of a path of 40 s, in which a path hardly bends."""
 
 _FINE_STEPS: Final = 40
-"""Steps of the golden-section search for the lag: each leaves 0.62 of the interval, all together
-5e-9."""
+"""Number of steps of the golden-section search for the lag. Each step leaves 0.62 of the interval,
+all steps together 5e-9."""
 
 _LEAST_MOVED: Final = 1e-6
-"""Motion below which a reference is at rest [rad or m]: poses are rounded to 32 bits."""
+"""Motion below which a reference is at rest [rad or m]; poses are rounded to 32 bits."""
 
 _BEYOND_M: Final = 0.1
-"""Distance beyond a corner of a later lap from which it counts [m]: a run that ends with its lap
-goes one sample beyond the next lap's first corner, 16 mm at 1 m/s."""
+"""Distance beyond a corner of a later lap from which the corner counts [m]. A run that ends with
+its lap goes one sample beyond the next lap's first corner: 16 mm at 1 m/s."""
 
 
 def _has_lag(loop: ControlLoop) -> bool:
-    """Return whether the reference depends on time, unlike a distance or cross-track error."""
+    """Return whether the reference depends on time, unlike that of a distance."""
     is_error = loop.signal == "distance" or (loop.signal, loop.reference) == ("cross_track", "path")
     return loop.moves and not is_error
 
@@ -66,9 +66,9 @@ def _compute_lag(context: RunContext, response: Response) -> Result:
 def find_shift(time_s: Values, reference: Values, signal: Values) -> float:
     """Return the time shift of the reference that fits the signal best in the mean square [s].
 
-    At most half of the duration in either direction. The reference is constant before its beginning
-    and after its end, so that every shift is judged on all rows: a periodic reference then fits
-    worse if it is a period off.
+    The shift is at most half of the duration in either direction. The reference is constant before
+    its beginning and after its end, so that every shift is judged on all rows. A periodic reference
+    that is off by one period therefore fits worse.
     """
     every = slice(None, None, -(-len(time_s) // _COARSE_ROWS))
     coarse = time_s[every], reference[every], signal[every]
@@ -107,7 +107,8 @@ def _compute_misfit(time_s: Values, reference: Values, signal: Values, shift_s: 
 @loop_metric(
     "corner_overshoot",
     "m",
-    "Furthest past a corner, up to half way to the next, on its outer side; negative: inside.",
+    "Largest distance past a corner on its outer side, up to half way to the next corner; negative"
+    " on the inner side.",
     floor=0.0,
     grows=True,
     applies=_has_corners,
@@ -135,6 +136,6 @@ def _compute_corner_overshoot(context: RunContext, response: Response) -> Result
 
 
 def _list_corners(path: Path, arcs_m: Values) -> list[Corner]:
-    """Return the corners that a run reached; with a time law, the path ends after its first lap."""
+    """Return the corners that a run reached; if the path has a speed, only of the first lap."""
     to_m = float(arcs_m.max(initial=0.0)) - _BEYOND_M if path.speed_m_s is None else 0.0
     return [one for one in path.list_corners(to_m) if one.arc_m >= arcs_m.min(initial=np.inf)]

@@ -114,20 +114,20 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
 _AT_REST_M_S: Final = 0.01
 _AT_REST_RAD_S: Final = 0.02
 """Rates below which a robot is at rest [m/s, rad/s]: a tenth of the 0.1 m/s and 0.2 rad/s of slow
-small robots, and above noise of poses, of which 1 mm and 2 mrad give a third."""
+small robots. Noise of poses of 1 mm and 2 mrad gives a third of these rates."""
 
 _REST_S: Final = 0.5
-"""Time over which rest is judged [s]: 5 mm and 0.6 deg at these rates, so that noise of poses is
-not motion."""
+"""Time over which rest is judged [s]. In this time the rates above give 5 mm and 0.6 deg, so that
+noise of poses does not count as motion."""
 
 _STEPS_AT_ONCE: Final = 65_536
 
 
 def _find_rest(context: RunContext) -> tuple[float, float] | None:
-    """Return how long the robot is at rest, and the time observed [s]; None for a single pose.
+    """Return how long the robot is at rest, and the observed time [s]; None for a single pose.
 
     The time between two poses counts as rest if the robot moves by less than the threshold in the
-    half second before or after it. Rest therefore includes its edges.
+    half second before or after it. A rest therefore includes its beginning and end.
     """
     poses = context.run.poses
     if len(poses) < 2:
@@ -156,7 +156,7 @@ def _find_slow(
         starts_s: Start time of each step [s].
         ends_s: End time of each step [s].
         time_s: Times of all poses [s].
-        near: Rows of the poses within half a second of the steps, and one more on either side.
+        near: Rows of the poses within half a second of the steps, plus one row on either side.
         columns: x, y [m] and heading [rad] of these rows.
     """
     found = np.zeros(len(starts_s), dtype=bool)
@@ -227,8 +227,9 @@ def _compute_arc_length(context: RunContext) -> Result:
 
 
 _FLOOR: Final = 3.0
-"""Noise level as a multiple of the median amplitude above half the cut-off frequency; 1 amplitude
-of noise in 500 is larger. If it reaches the threshold, noise decides where the spectrum ends."""
+"""Noise level as a multiple of the median amplitude above half the cut-off frequency; 1 of 500
+amplitudes of noise is larger. If the level reaches the threshold, noise determines the end of the
+spectrum."""
 
 _NOISY: Final = Missing(
     status=Status.UNDETERMINED,
@@ -239,10 +240,11 @@ _NOISY: Final = Missing(
 def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
     """Return the spectral arc length of a speed profile [1], negative; None if noise decides it.
 
-    The length of the normalised amplitude spectrum up to 10 Hz, or half the rate, where it last
-    reaches 5 % of its largest value: S. Balasubramanian, A. Melendez-Calderon, A. Roby-Brami, E.
-    Burdet, "On the analysis of movement smoothness", J. NeuroEngineering and Rehabilitation 12:112
-    (2015). Noise spreads over all frequencies and stays below the threshold.
+    This is the length of the normalised amplitude spectrum up to the last frequency with at least 5
+    % of the largest value, at most 10 Hz or half the rate: S. Balasubramanian, A.
+    Melendez-Calderon, A. Roby-Brami, E. Burdet, "On the analysis of movement smoothness", J.
+    NeuroEngineering and Rehabilitation 12:112 (2015). Noise spreads over all frequencies and stays
+    below the threshold.
 
     Args:
         speed: Speeds at equal distances in time, shape (n,), not all 0.

@@ -1,4 +1,4 @@
-"""The metrics of a whole run: its duration, path length, distance to the goal and commands."""
+"""Metrics of a whole run: duration, path length, distance to the goal, and commands."""
 
 import math
 from collections.abc import Callable
@@ -110,7 +110,7 @@ def measure_path_length(course: RunContext) -> Outcome:
 @run_metric(
     "run.straightness",
     "1",
-    "Path length over the distance from first to last pose: 1 is a straight line.",
+    "Path length divided by the distance from first to last pose: 1 for a straight line.",
     floor=1.0,
 )
 def _compute_straightness(context: RunContext) -> Result:
@@ -253,7 +253,12 @@ def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> No
             measure_largest_slew_rate,
             "Largest change of the published {} per time.",
         ),
-        ("reversals", "1", measure_reversals, "How often the published {} changes its sign."),
+        (
+            "reversals",
+            "1",
+            measure_reversals,
+            "Number of times that the published {} changes its sign.",
+        ),
     ):
         run_metric(
             f"run.{name}_{figure}",
@@ -269,7 +274,7 @@ _enter_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s")
 
 
 def _moves_along(loop: ControlLoop) -> bool:
-    """Return whether a loop moves the robot along the line; one that turns the robot does not."""
+    """Return whether a loop moves the robot along the line, unlike a loop that turns the robot."""
     return loop.command == "speed"
 
 

@@ -1,7 +1,8 @@
 """The entry functions of compiled loops, in a file of their own.
 
-Numba's cache depends on the time and size of the entry function's file; the functions that it calls
-are in the stamp of its name (`compiled_loop`). The names in capitals are bound to a loop's twins.
+Numba's cache depends on the time and size of the entry function's file. The functions that it calls
+determine the stamp in its name (`compiled_loop`). The names in capitals are bound to a loop's
+twins.
 """
 
 # ruff: noqa: F821
@@ -28,9 +29,9 @@ def run_loop(all_settings, states, rows):
 def run_rows(simulate, measure, begun, rows, told, entries):
     """Simulate and measure rows in the same arrays; write numbers and reasons.
 
-    `simulate` is a loop and `measure` measures its run. Both are pointers here, because otherwise
-    both would be compiled again. `begun` contains settings, states and lines of each row; `told`
-    the other arguments of `measure`: facts, loops and memory.
+    `simulate` is a loop, and `measure` measures its run. Both are passed as pointers, because
+    otherwise they would be compiled again. `begun` contains settings, states and lines of each row;
+    `told` contains the other arguments of `measure`: facts, loops and memory.
     """
     all_settings, states, lines = begun
     facts, loops, memory = told

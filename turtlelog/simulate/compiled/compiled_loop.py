@@ -1,7 +1,7 @@
 """A loop compiled for a law and a plant, with all effects, from the same sources as in Python.
 
-Numba stores it on disk. Its name contains a stamp of all sources; older versions of the same parts
-are removed.
+Numba stores the loop on disk. The name of a loop contains a stamp of all sources. Older versions of
+the same parts are removed.
 """
 
 from collections.abc import Callable
@@ -67,8 +67,8 @@ PIECE: Final = np.dtype([(name, np.float64) for name in PathPiece._fields if nam
 """Record type of a `PathPiece`."""
 
 EVENTS_PERTICK: Final = 7
-"""Largest number of events in a tick: one of each kind, and a second one of dropped commands, which
-are reported with or without a time."""
+"""Largest number of events in a tick: one of each kind, plus a second one of dropped commands,
+which are reported with or without a time."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Kinds:
     """The types of a loop's records.
 
     Attributes:
-        shape: The dataclasses from which they are derived.
+        shape: The dataclasses from which the types are derived.
         settings: Record of the settings.
         state: Record of the state.
         states: Record of the law's states in a sample.
@@ -92,7 +92,7 @@ class Kinds:
     new: NDArray[Any]
 
     def allocate(self, ticks: int, samples: int) -> Rows:
-        """Return arrays for the given numbers of rows; unused rows take no memory."""
+        """Return arrays for the given numbers of rows. Unused rows take no memory."""
         return Rows(
             ticks=np.empty(ticks, TICK),
             samples=np.empty(samples, SAMPLE),
@@ -109,7 +109,7 @@ class Kinds:
 
 @dataclass(slots=True)
 class _Nothing:
-    """A row for a kind that a loop lacks."""
+    """A row for a kind of record that a loop does not have."""
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
@@ -155,9 +155,9 @@ class CompiledLoop:
         law: Law for which it is compiled.
         plant: Plant for which it is compiled.
         states: States that the law declares.
-        kinds: The types of its records.
+        kinds: Types of the loop's records.
         run: Function of settings, state and rows.
-        is_new: Whether it was missing in the cache.
+        is_new: Whether the loop was missing in the cache.
     """
 
     law: LawPart
@@ -183,7 +183,7 @@ def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kind
 
 
 def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoop:
-    """Return the compiled loop of a law and a plant, from numba's cache if it is there.
+    """Return the compiled loop of a law and a plant, from numba's cache if possible.
 
     Args:
         law: Law that is a part.
@@ -216,10 +216,10 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
 
 
 def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
-    """Return a compiled function that simulates rows by a loop and measures them.
+    """Return a compiled function that simulates rows with a loop and measures them.
 
     Args:
-        loop: Loop that simulates them.
+        loop: Loop that simulates the rows.
         measure: Compiled function that measures a row.
         measures: Type of this function.
     """
@@ -250,7 +250,7 @@ def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
 def compile_entry(
     entry: Any, name: str, bind: Callable[[Any], dict[str, Any]], signature: Any
 ) -> Any:
-    """Return an entry function compiled under a name, by which numba's cache finds it.
+    """Return an entry function compiled under a name; numba's cache finds it by this name.
 
     Older versions in the cache are removed.
 
@@ -288,7 +288,7 @@ def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
     """Return the name of a loop in numba's cache.
 
     Raises:
-        TwinError: If the law uses something that cannot be compiled.
+        TwinError: If the law uses an object that cannot be compiled.
     """
     stamp = _bind(law, plant, states)[2]
     # A user law may have the name of a built-in one, whose loop must stay in the cache.

@@ -1,4 +1,4 @@
-"""Decision whether to load compiled code; everything works without it."""
+"""Decision whether to load compiled code. Everything also works without this code."""
 
 import gc
 import math
@@ -14,16 +14,17 @@ from threading import Event, Lock
 from typing import Any, Final
 
 COMPILING: Final = Event()
-"""Set during compilation, which takes seconds once, so that a progress bar can show it."""
+"""Set during compilation, which takes seconds once, so that a progress bar can show this."""
 
 
 class CompiledLoops:
     """Compiled code, loaded as soon as the expected work justifies its cost.
 
-    Therefore no process takes more than twice as long as with perfect knowledge of its work.
+    With this rule, no process takes more than twice as long as with perfect knowledge of its work.
 
     Attributes:
-        problem: Reason why it could not be compiled or is no longer used; None if it can be used.
+        problem: Reason why the code could not be compiled or is no longer used; None if it can be
+            used.
     """
 
     def __init__(
@@ -38,13 +39,13 @@ class CompiledLoops:
         """Store the loader of the code and its cost.
 
         Args:
-            load: Function that returns the code. It may raise ImportError or RuntimeError, and
-                errors of numba.
-            is_kept: Function that returns whether numba's cache contains it.
+            load: Function that returns the code. The function may raise ImportError, RuntimeError,
+                and errors of numba.
+            is_kept: Function that returns whether numba's cache contains the code.
             cost_s: Time to import numba and load the code from its cache [s].
-            first_s: Time if it is not in the cache [s]; None: hardly more.
-            beside: Modules that compile the required code when they are imported, each in a
-                process; `load` imports them by `import_beside`.
+            first_s: Time if the code is not in the cache [s]; None: hardly more.
+            beside: Modules that compile the required code on import, each in a process; `load`
+                imports them by `import_beside`.
         """
         self._load, self._is_kept, self._cached_s = load, is_kept, cost_s
         self._first_s = cost_s if first_s is None else first_s
@@ -69,13 +70,13 @@ class CompiledLoops:
 
     @cached_property
     def cost_s(self) -> float:
-        """Time to load the code [s]: more if numba's cache lacks any of it, inf without numba."""
+        """Time to load the code [s]: more if parts are not in numba's cache, inf without numba."""
         if find_spec("numba") is None:
             return math.inf
         return self._cached_s if self._is_kept() else self._first_s
 
     def find(self) -> Any:
-        """Return the code if it is loaded, otherwise None."""
+        """Return the code if it is loaded, else None."""
         return self._loops
 
     def give_up(self, problem: str) -> None:
@@ -86,8 +87,7 @@ class CompiledLoops:
     def load(self) -> Any:
         """Return the code; None without numba, or if numba cannot store compiled code.
 
-        Without a folder for its cache, in the module's folder or the user's, numba would compile
-        again in every process.
+        Without a writable folder for its cache, numba would compile again in every process.
         """
         try:
             if import_module("numba").config.DISABLE_JIT:
@@ -110,7 +110,7 @@ class CompiledLoops:
 
 @contextmanager
 def _pause_garbage_collection() -> Iterator[None]:
-    """Pause garbage collection, which saves 10 %: numba makes millions of permanent objects."""
+    """Pause garbage collection, which saves 10 %: numba creates millions of permanent objects."""
     if not gc.isenabled():
         yield
         return
@@ -122,7 +122,7 @@ def _pause_garbage_collection() -> Iterator[None]:
 
 
 _BESIDE: Final[dict[str, Any]] = {}
-"""Processes that compile a module, by its name."""
+"""Processes that compile a module, by the name of the module."""
 
 _IMPORT: Final = "import gc, sys; gc.disable(); sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"
 
@@ -142,20 +142,20 @@ def _start(modules: Sequence[str], processes: ExitStack) -> None:
 
 
 def import_beside(module: str) -> Any:
-    """Return a module after the process that compiles its contents, if any, has ended."""
+    """Return a module after the end of the process that compiles its contents, if any."""
     if (process := _BESIDE.pop(module, None)) is not None:
         process.wait()
     return import_module(module)
 
 
 def is_kept(module: str, function: str = "") -> bool:
-    """Return whether numba's cache has a module's code, or a function of it, without loading it.
+    """Return whether numba's cache has the code of a module or of a function, without loading it.
 
     Code older than a file in the module's folder may need to be compiled again.
 
     Args:
         module: Name of the module.
-        function: Name of the function, which contains its stamp; empty: any.
+        function: Name of the function, which contains the stamp; empty: any function.
     """
     found = find_spec(module)
     source = Path((found and found.origin) or "").absolute()
@@ -192,8 +192,8 @@ def remove_others(module: str, function: str, kept: str) -> None:
 def _list_cache_folders(source: Path) -> list[Path]:
     """Return the folders in which numba stores compiled code of a module, without loading it.
 
-    NUMBA_CACHE_DIR if it is set; otherwise the module's folder, or if that is not writable, the
-    user's cache, which is known here except on Windows and macOS.
+    The folder is NUMBA_CACHE_DIR if set, or else the module's folder. If that is not writable, it
+    is the user's cache, whose place is unknown here on Windows and macOS.
     """
     from hashlib import sha1  # most commands do not need it
 

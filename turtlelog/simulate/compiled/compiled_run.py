@@ -1,4 +1,4 @@
-"""A run by a compiled loop: its arrays are filled, simulated, and converted to columns."""
+"""A run from a compiled loop: its arrays are filled, simulated, and converted to columns."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -37,10 +37,10 @@ class CompiledRunner:
         self._watched = None if step_budget_s is None else WatchedCode(step_budget_s)
 
     def simulate(self, loop: CompiledLoop, scenario: Scenario, plant: Plant) -> Run | None:
-        """Return the run of a scenario by a loop that supports it.
+        """Return the run of a scenario from a loop that supports it.
 
-        Its law is resolved. None if the law fails or answers no pose; the loop in Python then gives
-        the reason.
+        The law of the scenario must be resolved. The result is None if the law fails or answers no
+        pose; the loop in Python then gives the reason.
 
         Raises:
             StepBudgetError: If a step of a user law does not return within its budget.

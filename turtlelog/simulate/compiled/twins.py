@@ -1,7 +1,7 @@
 """Compiled twins of Python functions: numba compiles the same source, inlined, without markers.
 
 A function is rebuilt with the functions that it calls replaced by their twins. The function may
-call named functions of a module, those of `math`, and Python's own. Objects that numba would freeze
+call named functions of a module, functions of `math`, and builtins. Objects that numba would freeze
 silently (other modules, objects, closures, defaults) are rejected.
 
 Some functions of `arithmetic` have different compiled code with the same values. This code is
@@ -46,7 +46,7 @@ def _find_globals(function: FunctionType) -> dict[str, Any]:
     """Return the names that a function looks up in its module, without attribute names.
 
     Raises:
-        TwinError: If it has a closure or defaults.
+        TwinError: If the function has a closure or defaults.
     """
     if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
         place = f"{function.__code__.co_filename}, line {function.__code__.co_firstlineno}"
@@ -76,7 +76,7 @@ def stamp_functions(functions: typing.Iterable[Function], *more: Any) -> str:
     """Return a stamp of all code and constants that functions use, as they are compiled.
 
     Raises:
-        TwinError: If one uses an object that numba would freeze silently.
+        TwinError: If a function uses an object that numba would freeze silently.
     """
     stamp = _Stamp()
     stamp.add_text(*more)
@@ -86,14 +86,14 @@ def stamp_functions(functions: typing.Iterable[Function], *more: Any) -> str:
 
 
 class _Stamp:
-    """A digest of code and constants."""
+    """A digest of code and constants of functions."""
 
     def __init__(self) -> None:
         self.digest = hashlib.sha256()
         self._seen: set[Any] = set()
 
     def add(self, thing: Any, place: str) -> None:
-        """Add a function with all that it uses, or the object at a place in one."""
+        """Add a function with all objects that it uses, or the object at a place in a function."""
         thing = take_twin(thing)
         if isinstance(thing, FunctionType):
             if thing not in self._seen:
@@ -109,7 +109,7 @@ class _Stamp:
             self.add_text(_describe(thing, place))
 
     def add_text(self, *things: Any) -> None:
-        """Add objects by their text."""
+        """Add objects by their text form."""
         self.digest.update(repr(things).encode())
 
     def _add_function(self, function: FunctionType) -> None:
@@ -128,7 +128,7 @@ class _Stamp:
 
 
 def _describe(thing: Any, place: str) -> tuple[str, Any]:
-    """Return the type and value of a constant, as compiled code contains it."""
+    """Return the type and value of a constant in the form of compiled code."""
     if isinstance(thing, _PLAIN):
         return type(thing).__name__, thing
     if thing is math or isinstance(thing, BuiltinFunctionType | np.ufunc | type):
@@ -137,7 +137,7 @@ def _describe(thing: Any, place: str) -> tuple[str, Any]:
 
 
 class Twins:
-    """Compiles functions and those that they call."""
+    """Compiler of functions and of the functions that they call."""
 
     def __init__(
         self,
@@ -149,10 +149,10 @@ class Twins:
         """Load numba and store the options.
 
         Args:
-            compiler: Class of numba's compiler; None: numba's own.
-            inline: Whether functions are inlined where they are called; otherwise LLVM decides.
-            wide: Names of first parameters with dozens of fields: passing them takes longer to
-                compile than the function, which is therefore inlined.
+            compiler: Class that compiles them; None: numba's own compiler.
+            inline: Whether functions are inlined into their callers; otherwise LLVM decides.
+            wide: Names of first parameters with dozens of fields. Passing so many fields takes
+                longer to compile than the function, so such functions are inlined.
         """
         from numba import njit
 
@@ -176,7 +176,7 @@ class Twins:
         """Return the compiled twin of a function.
 
         Raises:
-            TwinError: If it is not a Python function, or has a closure or defaults.
+            TwinError: If the object is not a Python function, or has a closure or defaults.
         """
         if function not in self._known:
             source = take_twin(function)
@@ -217,7 +217,7 @@ def build_dtype(kind: type[Any]) -> np.dtype[Any]:
 
 
 def _to_tuple(thing: Any) -> tuple[Any, ...]:
-    """Return a dataclass as the tuple that fills its record."""
+    """Return the values of a dataclass as a tuple, in the order of its record."""
     values = tuple(
         _to_tuple(value) if dataclasses.is_dataclass(value) else value
         for value in (getattr(thing, one.name) for one in dataclasses.fields(thing))
@@ -239,7 +239,7 @@ _PLACES: Final = (
     re.compile(r'File "([^"]+)", line (\d+)'),
     re.compile(r" at (\S.*) \((\d+)\)$", re.M),
 )
-"""Patterns of the place of an error; otherwise of numba's context."""
+"""Patterns for the place of an error; the default is numba's context."""
 
 _MEMORY: Final = "NRT required"
 """Text of numba's error for code that allocates memory."""
@@ -248,7 +248,7 @@ _HEADS: Final = ("Failed in", "During", "File", "[", "-", "^", "<", "There are",
 
 
 def describe_numba_error(text: str) -> str:
-    """Return numba's error for a function that it cannot compile in one line, with its place."""
+    """Return numba's error for a function that cannot be compiled in one line, with the place."""
     found = [one for pattern in _PLACES for one in pattern.findall(text)]
     places = [one for one in found if "numba" not in Path(one[0]).parts]
     lines = [line.strip() for line in text.splitlines()]
@@ -320,7 +320,7 @@ def _square(value: float) -> tuple[float, float]:
 def _find_hypot(x: float, y: float) -> float:
     """Return the nearest double to the hypotenuse, as CPython does.
 
-    One Newton step from the root of the rounded squares, with their exact remainders.
+    The method is one Newton step from the root of the rounded squares, with the exact remainders.
     """
     large, small = abs(x), abs(y)
     if large < small:

@@ -1,6 +1,7 @@
 """The metrics that the batch computes, their columns and their compilation.
 
-These are the registered metrics that are functions of numbers; no metric is named here.
+The batch computes the registered metrics that are functions of numbers; this module names none of
+them.
 """
 
 from collections.abc import Mapping
@@ -22,10 +23,10 @@ from turtlelog.sweep.batch import batch_kernel
 from turtlelog.sweep.batch.batch_kernel import REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
-"""Metrics of a loop's curve by name, in the order of their columns."""
+"""Metrics of a loop's curve by name, in column order."""
 
 COURSES: Final = {name: kind for name, kind in RUN_METRICS.items() if kind.numbers is not None}
-"""Metrics of the whole run by id, in the order of their columns, after those of all loops."""
+"""Metrics of the whole run by id, in column order, after those of all loops."""
 
 STATUSES: Final = tuple(Status)
 """Statuses in the order of their numbers."""
@@ -45,7 +46,7 @@ LINE: Final = np.dtype(
         )
     ]
 )
-"""The line from start to goal, and other values of a scenario that only the measurement needs."""
+"""The line from start to goal, and further values of a scenario that only the measurement needs."""
 
 FACTS: Final = np.dtype(
     [(name, np.int64) for name in ("period_ns", "ticks", "samples", "published")]
@@ -53,25 +54,26 @@ FACTS: Final = np.dtype(
     + [("speed_limit", np.float64), ("turn_limit", np.float64)],
     align=True,
 )
-"""Values of a run for its measurement, besides its rows.
+"""Values of a run for its measurement, in addition to the rows.
 
 The values are the clock [ns], the numbers of rows, whether `max_duration_s` or the law's timeout
-ended the run, and the limits."""
+ended the run, and the limits.
+"""
 
 LOOP: Final = np.dtype(
     [(name, np.int64) for name in ("phases", "pause", "signal", "reference")]
     + [("turns", np.bool_)],
     align=True,
 )
-"""A loop for the measurement: the phases in which it acts, one bit each; the phase of its pause;
-indices in `SIGNALS` and `REFERENCES`; whether its command is the turn rate."""
+"""Description of a loop for the measurement: the phases in which it acts, one bit each; the phase
+of its pause; indices into `SIGNALS` and `REFERENCES`; whether its command is the turn rate."""
 
 SPAN: Final = np.dtype([(name, np.int64) for name in ("first", "after", "end", "last")])
-"""Sample indices of a loop: its first, the one after its phases, the end of its first segment with
-pauses, and its last."""
+"""Sample indices of a loop: the first sample, the one after its phases, the end of its first
+segment with pauses, and the last sample."""
 
 FIRST_POSE: Final = slice(-2, None)
-"""Last columns: x and y of the first pose that was read [m]."""
+"""Last columns: x and y of the first pose that the controller read [m]."""
 
 
 def is_covered(name: str) -> bool:
@@ -103,7 +105,7 @@ def is_angle(name: str, declaration: Declaration) -> bool:
 
 
 def build_loops(declaration: Declaration) -> NDArray[Any] | None:
-    """Return the loops of a law as `LOOP`; None if the batch does not support a reference."""
+    """Return the loops of a law as `LOOP` records; None if a reference is not supported."""
     phases = declaration.phase_names
     rows = []
     for loop in declaration.loops:
@@ -116,7 +118,7 @@ def build_loops(declaration: Declaration) -> NDArray[Any] | None:
 
 
 def allocate_memory(ticks: int, samples: int, loops: int) -> Memory:
-    """Return arrays for rows with at most these numbers of poses, samples and loops."""
+    """Return arrays for rows with at most the given numbers of poses, samples and loops."""
     numbers = np.empty((USES_OF_ROW, max(2 * ticks, samples)))
     return Memory(numbers, np.empty(ticks, np.int64), np.empty(loops, SPAN))
 
@@ -129,11 +131,11 @@ def name_measurement() -> str:
 def compile_measurement(
     entry: Function, curves: tuple[str, ...] = (), courses: tuple[str, ...] = ()
 ) -> Any:
-    """Return the compiled function that measures a row: every metric, or some.
+    """Return the compiled function that measures a row, with all or only some metrics.
 
     Args:
         entry: The outermost function.
-        curves: Metrics of curves; if no metric at all is given, every metric is computed.
+        curves: Metrics of curves. If neither list contains a metric, every metric is computed.
         courses: Metrics of the whole run.
     """
     if not curves and not courses:
@@ -178,7 +180,7 @@ def _bind(curves: tuple[str, ...], courses: tuple[str, ...]) -> tuple[dict[str, 
 
 
 def _chain(what: str, kinds: Mapping[str, Any]) -> Function:
-    """Return a function that enters each requested metric."""
+    """Return a function that writes each requested metric."""
     lines = [f"def measure_{what}({what}, asked, values, reasons):"]
     names: dict[str, Any] = {}
     if what == "curve":

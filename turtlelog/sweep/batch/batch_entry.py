@@ -1,7 +1,7 @@
 """The outermost function of the batch's measurement, compiled when this module is imported.
 
-Numba's cache checks the time and size of this file; the stamp in the name covers the functions that
-it calls. The names in capitals are bound to compiled functions.
+Numba's cache checks the time and size of this file. The stamp in the name covers the called
+functions. The names in capitals are bound to compiled functions.
 """
 
 # ruff: noqa: F821, PLR0913, PLR0917
@@ -11,7 +11,7 @@ from turtlelog.sweep.batch.batch_columns import compile_measurement
 
 
 def measure_row(facts, ticks, samples, line, loops, memory, entry):
-    """Measure a row: enter values, or the reasons for missing values.
+    """Measure a row: write values, or the reasons for missing values.
 
     `entry` contains the requested columns, the values, and the numbers of reasons.
     """

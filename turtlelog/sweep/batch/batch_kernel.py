@@ -1,4 +1,4 @@
-"""The inputs of metrics in the batch: the curve of each loop, and quantities of the whole run.
+"""Inputs of metrics in the batch: the curve of each loop, and quantities of the whole run.
 
 The functions are compiled, like the metric functions of `measure` that they call. Fields have the
 names and, bit for bit, the values of `Response` and `RunContext`. The line from start to goal is an
@@ -21,7 +21,7 @@ _NO_SAMPLES: Final = -1
 
 SIGNALS: Final = ("heading", "along_track", "cross_track", "distance")
 REFERENCES: Final = ("zero", "goal_bearing", "goal_distance", "goal_heading", "bearing_now")
-"""References and signals of loops, by number."""
+"""Numbers of the references and signals of loops."""
 _HEADING, _ALONG, _CROSS, _DISTANCE = range(4)
 _ZERO, _GOAL_BEARING, _GOAL_DISTANCE, _GOAL_HEADING, _BEARING_NOW = range(5)
 
@@ -29,10 +29,10 @@ _TURN_RAD: Final = 2.0 * math.pi
 
 
 class Memory(NamedTuple):
-    """Work arrays, refilled for every row, with the largest number of poses or samples.
+    """Work arrays for the largest number of poses or samples, filled again for every row.
 
     Attributes:
-        numbers: One row per use: those of `reductions`, then those named here.
+        numbers: One row per use: first the rows of `reductions`, then those named here.
         rows: Row numbers.
         spans: A `SPAN` for each loop.
     """
@@ -47,14 +47,14 @@ USES_OF_ROW: Final = USES + 7
 
 
 class Commands(NamedTuple):
-    """Fields as in `CommandStretch`."""
+    """Commands of a loop, with the fields of `CommandStretch`."""
 
     time_s: Any
     values: Any
 
 
 class LoopCurve(NamedTuple):
-    """Fields as in `Response`."""
+    """Curve of a loop, with the fields of `Response`."""
 
     time_s: Any
     step_s: Any
@@ -75,7 +75,7 @@ class LoopCurve(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Fields as in `RunContext`."""
+    """Quantities of a run, with the fields of `RunContext`."""
 
     x_m: Any
     y_m: Any
@@ -103,7 +103,7 @@ class Row(NamedTuple):
         ticks: Poses of the run.
         samples: Samples of the run.
         line: Line from start to goal.
-        loops: Loops of its law.
+        loops: Loops of the run's law.
         memory: Work arrays.
         start_ns: Time of the first sample.
         end_ns: Time of the last row of any column.
@@ -128,7 +128,7 @@ def is_any(asked: Any, first: int, after: int) -> bool:
 
 
 def prepare_row(facts: Any, ticks: Any, samples: Any, loops: Any, memory: Any) -> tuple[int, int]:
-    """Unwrap the headings, find the samples of loops; return start and end of the run [ns]."""
+    """Unwrap the headings, find the samples of loops, and return start and end of the run [ns]."""
     end_ns = max((facts.ticks - 1) * facts.period_ns, samples[-1].time_ns)
     if facts.published > 0:
         end_ns = max(end_ns, samples[facts.published - 1].published_ns)
@@ -149,7 +149,7 @@ def _unwrap(ticks: Any, heading_rad: Any) -> None:
 
 
 def _find_turn(step_rad: float) -> float:
-    """Return the angle that numpy's unwrap adds from a step on."""
+    """Return the angle that numpy's unwrap adds from a given step on."""
     if abs(step_rad) <= math.pi:
         return 0.0
     rest: float = fmod(step_rad + math.pi, _TURN_RAD)
@@ -159,7 +159,7 @@ def _find_turn(step_rad: float) -> float:
 
 
 def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
-    """Find the samples of each loop's first segment, and the last of all its samples."""
+    """Find the samples of each loop's first segment, and the last sample of each loop."""
     for number in range(len(loops)):
         spans[number].first = spans[number].after = spans[number].last = _NO_SAMPLES
         spans[number].end = len(samples)
@@ -174,7 +174,10 @@ def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
 
 
 def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> None:
-    """Add samples of one phase; those right after a loop's samples or a pause belong to it."""
+    """Add the samples of one phase.
+
+    Samples right after a loop's samples or a pause belong to it.
+    """
     if loop.phases >> phase & 1 != 0:
         if span.first < 0:
             span.first = begin
@@ -277,7 +280,7 @@ def _read_commands(row: Row, loop: Any, span: Any, end_ns: int) -> Commands:
 
 
 def _read_values(row: Row, loop: Any, first: int, after: int) -> Any:
-    """Return the signal of a loop at poses; a moving goal bearing is treated as fixed."""
+    """Return the signal of a loop at poses. A moving goal bearing is treated as fixed."""
     memory, ticks, line = row.memory, row.ticks, row.line
     if loop.signal == _HEADING and loop.reference != _BEARING_NOW:
         return memory.numbers[_HEADINGS][first:after]
@@ -305,7 +308,7 @@ def _find_bearing(row: Row, place: int) -> float:
 
 
 def _follow_bearing(row: Row, first: int, values: Any) -> None:
-    """Enter the heading as if the goal bearing kept its first value."""
+    """Write the heading as if the goal bearing kept its first value."""
     heading_rad, turned = row.memory.numbers[_HEADINGS], 0.0
     before = wrap_angle(_find_bearing(row, first) - heading_rad[first])
     values[0] = before
@@ -321,7 +324,10 @@ def _follow_bearing(row: Row, first: int, values: Any) -> None:
 
 
 def _read_target(row: Row, loop: Any, first: int, values: Any) -> float:
-    """Return the target value of a curve; for a heading with the full turns of the last value."""
+    """Return the target value of a curve.
+
+    A heading target gets the full turns of the last value.
+    """
     if loop.reference == _BEARING_NOW:
         return _find_bearing(row, first)
     wanted = _read_constant(row, loop)
@@ -369,7 +375,7 @@ def read_course(row: Row) -> Course:
 def _find_heading_error(row: Row) -> float:
     """Return the final heading error: reference of the last active heading loop minus heading.
 
-    If no such loop acted, the first declared one is used.
+    If no heading loop acted, the first declared heading loop is used.
     """
     acting, spans = -1, row.memory.spans
     for number in range(len(row.loops)):

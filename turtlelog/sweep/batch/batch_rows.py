@@ -40,13 +40,13 @@ _OF_PLANT: Final = (
 )
 
 FREE_KEYS: Final = frozenset({*_OF_LAW, *_OF_PLANT, "seed"})
-"""Keys whose values can be validated one by one. No rule combines them with another key, each may
-be any number between two bounds, and each is a number of the loop by itself. Other keys are
-validated in combination."""
+"""Keys whose values can be validated one by one. No rule combines these keys with others, each may
+be any number between two bounds, and each is a number of the loop itself. Other keys are validated
+in combination."""
 
 
 _NOT_COMPARED: Final = (dict, list, tuple)
-"""Types of values that are rarely equal: rows with a schedule, or points, of their own."""
+"""Types of values that are rarely equal, because each row has its own schedule or points."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ class PreparedRows:
         settings: Settings, shape (n,).
         starts: Start states, shape (n,).
         states: States that the loop changes, shape (n,).
-        lines: Lines from start to goal, shape (n,).
+        lines: Lines from start to goal, one per row, shape (n,).
         table: Table of the law, shared by all rows.
         seeds: Seeds, shape (n,).
         streams: Names of the random streams that any row needs.
@@ -94,9 +94,9 @@ Kind = tuple[LawPart, PlantPart, tuple[str, ...]]
 
 
 def find_column_kind(scenario: Scenario) -> Kind | None:
-    """Return the kind of compiled loop for rows of a scenario; None if there is none.
+    """Return the kind of compiled loop for rows of a scenario; None if no loop fits.
 
-    Its law must have a goal and a heading loop, supported references, and an ordinary end.
+    The law must have a goal and a heading loop, supported references, and an ordinary end.
     """
     law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
     if not isinstance(law, LawPart):
@@ -138,13 +138,13 @@ class _Case:
 def prepare_rows(
     base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int], plant: Plant | None
 ) -> PreparedRows:
-    """Return rows as arrays; rows that the loop of `base` cannot simulate are listed separately.
+    """Return rows as arrays, with a separate list of rows that the loop of `base` cannot simulate.
 
     Args:
         base: Scenario with a resolved law.
         columns: Values of each varied key, one per row.
         rows: Row numbers.
-        plant: Plant whose clock is used; None: each row uses its own plant.
+        plant: Plant whose clock is used. Default: each row uses its own plant.
     """
     kind = find_column_kind(base)
     may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns
@@ -218,7 +218,7 @@ def _gather(
 def _judge_case(
     base: Scenario, kind: Kind | None, changes: Mapping[str, Any], plant: Plant | None
 ) -> _Case | None:
-    """Return a combination; None if it is no valid scenario or has no compiled loop."""
+    """Return a combination; None if it is not a valid scenario or has no compiled loop."""
     try:
         scenario = resolve_scenario(build_row_scenario(base, [*changes], [*changes.values()], 0))
     except TurtlelogError:
@@ -237,7 +237,7 @@ def is_batched(scenario: Scenario, plant: Plant) -> bool:
 
 
 def _judge_column(base: Scenario, key: str, column: Sequence[Any]) -> Sequence[Any]:
-    """Return the values of a free key as a scenario stores them; None if a value is invalid."""
+    """Return the values of a free key in the form of a scenario; None if a value is invalid."""
     if {*map(type, column)} in ({int}, {float}):
         least, most = min(column), max(column)
         found = _judge_value(base, key, least), _judge_value(base, key, most)

@@ -1,7 +1,7 @@
 """Simulation and measurement of varied scenarios in compiled code, without trajectories.
 
-Laws and metrics that are not compiled, and rows that fail, are computed as single runs. In both
-cases a row has the numbers of a single run, bit for bit.
+Laws and metrics that are not compiled, and rows that fail, are computed as single runs. Compiled or
+not, a row has the numbers of a single run, bit for bit.
 """
 
 import math
@@ -55,16 +55,17 @@ from turtlelog.sweep.plan import build_row_scenario
 
 _MEASURING: Final = "turtlelog.sweep.batch.batch_entry"
 _MEASURING_S: Final = 5.0
-"""Additional time for compiling the measurement with the loop instead of the loop alone [s]."""
+"""Additional time for compiling the measurement together with the loop [s]."""
 
 _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
-"""Rows in one call: enough for a negligible overhead, few enough that all cores finish together."""
+"""Number of rows in one call: enough for a negligible overhead, few enough that all cores finish
+together."""
 
 
 _COMPARED: Final[set[CompiledLoops]] = set()
-"""Compiled loops of user laws that this process has compared with plain runs."""
+"""Compiled loops of user laws that this process has already compared with plain runs."""
 
 
 class Batch(NamedTuple):
@@ -105,7 +106,7 @@ def _is_kept(kind: Kind) -> bool:
 
 
 def find_batch(base: Scenario) -> CompiledLoops | None:
-    """Return the compiled code for rows that vary keys of a scenario; None if its law has none."""
+    """Return the compiled code for rows that vary keys of a scenario; None if the law has none."""
     try:
         kind = find_column_kind(resolve_scenario(base))
     except TurtlelogError:  # the rows may supply missing values
@@ -118,7 +119,7 @@ class MeasuredRows:
     """Results of rows, in their order.
 
     Attributes:
-        values: Values by metric, NaN if there is no value, shape (n,) each.
+        values: Values by metric, shape (n,) each; NaN for a missing value.
         statuses: Indices into `STATUSES` by metric, shape (n,) each; -1 for rows that failed.
         stop_reasons: Stop reason of each row; None for rows that failed.
         failed: Reason of each failure; None for rows that did not fail.
@@ -155,15 +156,15 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
         base: Scenario that the rows vary; its law may run.
         columns: Values of each varied key, one per row.
         metrics: Metric ids, no patterns.
-        plant: Plant whose clock is used; None: each row uses its own plant.
-        threads: Number of threads; None: one per core.
-        first: Number of the first row, which its scenario's name contains.
+        plant: Plant whose clock is used. Default: each row uses its own plant.
+        threads: Number of threads. Default: one per core.
+        first: Number of the first row; the name of the row's scenario contains it.
         ahead: Approximate number of rows still to be done by this process, which decides whether
             compiled loops are worth loading.
         step_budget_s: Longest computing time of the law per step [s].
 
     Raises:
-        SweepError: If columns have different lengths, or there are none.
+        SweepError: If columns have different lengths, or there are no columns.
         MeasureError: If an id names no metric.
     """
     counts = {len(column) for column in columns.values()}
@@ -193,7 +194,7 @@ class _Cells(NamedTuple):
     """Results of rows from the compiled code, in the columns of `batch_columns`.
 
     Attributes:
-        values: Values, NaN if none was entered, shape (n, columns).
+        values: Values, shape (n, columns); NaN if no value was written.
         reasons: Numbers of the reasons for missing values, shape (n, columns).
     """
 
@@ -312,7 +313,7 @@ class _Work:
         return sorted([*prepared.others, *prepared.rows[~good].tolist()])
 
     def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
-        """Simulate and measure prepared rows from their start states, which overwrite `states`."""
+        """Simulate and measure prepared rows from their start states; `states` is overwritten."""
         loops = build_loops(self._declaration)
         assert loops is not None
         shape = len(prepared.rows), count_columns(len(loops))
@@ -347,7 +348,7 @@ class _Work:
         return cells
 
     def _call(self, run: Callable[[], Any], states: NDArray[Any]) -> None:
-        """Call compiled code; with a user's law it may never return."""
+        """Call compiled code, which may never return with a user's law."""
         if not self._is_own:
             run()
             return
@@ -359,7 +360,7 @@ class _Work:
         vars(local).update(kept)
 
     def _find_memory(self, kernel: Batch, prepared: PreparedRows, seed: int) -> tuple[Any, Any]:
-        """Return this thread's arrays for the loop, with random numbers, and for measuring."""
+        """Return this thread's arrays for the loop, including random numbers, and for measuring."""
         local = self._local
         ticks, samples = prepared.ticks, prepared.samples
         if (
@@ -391,7 +392,7 @@ class _Work:
         return moved
 
     def _enter(self, prepared: PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:
-        """Enter the metrics of rows that the compiled loop has simulated."""
+        """Write the metrics of rows that the compiled loop has simulated."""
         result, rows = self.result, prepared.rows[good]
         if not len(rows):
             return

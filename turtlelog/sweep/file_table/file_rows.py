@@ -47,9 +47,10 @@ class FileState(msgspec.Struct, frozen=True, array_like=True):
     Attributes:
         size: As in `FoundRecording`.
         mtime_ns: As in `FoundRecording`.
-        sha256: SHA-256 of its content; None if it must be read again in any case.
-        first: Number of its first row.
-        count: Number of its rows; 0 if its content is unchanged and its rows are already known.
+        sha256: SHA-256 of the content; None if the file must be read again in any case.
+        first: Number of the file's first row.
+        count: Number of the file's rows; 0 if the content is unchanged and its rows are already
+            known.
     """
 
     size: int
@@ -86,11 +87,11 @@ class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
 
 _ERRORS_KEPT: Final = 10
 _COLUMNS_LOOKED: Final = 512
-"""Number of row columns that fit in memory; all metrics have about 450."""
+"""Number of row columns that fit in memory; all metrics have about 450 columns."""
 
 
 class FileRows:
-    """Known facts of files; their rows are in the existing table and the partial file.
+    """Known facts of files. The rows of files are in the existing table and the partial file.
 
     Attributes:
         read: Number of files that were read.
@@ -124,7 +125,7 @@ class FileRows:
         return self._files.get(label)
 
     def add(self, chunk: ReadFiles) -> None:
-        """Add results of some recordings, and save them in case of an interruption."""
+        """Add results of several recordings, and save them in case of an interruption."""
         self.read += sum(state.count > 0 for state in chunk.files.values())
         self._enter(chunk, self._kept.add(chunk))
 
@@ -143,10 +144,10 @@ class FileRows:
     def assemble(
         self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order
     ) -> "FileTable":
-        """Return the table of files; its rows are loaded on demand.
+        """Return the table of files, whose rows are loaded on demand.
 
         Args:
-            labels: Labels of the files, in their order.
+            labels: Labels of the files, in order.
             kind: As in `ResultTable`.
             facts: As in `ResultTable`.
             order: As in `RecordingTable`.
@@ -177,7 +178,7 @@ class FileTable:
     Attributes:
         table: Table whose rows are loaded on demand.
         failed: Number of files that cannot be read.
-        errors: Label and reason of the first of them.
+        errors: Label and reason of the first files that cannot be read.
     """
 
     table: ResultTable
@@ -196,7 +197,7 @@ class _Looked:
 
 
 def _look_through(rows: WindowedRows, begins: NDArray[np.intp]) -> _Looked:
-    """Return the contents of rows; the error of a file is in its first row."""
+    """Return the contents of rows. The error of a file is in the first row of the file."""
     looked = _Looked()
     for stretch in cut_groups(len(rows), _COLUMNS_LOOKED):
         cells = rows.load(stretch).cells

@@ -16,15 +16,16 @@ from turtlelog.log.ros2.bag import list_bag_files
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
-"""Suffixes of recordings. .txt files are read only if they are named, because most are prose."""
+"""Suffixes of recordings. A .txt file is read only if it is named, because most .txt files are
+prose."""
 
 _BAG_MARK: Final = b"rosbag2_bagfile_information"
 _TABLE_MARK: Final = b"turtlelog.kind"
 _MOST_FOOTER: Final = 2**24
-"""Largest footer of a Parquet file that is read [bytes]: tables of all metrics have 0.1 MB."""
+"""Largest footer of a Parquet file that is read [bytes]; tables of all metrics have 0.1 MB."""
 
 _HEAD_BYTES: Final = 4096
-"""Bytes of metadata.yaml that are read; its first key marks a bag."""
+"""Number of bytes of metadata.yaml that are read; the first key marks a bag."""
 
 _TABLE_HEADS: Final = (b"run,Kp [", b"file,run,", b"verdict,file,check,")
 """Beginnings of the CSV tables of `demo`, `compare`, `metrics` and `check`."""
@@ -36,10 +37,10 @@ class FoundRecording:
 
     Attributes:
         path: Path of the file or folder.
-        label: Name in tables: relative to the folder given, with slashes; the name as given, for
-            several folders or a file given by name. Invalid Unicode is escaped.
+        label: Name in tables: relative to the given folder, with slashes. For several folders or a
+            file given by name, the name as given. Invalid Unicode is escaped.
         size: Size of the file, or of all files in the bag's folder [bytes]; -1 if unknown.
-        mtime_ns: Time of its last change, or for a folder of its newest file [ns]; -1 if unknown.
+        mtime_ns: Time of the last change, or for a folder of its newest file [ns]; -1 if unknown.
     """
 
     path: str
@@ -51,12 +52,12 @@ class FoundRecording:
 def find_recordings(
     paths: Sequence[str | Path], *, without: Iterable[str | Path] = ()
 ) -> list[FoundRecording]:
-    """Return the given recordings and those below given folders, each path once.
+    """Return the given recordings and those below the given folders, each path once.
 
-    Names are sorted in each folder, numbers in them by value. Names that begin with a dot and
-    `__pycache__` are left out. A bag's folder is one recording, and so is a folder of exported
-    tables. A link to a folder outside the given folders is followed; no folder is walked twice. A
-    folder that cannot be listed counts as a recording that cannot be read.
+    Names are sorted in each folder, with numbers in names sorted by value. Names that begin with a
+    dot and `__pycache__` are left out. A bag's folder is one recording, and so is a folder of
+    exported tables. A link to a folder outside the given folders is followed; no folder is walked
+    twice. A folder that cannot be listed counts as a recording that cannot be read.
 
     Args:
         paths: Files, bags and folders.
@@ -94,7 +95,7 @@ class _Walk:
         self._seen: set[str] = set()
 
     def list_below(self, root: Path) -> Iterator[Path]:
-        """Yield the paths of recordings; for a file or bag its own path."""
+        """Yield the paths of recordings below a path; for a file or bag, its own path."""
         self._seen.clear()
         # An explicit stack, because folders may be nested deeper than Python's calls.
         waiting = [root]
@@ -114,7 +115,7 @@ class _Walk:
                     waiting += filter(self._counts, inside)
 
     def _enter(self, path: Path, *, is_root: bool) -> bool:
-        """Return whether to walk a folder: it is not walked under another name."""
+        """Return whether to walk a folder, which must not have been walked under another name."""
         real = os.path.realpath(path)
         if real in self._seen:
             return False
@@ -199,7 +200,7 @@ def _label(path: Path, root: Path | None) -> str:
 
 
 def _name_apart(label: str, labels: set[str]) -> str:
-    """Return a unique label: different names of invalid Unicode may be escaped to the same text."""
+    """Return a unique label. Different names of invalid Unicode may be escaped to the same text."""
     number, tried = 1, label
     while tried in labels:
         number, tried = number + 1, f"{label} ({number + 1})"
@@ -208,7 +209,7 @@ def _name_apart(label: str, labels: set[str]) -> str:
 
 
 def stat_recording(path: Path) -> tuple[int, int]:
-    """Return size and time of the last change of a file or a bag; -1 if unknown."""
+    """Return size and time of the last change of a file or bag; -1 for unknown values."""
     try:
         found = [one.stat() for one in list_contents(path)]
     except OSError:
@@ -219,7 +220,7 @@ def stat_recording(path: Path) -> tuple[int, int]:
 
 
 def list_contents(path: Path) -> list[Path]:
-    """Return the files of a recording: the file itself, or those of a bag's folder.
+    """Return the files of a recording: the file itself, or the files in a bag's folder.
 
     Raises:
         OSError: If the folder cannot be listed.

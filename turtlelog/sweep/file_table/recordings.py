@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 _CHUNK_FILES: Final = 16
 _CHUNK_BYTES: Final = 2**24
-"""Size of a chunk of files [bytes]: read in about a tenth of a second, which an interruption
-loses."""
+"""Size of a chunk of files [bytes], read in about a tenth of a second; an interruption loses one
+chunk."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,10 +45,11 @@ class RecordingTable:
     Attributes:
         kind: See `ResultTable`.
         facts: Settings on which rows depend, apart from the content of files, as texts.
-        work: Function that returns the rows of a file, at least one; it can be pickled. For a file
-            that cannot be read it returns a row of `ERROR`; errors that it raises end the work.
-        order: Function that returns the keys of columns, without those of `HEAD`, from the existing
-            keys and those with a cell that is not None.
+        work: Function that returns the rows of a file, at least one; it must be picklable. For a
+            file that cannot be read, the function returns a row with `ERROR`. Its exceptions end
+            the work.
+        order: Function that returns the keys of columns, without those of `HEAD`. The arguments are
+            the existing keys and the keys that have a cell with a value.
     """
 
     kind: str
@@ -77,10 +78,10 @@ class TabulatedFiles:
 
 
 def describe_former(output: Path, table: RecordingTable) -> str | None:
-    """Return the reason why an existing table cannot be reused; None if it can or does not exist.
+    """Return why an existing table cannot be reused; None if it can, or does not exist.
 
     Raises:
-        LogError: If the file is no such table and must not be replaced.
+        LogError: If the file is not such a table and must not be replaced.
         LibraryError: If pyarrow is not installed.
     """
     if not has_result_file(output):
@@ -104,21 +105,22 @@ def tabulate_recordings(
     file_s: float = FILE_S,
     watch: Callable[[Iterator[Any], int], Iterator[Any]] = lambda results, _: results,
 ) -> TabulatedFiles:
-    """Write the rows of recordings as a Parquet table, in their order; read only new recordings.
+    """Write the rows of recordings, in order, as a Parquet table; read only new recordings.
 
-    Rows are copied from the existing table if a recording's size and modification time are
-    unchanged, and also if only its content is unchanged. Results of an interrupted call are used.
+    Rows are copied from the existing table if the size and modification time of a recording are
+    unchanged, or if its content is unchanged. Results of an interrupted call are used.
 
     Args:
         found: The recordings.
         output: Path of the table, which is replaced when the new table is complete.
         table: Kind and columns of the table.
-        jobs: Number of processes, or an executor; None: the number that is fastest.
-        file_s: Time per file, apart from that for its bytes [s], to choose the number of processes.
-        watch: Receives the results of chunks as they come, and the number of files in each.
+        jobs: Number of processes, or an executor. Default: the fastest number.
+        file_s: Time per file, in addition to the time for its bytes [s], to choose the number of
+            processes.
+        watch: Function that receives the results of each finished chunk, and its number of files.
 
     Raises:
-        LogError: If the existing file is no such table, or the table cannot be written.
+        LogError: If the existing file is not such a table, or the table cannot be written.
         SweepError: If another command is writing the table, or the disk is full.
         LibraryError: If pyarrow is not installed.
     """
@@ -149,11 +151,11 @@ def tabulate_recordings(
 
 
 _Task = tuple[FoundRecording, str | None]
-"""A recording, and the known hash of its content."""
+"""A recording, with the known hash of its content."""
 
 
 def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Task]:
-    """Yield the recordings to be checked, with the known hash of their content."""
+    """Yield the recordings to check, with the known hashes of their content."""
     for one in found:
         known = rows.find(one.label)
         if known is None or known.sha256 is None:
@@ -163,7 +165,7 @@ def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Ta
 
 
 def _cut(found: Sequence[FoundRecording], tasks: Iterator[_Task]) -> Iterator[list[_Task]]:
-    """Yield chunks of work: a few large files, or more small ones."""
+    """Yield chunks of work: a few large files, or many small files."""
     most = max(1, min(_CHUNK_FILES, len(found) // _CHUNK_FILES))
     chunk: list[_Task] = []
     for task in tasks:
@@ -194,7 +196,7 @@ def _read_chunk(chunk: Sequence[_Task], *, work: Callable[[str], Sequence[Row]])
 def _read_one(
     one: FoundRecording, known: str | None, work: Callable[[str], Sequence[Row]]
 ) -> tuple[str | None, Sequence[Row]]:
-    """Return the hash and the rows of a file; no rows if its content is known."""
+    """Return the hash and the rows of a file; no rows if the content is known."""
     # The hash is computed first: if a file changes during reading, the hash is that of the former
     # content, and the next call reads the file again.
     try:
@@ -267,8 +269,8 @@ def plan_metric_table(
     """Return the `RecordingTable` for a table with one row of metrics per file.
 
     Args:
-        settings: See `measure_run`.
-        only: Metric ids and patterns; None: every metric.
+        settings: Settings of the metrics, as in `measure_run`.
+        only: Metric ids and patterns. Default: every metric.
         topics: Topics to read from third-party files.
     """
     settings, topics = settings or MeasureSettings(), topics or ReadChoice()
@@ -298,7 +300,7 @@ def _order(keys: Set[Key], used: Set[Key]) -> list[Key]:
 
 
 def describe_values(values: Any) -> str:
-    """Return settings as JSON, the same text for the same settings."""
+    """Return settings as JSON text; the same settings give the same text."""
 
     def describe(value: Any) -> Any:
         if isinstance(value, Mapping):

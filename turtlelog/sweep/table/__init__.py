@@ -1,1 +1,1 @@
-"""The table of a sweep or of recordings: its parts on disk, its columns, its views."""
+"""The table of a sweep or of recordings: parts on disk, columns, views."""

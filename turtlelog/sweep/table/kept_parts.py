@@ -1,7 +1,7 @@
-"""The partial file next to a table: the results of an interrupted command, locked by one process.
+"""The partial file next to a table: results of an interrupted command, locked by one process.
 
 The file begins with the facts of the table and grows part by part. Each part has a length and a
-checksum: an incomplete last part is ignored.
+checksum, so that an incomplete last part is recognised and ignored.
 """
 
 import hashlib
@@ -24,21 +24,21 @@ U = TypeVar("U")
 
 _MAGIC: Final = b"turtlelog sweep 1\n"
 _FRAME: Final = struct.Struct("<II")
-"""Length and checksum of the compressed data that follow."""
+"""Length and checksum of the following compressed data."""
 
 _MOST_BYTES: Final = 2**30
-"""Largest length of a part [bytes]; a larger one is damage."""
+"""Largest length of a part [bytes]. A larger length is a sign of damage."""
 
 _SMALL_PART: Final = 2**23
 _MOST_PACKED: Final = 2
 """Largest ratio of unpacked to packed size of a large part. A list takes eight bytes for each byte:
-a file of 10 MB takes 160 MB. Data with a larger ratio are not packed."""
+a file of 10 MB takes 160 MB. Data with a larger ratio were not packed by turtlelog."""
 
 
 def name_partial(output: Path) -> Path:
     """Return the path of the partial file: next to a table, or in the working folder.
 
-    Objects behind URLs cannot grow, so their partial files are in the working folder; the file name
+    Objects behind URLs cannot grow, so their partial files are in the working folder. The file name
     distinguishes tables of the same name.
     """
     if not isinstance(output, RemotePath):
@@ -52,7 +52,7 @@ def has_results(output: Path, facts: Mapping[str, str]) -> bool:
 
     Raises:
         SweepError: If the file contains something else.
-        LogError: If it cannot be read.
+        LogError: If the file cannot be read.
     """
     if not has_result_file(output):
         return False
@@ -70,7 +70,7 @@ def require_same(
 
     Args:
         facts: Facts of this sweep.
-        path: The file.
+        path: Partial file.
         found: Facts in the file.
         what: Content of the file, for the message.
 
@@ -101,7 +101,7 @@ class KeptParts(Generic[T]):
     Attributes:
         path: Path of the file.
         places: Start of each part in the file [bytes].
-        was_begun: Whether the file existed, for the same table.
+        was_begun: Whether the file already existed, for the same table.
     """
 
     def __init__(
@@ -112,17 +112,17 @@ class KeptParts(Generic[T]):
         *,
         require: Callable[[Path, Mapping[str, str]], None] | None = None,
     ) -> None:
-        """Open the file, or create it.
+        """Open the file, or create the file.
 
         Args:
             output: Path of the table.
             facts: Facts of the table.
             kind: Type of a part.
-            require: Function called with the file's facts if they differ, which raises an error;
-                None: such a file is replaced.
+            require: Function that is called with the file's facts if they differ, and raises an
+                error. None: such a file is replaced.
 
         Raises:
-            SweepError: If another process writes to it, or it cannot be written.
+            SweepError: If another process writes to the file, or the file cannot be written.
         """
         self.path, self._output = name_partial(output), output
         self.places: list[int] = []
@@ -139,7 +139,7 @@ class KeptParts(Generic[T]):
             raise self._describe(err) from err
 
     def _open(self) -> BinaryIO:
-        """Return the locked file; open again if another command removed it meanwhile."""
+        """Return the locked file. If another command removed the file during this, open again."""
         while True:
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | _BINARY, 0o666)
             stream = os.fdopen(descriptor, "r+b", buffering=0)
@@ -193,7 +193,7 @@ class KeptParts(Generic[T]):
             yield place, packed
 
     def read(self, place: int) -> T:
-        """Return the part that begins at a place.
+        """Return the part that begins at a place in the file.
 
         Raises:
             SweepError: If the part can no longer be read, or is not a part of this table.
@@ -246,7 +246,7 @@ class KeptParts(Generic[T]):
         )
 
     def close(self, *, is_complete: bool = False) -> None:
-        """Close the file; remove it if the table is complete."""
+        """Close the file, and remove it if the table is complete."""
         # Under the lock if the system allows it: after its release the name may belong to another
         # file.
         if is_complete and sys.platform != "win32":
@@ -277,7 +277,7 @@ if sys.platform == "win32":
     """Offset of the lock, beyond any file, so that it does not hinder readers."""
 
     def _lock(stream: BinaryIO) -> bool:
-        """Lock the file; return False if another process has locked it."""
+        """Lock the file, or return False if another process has locked it."""
         stream.seek(_FAR)
         try:
             msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)

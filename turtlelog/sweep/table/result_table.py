@@ -15,22 +15,23 @@ from turtlelog.log.parquet.parquet_file import ParquetFile, list_cells
 from turtlelog.version import __version__
 
 ColumnType = Literal["whole", "real", "text", "truth"]
-"""Type of the cells of a column, besides null: int64, float64, text or boolean."""
+"""Type of the cells of a column, in addition to null: int64, float64, text or boolean."""
 
 FORMAT: Final = "1"
-"""Version of the file metadata; readers refuse newer versions."""
+"""Version of the file metadata. Readers refuse newer versions."""
 
 ROW: Final = "row"
 """Name of the column with row numbers."""
 
 _PREFIX: Final = "turtlelog."
-"""Prefix of turtlelog's names in the file metadata, beside those of Arrow and pandas."""
+"""Prefix of turtlelog's names in the file metadata, next to those of Arrow and pandas."""
 
 _MOST_GROUPED: Final = 131_072
 _CELLS_GROUPED: Final = 2**19
-"""Number of cells in a row group: 1 MB of a number column and 4 MB of all columns, about the memory
-for writing and reading. A million files with all metrics have 500 groups, whose footer has 20 MB.
-Groups do not depend on how rows reach the writer, so equal tables are equal files."""
+"""Number of cells in a row group: 1 MB for a number column and 4 MB for all columns, about the
+memory for writing and reading. For a million files with all metrics, there are 500 groups, whose
+footer has 20 MB. Groups do not depend on how rows reach the writer, so equal tables are equal
+files."""
 
 _WHOLE: Final = range(-(2**63), 2**63)
 
@@ -41,9 +42,9 @@ class ResultColumn:
 
     Attributes:
         name: Name of the column: a dotted scenario key, or a metric id.
-        type: Type of its cells.
+        type: Type of the cells.
         cells: Cells, one per row; None for a missing value.
-        unit: Unit of its numbers; None for texts, counts and numbers used as names.
+        unit: Unit of the numbers; None for texts, counts and numbers used as names.
     """
 
     name: str
@@ -57,7 +58,7 @@ class ResultTable:
     """Columns of equal length, and facts about the table.
 
     Attributes:
-        kind: Command that wrote the table, such as `sweep`; readers refuse other kinds.
+        kind: Command that wrote the table, such as `sweep`. Readers refuse other kinds.
         columns: Columns in order, with unique names.
         facts: Texts by name, without the reserved names `kind`, `format` and `version`.
         version: Version of turtlelog that wrote the table.
@@ -74,7 +75,7 @@ class ResultTable:
         return len(self.columns[0].cells) if self.columns else 0
 
     def find(self, name: str) -> ResultColumn | None:
-        """Return the column with a name; None if there is none."""
+        """Return the column with a name; None if there is no such column."""
         return next((column for column in self.columns if column.name == name), None)
 
 
@@ -95,7 +96,7 @@ def _find_type(value: Any) -> ColumnType:
 
 
 def write_result_table(table: ResultTable, path: str | Path) -> None:
-    """Write a table as a Parquet file, which gets its name when it is complete.
+    """Write a table as a Parquet file. The file gets its name when it is complete.
 
     Raises:
         LogError: If the file cannot be written, for example on a full disk.
@@ -126,7 +127,7 @@ def build_result_arrow(table: ResultTable) -> Any:
 
 
 def cut_groups(row_count: int, column_count: int) -> Iterator[slice]:
-    """Yield the row groups in which a table is written, and should be computed."""
+    """Yield the row groups in which a table is written and should be computed."""
     size = min(_MOST_GROUPED, max(1, _CELLS_GROUPED // max(1, column_count)))
     for first in range(0, row_count, size):
         yield slice(first, min(first + size, row_count))
@@ -172,7 +173,7 @@ def has_result_file(path: Path) -> bool:
 def read_result_facts(path: str | Path) -> Mapping[str, str] | None:
     """Return the `kind`, the `version` and the facts of the table in a file.
 
-    None if the Parquet file is not a result table of turtlelog.
+    The result is None if the Parquet file is not a result table of turtlelog.
 
     Raises:
         LogError: If the file is not a Parquet file, is truncated, or is from a newer turtlelog.
@@ -190,7 +191,7 @@ def read_result_table(
     Args:
         path: The file.
         kind: Kind of the expected table, such as `sweep`.
-        columns: Names of the columns to read; None: all.
+        columns: Names of the columns to read. Default: all.
 
     Raises:
         LogError: If the file cannot be read, is not a Parquet file, is truncated, or contains
@@ -206,12 +207,12 @@ def list_values(column: ResultColumn) -> list[Any]:
 
 
 def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
-    """Return row numbers: those in the column `row` if they are unique, otherwise 0, 1, 2 ...
+    """Return row numbers: those in the column `row` if they are unique, or else 0, 1, 2 ...
 
     Tables filtered or sorted by other programs keep their row numbers.
 
     Args:
-        cells: Cells of the column `row`; None if it is missing.
+        cells: Cells of the column `row`; None if the column is missing.
         count: Number of rows.
     """
     if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
@@ -236,12 +237,12 @@ def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
 
 
 class StoredTable:
-    """A table in a file. The file is open only during reads, so it may be replaced meanwhile.
+    """A table in a file. The file is open only during reads and may be replaced between reads.
 
     Attributes:
-        kind: See `ResultTable`; empty if the file is no such table.
-        facts: As in `ResultTable`.
-        version: See `ResultTable`.
+        kind: Kind of the table, as in `ResultTable`; empty if the file is not a result table.
+        facts: Facts of the table, as in `ResultTable`.
+        version: Version of turtlelog, as in `ResultTable`.
         names: Names of the columns.
         group_rows: Number of rows in each group.
     """
@@ -269,8 +270,8 @@ class StoredTable:
         """Return columns with Arrow arrays as cells.
 
         Args:
-            columns: Names of the columns to read; None: all.
-            group: Index of a row group; None: all.
+            columns: Names of the columns to read. Default: all.
+            group: Index of a row group. Default: all.
 
         Raises:
             LogError: As for `read_result_table`.
@@ -282,7 +283,7 @@ class StoredTable:
         """Return the table with Python values as cells.
 
         Args:
-            columns: Names of the columns to read; None: all.
+            columns: Names of the columns to read. Default: all.
 
         Raises:
             LogError: As for `read_result_table`.
@@ -309,7 +310,7 @@ class StoredTable:
         """Return the position of the row with a number in the column `row`.
 
         Raises:
-            SweepError: If there is no such row.
+            SweepError: If there is no row with this number.
             LogError: As for `read`.
         """
         has_numbers = ROW in self.names
@@ -366,7 +367,7 @@ _TYPES: Final[Mapping[str, ColumnType]] = {
     "bool": "truth",
     **dict.fromkeys(("string", "large_string", "string_view", "null"), "text"),
 }
-"""Column types by Arrow's names of types, including types that other programs write."""
+"""Column types by Arrow's type names, including types that other programs write."""
 
 
 def _iterate_columns(table: Any) -> Iterator[ResultColumn]:

@@ -1,4 +1,4 @@
-"""Rows of texts and numbers in columns: parts on disk, a few of them in memory."""
+"""Rows of texts and numbers in columns: most parts are on disk, a few in memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,9 +18,9 @@ class Key(NamedTuple):
     """Key of a column.
 
     Attributes:
-        name: Name of the column; each unit of a name gets its own column.
-        type: Type of its cells.
-        unit: Unit of its numbers; empty if they have no unit.
+        name: Name of the column. If a name has several units, each unit gets its own column.
+        type: Type of the cells.
+        unit: Unit of the numbers; empty if they have no unit.
     """
 
     name: str
@@ -34,10 +34,10 @@ _NUMBERS: Final = {"text": np.int32, "real": np.float64, "whole": np.int64}
 
 
 class StoredCells(Sequence[Any]):
-    """The cells of one column: 8 bytes per number, 4 per text; repeated texts are mostly shared."""
+    """The cells of one column: 8 bytes per number, 4 per text. Repeated texts are mostly shared."""
 
     def __init__(self, kind: CellType, numbers: NDArray[Any], texts: Sequence[str] = ()) -> None:
-        """Store numbers; for texts, indices into the list of texts."""
+        """Store numbers, or for texts the indices into the list of texts."""
         self._kind, self._numbers, self._texts = kind, numbers, list(texts)
 
     @classmethod
@@ -72,7 +72,7 @@ class StoredCells(Sequence[Any]):
         return StoredCells(self._kind, self._numbers[rows], self._texts)
 
     def put(self, places: NDArray[np.intp], other: "StoredCells", rows: NDArray[np.intp]) -> None:
-        """Copy cells of another column of the same kind to places in this column."""
+        """Copy cells of another column of the same kind to given rows of this column."""
         numbers = other._numbers[rows]
         if other._texts:
             numbers = np.where(numbers < 0, -1, numbers + len(self._texts))
@@ -92,7 +92,7 @@ class StoredCells(Sequence[Any]):
 
     @property
     def has_value(self) -> NDArray[np.bool_]:
-        """Return for each row whether its cell is not None."""
+        """Return for each row whether its cell has a value."""
         has: NDArray[np.bool_] = self._numbers != _NONES[self._kind]
         return has & ~np.isnan(self._numbers) if self._kind == "real" else has
 
@@ -147,13 +147,13 @@ class StoredRows:
 
 
 class WindowedRows:
-    """Stored rows in a given order; one segment is in memory."""
+    """Stored rows in a given order, with one segment in memory."""
 
     def __init__(self, stored: StoredRows, order: NDArray[np.intp] | range) -> None:
         """Store the rows and their order.
 
         Args:
-            stored: The rows.
+            stored: Stored rows.
             order: Row numbers in order.
         """
         self._stored, self._order = stored, order
@@ -172,7 +172,7 @@ class WindowedRows:
 
 
 class _Column(Sequence[Any]):
-    """The cells of a key in ordered rows."""
+    """The cells of a key, for rows in a given order."""
 
     def __init__(self, rows: WindowedRows, key: Key) -> None:
         self._rows, self._key = rows, key
@@ -188,7 +188,7 @@ class _Column(Sequence[Any]):
 
 
 def build_result_columns(rows: WindowedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
-    """Yield the columns of keys; if a name has several units, the unit is appended to it."""
+    """Yield the columns of keys. If a name has several units, the unit is appended to the name."""
     names = [key.name for key in keys]
     for key in keys:
         is_alone = names.count(key.name) == 1
@@ -201,7 +201,7 @@ def build_result_columns(rows: WindowedRows, keys: Sequence[Key]) -> Iterator[Re
 
 
 def parse_key(column: ResultColumn) -> Key:
-    """Return the key of a column that `build_result_columns` made."""
+    """Return the key of a column that `build_result_columns` created."""
     unit = column.unit or ""
     name = column.name.removesuffix(f" [{unit}]") if unit else column.name
     return Key(name, "text" if column.type == "truth" else column.type, unit)

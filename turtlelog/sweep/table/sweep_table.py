@@ -1,4 +1,4 @@
-"""The results of all chunks as one table; a row of the table as a scenario."""
+"""The table with the results of all chunks, and the conversion of a row to a scenario."""
 
 import json
 import re
@@ -31,7 +31,7 @@ from turtlelog.sweep.table.row_columns import (
 )
 
 STATUS: Final = ".status"
-"""Suffix of the column beside a metric with the reasons for missing values."""
+"""Suffix of the column next to a metric, which contains the reasons for missing values."""
 
 
 _STOP_REASON: Final = Key("stop_reason")
@@ -39,7 +39,7 @@ _FAILED: Final = Key("failed")
 
 
 class SweptRows:
-    """Known facts of the finished rows; the rows are in the partial file."""
+    """Known facts of the finished rows. The rows themselves are in the partial file."""
 
     def __init__(self, kept: KeptParts[RowResults]) -> None:
         """Load the results of an interrupted sweep."""
@@ -68,7 +68,7 @@ class SweptRows:
                 self._units[name, unit] = min(self._units.get((name, unit), first), first)
 
     def list_gaps(self, count: int) -> list[tuple[int, int]]:
-        """Return the segments of unfinished rows: first row, and the row after the last."""
+        """Return the segments of unfinished rows: the first row, and the row after the last."""
         gaps, row = [], 0
         for first, size, _ in sorted(self._parts):
             if first > row:
@@ -77,7 +77,7 @@ class SweptRows:
         return [*gaps, (row, count)] if row < count else gaps
 
     def list_metrics(self) -> dict[str, str]:
-        """Return the metrics in their order in the rows, with their units."""
+        """Return the metrics in the order of the rows, with their units."""
         units = sorted(self._units, key=self._units.__getitem__)
         return {
             name: " or ".join(unit for other, unit in units if other == name)
@@ -111,10 +111,10 @@ class SweptRows:
 
 
 def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -> ResultTable:
-    """Return the table of a sweep; its rows are loaded on demand.
+    """Return the table of a sweep, whose rows are loaded on demand.
 
     Args:
-        plan: Plan of its rows.
+        plan: Plan of the rows.
         facts: Facts of the sweep.
         rows: Results of the rows.
 
@@ -155,7 +155,7 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
 
 
 def find_key_unit(key: str) -> str | None:
-    """Return the unit at the end of a key's name; None if there is none."""
+    """Return the unit at the end of a key's name; None if the name has no unit."""
     found = _UNIT.search(key)
     if found is None:
         return None
@@ -190,7 +190,7 @@ def find_failure(table: StoredTable) -> str:
 
 
 def load_row_scenario(path: str | Path, row: int) -> Scenario:
-    """Return the scenario of a row in a result table; no code is loaded, its law is not trusted.
+    """Return the scenario of a row in a result table. No code is loaded; its law is not trusted.
 
     Args:
         path: Path of the table.
@@ -199,7 +199,8 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
     Raises:
         LogError: If the file is not a table of a sweep.
         SweepError: If the table has no such row.
-        ScenarioError: If the row's values are not a valid scenario, which is why the row failed.
+        ScenarioError: If the row's values are not a valid scenario, and the row failed for this
+            reason.
     """
     table = open_result_table(path, kind="sweep")
     place = table.find_row(row)

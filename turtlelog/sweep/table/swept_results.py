@@ -35,7 +35,7 @@ SEED: Final = "seed"
 """Key whose values are repetitions of runs, not compared."""
 
 _FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
-"""Most requested metrics of maps, by the last part of their id, in this order."""
+"""Metrics that are most often requested for maps, by the last part of their id, in this order."""
 
 _LARGEST: Final = 1e150
 """Largest value on an axis: squares of differences of larger values overflow."""
@@ -43,10 +43,11 @@ _LARGEST: Final = 1e150
 _BEYOND: Final = "beyond 1e150"
 
 _USUAL_METRICS: Final = 4
-"""Default number of panels: two rows of two, each as wide as a column of a paper."""
+"""Default number of panels: two rows of two panels, each as wide as a column of a paper."""
 
 MOST_METRICS: Final = 12
-"""Largest number of panels in one picture: with more, text would be higher than the cells."""
+"""Largest number of panels in one picture. With more panels, text would be higher than the
+cells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,10 +56,10 @@ class SweptAxis:
 
     Attributes:
         keys: Dotted keys; the first gives the axis its numbers.
-        values: Values at each place, one per key: numbers ascending, words in row order.
+        values: Values at each place, one per key. Numbers are ascending, words in row order.
         places: Place of each row, shape (n,).
-        unit: Unit of the numbers; None if they have none.
-        is_number: Whether all places have finite numbers; otherwise they are equally spaced.
+        unit: Unit of the numbers; None if they have no unit.
+        is_number: Whether all places have finite numbers; otherwise the places are equally spaced.
     """
 
     keys: tuple[str, ...]
@@ -105,9 +106,9 @@ class SweptMetric:
 
     Attributes:
         name: Id of the metric.
-        unit: Unit of its values.
-        values: Value of each row, NaN if there is none, shape (n,).
-        reasons: Reason for a missing value, per row; None if there is a value.
+        unit: Unit of the values.
+        values: Value of each row, shape (n,); NaN for a missing value.
+        reasons: Reason for a missing value, per row; None for an existing value.
     """
 
     name: str
@@ -117,7 +118,7 @@ class SweptMetric:
 
     @property
     def is_verdict(self) -> bool:
-        """Whether its values are verdicts, 0 or 1 by definition, instead of quantities."""
+        """Whether the values are verdicts, 0 or 1 by definition, instead of quantities."""
         return self.name.rpartition(".")[2] == _FIRST[0]
 
     @property
@@ -133,7 +134,7 @@ class SweptResults:
     Attributes:
         path: Path of the table.
         axes: Axes in the order of the plan.
-        metrics: The requested metrics.
+        metrics: Requested metrics.
         others: Ids of all other metrics.
         is_sampled: Whether rows were sampled at random, so that few share a place.
         failed: Number of rows without a run.
@@ -164,10 +165,10 @@ class SweptResults:
         return self._known.get(key)
 
     def build_scenario(self, row: int) -> Scenario:
-        """Return the scenario of a row; no code is loaded, and its law is not trusted.
+        """Return the scenario of a row. No code is loaded, and the law is not trusted.
 
         Raises:
-            ScenarioError: If its values are not a valid scenario.
+            ScenarioError: If the row's values are not a valid scenario.
         """
         changes = [
             (key, value)
@@ -190,11 +191,11 @@ class SweptResults:
 
 
 def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:
-    """Return the rows of a table by `turtlelog sweep`, prepared for charts.
+    """Return the rows of a table from `turtlelog sweep`, prepared for charts.
 
     Args:
         path: Path of the table.
-        patterns: Metric ids or patterns; None: up to four metrics, common ones first.
+        patterns: Metric ids or patterns. Default: up to four metrics, common ones first.
 
     Raises:
         LogError: If the file is not a table of a sweep, or has no rows.
@@ -237,7 +238,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
 
 
 def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
-    """Return the loops that the first row's law declares; empty if its code is not loaded."""
+    """Return the declared loops of the first row's law; empty if the law's code is not loaded."""
     try:
         return declare_scenario(resolve_scenario(results.build_scenario(0))).loops
     except TurtlelogError:
@@ -283,7 +284,7 @@ def _match(path: str | Path, patterns: Sequence[str], known: Sequence[str]) -> l
 
 
 def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
-    """Return the most common metrics, varying ones first; otherwise the first metrics."""
+    """Return the most common metrics, varying ones first; without common ones, the first."""
     valued = [metric for metric in metrics if np.isfinite(metric.values).any()]
 
     def rank(metric: SweptMetric) -> tuple[bool, int]:
@@ -369,7 +370,7 @@ def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
 def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
     """Return the distinct values of a column in row order, and the index of each row's value.
 
-    Only distinct cells are converted to Python values, as there may be a million rows.
+    Only distinct cells are converted to Python values, because there may be a million rows.
     """
     cells: Any = column.cells
     if column.type == "real":

@@ -1,4 +1,4 @@
-"""Views of a sweep for charts: two axes, fixed values of the others, the values of cells."""
+"""Views of a sweep for charts: two axes, fixed values of the other axes, the values of cells."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class SweptView:
         x: Horizontal axis.
         y: Vertical axis; None if one axis is shown.
         held: Fixed places of the axes that are not shown.
-        seeds: Number of seeds that a cell averages; 1 if runs are not repeated.
+        seeds: Number of seeds over which a cell averages; 1 if runs are not repeated.
         rows: Shown rows, ascending.
         notes: Choices made for the caller, in sentences.
     """
@@ -55,12 +55,12 @@ class SweptView:
 
     @property
     def cells(self) -> Places:
-        """The index of each shown row's cell, counted along x first."""
+        """Index of each shown row's cell, counted along x first."""
         beside = 0 if self.y is None else self.y.places[self.rows] * len(self.x)
         return np.asarray(self.x.places[self.rows] + beside, dtype=np.int64)
 
     def find_first_rows(self) -> Places:
-        """Return the first row of each cell, -1 for empty cells, shape as `shape`."""
+        """Return the first row of each cell, in the shape of `shape`; -1 for empty cells."""
         found = np.full(self.shape[0] * self.shape[1], -1, dtype=np.int64)
         found[self.cells[::-1]] = self.rows[::-1]
         return found.reshape(self.shape)
@@ -79,11 +79,11 @@ class SweptCells:
     """A metric in the cells of a view.
 
     Attributes:
-        values: Means over the rows with a value, NaN if there is none, shape as that of the view.
+        values: Means over the rows with a value, in the shape of the view; NaN for a missing value.
         least: Smallest value.
         most: Largest value.
         counts: Number of rows with a value.
-        reasons: Reason for a missing value, by cell index; without cells that have no row.
+        reasons: Reason for a missing value, by cell index. Cells without rows are not included.
     """
 
     values: Values
@@ -106,10 +106,10 @@ def choose_view(
 
     Args:
         results: Results of a sweep.
-        x: Key of the horizontal axis; None: chosen automatically.
-        y: Key of the vertical axis; None: chosen automatically.
+        x: Key of the horizontal axis. Default: chosen automatically.
+        y: Key of the vertical axis. Default: chosen automatically.
         at: Values of fixed keys.
-        gains: Keys that get the vertical axis if shown with another key.
+        gains: Keys that get the vertical axis when shown together with another key.
         most_axes: Largest number of axes, 1 or 2.
 
     Raises:
@@ -160,7 +160,7 @@ def _hold(results: SweptResults, at: Mapping[str, Any]) -> dict[SweptAxis, int]:
 
 
 def _suggest_near(value: Any, values: Sequence[Any]) -> str:
-    """Return the values nearest to a number, or the first words."""
+    """Return the values nearest to a number; for words, the first words."""
     is_number = isinstance(value, int | float) and all(isinstance(v, int | float) for v in values)
     listed = sorted(values, key=lambda one: abs(one - value)) if is_number else values
     return " or ".join(format_key_value(one) for one in dict.fromkeys(listed[:3]))
@@ -173,7 +173,7 @@ def _choose_axes(
     gains: Sequence[str],
     most: int,
 ) -> list[SweptAxis]:
-    """Return the x axis, and the y axis if there is one."""
+    """Return the x axis, and the y axis if two axes are shown."""
     first, second = asked
     given = [axis for axis in asked if axis is not None]
     free = [
@@ -238,7 +238,7 @@ def _hold_others(
 
 
 def find_usual_place(results: SweptResults, axis: SweptAxis) -> tuple[int, str]:
-    """Return the fixed place of an axis and the reason: the base's values, otherwise the middle."""
+    """Return the fixed place of an axis and the reason: the base's values, or else the middle."""
     base = tuple(results.find_base_value(key) for key in axis.keys)
     if base in axis.values:
         return axis.values.index(base), "as in the base"
@@ -298,7 +298,7 @@ def require_values(view: SweptView) -> None:
 
 
 def list_shown_values(view: SweptView, metric: SweptMetric) -> tuple[Places, Values]:
-    """Return the shown rows and their values; for means over seeds, the first row of each."""
+    """Return the shown rows with their values; for means over seeds, the first row of each mean."""
     if view.seeds == 1:
         return view.rows, metric.values[view.rows]
     first = view.find_first_rows()
@@ -306,10 +306,10 @@ def list_shown_values(view: SweptView, metric: SweptMetric) -> tuple[Places, Val
 
 
 def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
-    """Return the shown rows with the best value; empty if no direction is better.
+    """Return the shown rows with the best value; empty if neither direction is better.
 
-    With seeds, it is the first row of each best mean; only means over the largest number of seeds
-    count.
+    With seeds, the result is the first row of each best mean; only means over the largest number of
+    seeds count.
     """
     kind, (rows, values) = find_metric_kind(metric.name), list_shown_values(view, metric)
     if kind is None or kind.better is None or metric.is_verdict or not np.isfinite(values).any():

@@ -1,6 +1,6 @@
 """Search for the best values of a scenario's keys.
 
-The names are in `__init__.pyi` and load on first use.
+The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

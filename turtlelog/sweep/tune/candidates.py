@@ -21,13 +21,14 @@ from turtlelog.sweep.tune.goal import ConstraintFinding, TuningGoal
 Point = tuple[float | int, ...]
 
 _CUTS: Final = 8
-"""Smallest number of parts of a generation: several for each of a few processes."""
+"""Smallest number of parts of a generation: several parts for each of a few processes."""
 
 _ROWS: Final = "grid: "
 """Prefix of errors about the values of a row."""
 
 _CHUNK_S: Final = 0.5
-"""Duration of a unit of work [s]: long compared with its distribution, short for a waiting user."""
+"""Duration of a unit of work [s]: long compared with the time to distribute it, short for a waiting
+user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,10 +37,11 @@ class Candidate:
 
     Attributes:
         point: A value for each key.
-        objective: Value of the objective; None if it has no value.
+        objective: Value of the objective; None if the objective has no value.
         constraints: Result of each constraint.
         failed: Reason of a failed run; empty if the run did not fail.
-        missing: Reason for a missing objective, from the metric; empty if it has a value.
+        missing: Reason for a missing objective, from the metric; empty if the objective has a
+            value.
     """
 
     point: Point
@@ -91,12 +93,13 @@ class Candidates:
             base: Base scenario; its law may run.
             keys: Dotted scenario keys.
             goal: Objective and constraints.
-            jobs: Number of processes, or an executor; None: one per core if that is faster.
+            jobs: Number of processes, or an executor. Default: one per core if that is faster.
             expected: Approximate number of candidates.
-            watch: Called with the number of evaluated candidates.
-            trust_law: Whether a law named in a recording may run, too.
+            watch: Function that is called with the number of evaluated candidates.
+            trust_law: Whether a law named in a recording may run too.
             step_budget_s: Longest computing time of the law per step [s].
-            tell: Called once, with the first candidate whose law exceeds that time.
+            tell: Function that is called once, with the first candidate whose law exceeds this
+                time.
             source: Prefix of error messages about the values of a candidate.
 
         Raises:
@@ -130,7 +133,7 @@ class Candidates:
         goal.require_sound({**self._parameters, **numbers})
 
     def build_scenario(self, point: Point) -> Scenario:
-        """Return the scenario of a candidate, with the name of the base scenario."""
+        """Return the scenario of a candidate under the name of the base scenario."""
         trusted = True if self._trusts else None
         keys = [*self._list_set_keys(), "name"]
         values = [*self._spread(point), self._scenario.name]
@@ -139,10 +142,11 @@ class Candidates:
         )
 
     def require_bounds(self, points: Sequence[Point]) -> None:
-        """Refuse bounds if no bound forms a valid scenario.
+        """Refuse bounds if none of the bounds forms a valid scenario.
 
         Raises:
-            ScenarioError: If they are refused; the message gives the reason at the first bound.
+            ScenarioError: If the bounds are refused. The message gives the reason at the first
+                bound.
         """
         errors = []
         for point in points:
@@ -154,7 +158,7 @@ class Candidates:
             raise errors[0]
 
     def evaluate(self, points: Sequence[Point]) -> list[Candidate]:
-        """Return the result of each point; known results are not simulated again."""
+        """Return the result of each point. Known results are not simulated again."""
         new = [point for point in dict.fromkeys(points) if point not in self._known]
         for first, results in self._simulate(new):
             for place, point in enumerate(new[first : first + len(results)]):
@@ -172,7 +176,7 @@ class Candidates:
         return [*self._known.values()]
 
     def _simulate(self, points: Sequence[Point]) -> Iterator[tuple[int, RowResults]]:
-        """Yield results of segments of the points; the first point alone measures the time."""
+        """Yield results of segments of the points. The first point alone measures the time."""
         if not points:
             return
         done = 0
@@ -230,7 +234,7 @@ class Candidates:
         return tuple(key for keys in self._set_keys for key in keys)
 
     def _spread(self, point: Point) -> Point:
-        """Return a value for each key of the scenario: that of `kp` is one for all gains."""
+        """Return a value for each key of the scenario; the value of `kp` is used for all gains."""
         return tuple(value for keys, value in zip(self._set_keys, point, strict=True) for _ in keys)
 
     def _judge(self, point: Point, results: RowResults, place: int) -> Candidate:
@@ -271,7 +275,7 @@ def spread_keys(
     """Return the scenario's keys that each searched key sets: `kp` sets all gains of the law.
 
     Raises:
-        TuneError: If the law declares no gain, or one of its gains is searched beside `kp`.
+        TuneError: If the law declares no gain, or one of its gains is searched in addition to `kp`.
     """
     if KP not in keys:
         return tuple((key,) for key in keys)

@@ -27,11 +27,11 @@ class ConstraintFinding:
 
     Attributes:
         expression: Constraint as typed.
-        value: Value of the left side of a comparison of numbers; None if missing or for other
-            constraints.
+        value: Value of the left side of a comparison of numbers. None if the value is missing, or
+            for other constraints.
         margin: Distance to the other verdict, in the unit of the compared values: positive if the
             constraint holds, negative if it does not. inf or -inf if there is no distance, as for
-            words, and -inf if a value is missing.
+            words; -inf if a value is missing.
         holds: Whether the constraint holds; False if a value is missing.
     """
 
@@ -57,23 +57,23 @@ class TuningGoal:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Ids of the required metrics."""
+        """Ids of the metrics that the goal needs."""
         names = [name for one in (self.objective, *self.constraints) for name in one.names]
         return tuple(dict.fromkeys(name for name in names if find_metric_kind(name) is not None))
 
     @property
     def metric(self) -> str | None:
-        """Id of the metric that is the objective; None if that is a formula."""
+        """Id of the metric that is the objective; None if the objective is a formula."""
         name = self.objective.text.strip()
         return None if find_metric_kind(name) is None else name
 
     def compute_objective(self, values: Values) -> float | None:
-        """Return the value of the objective; None if it has no value.
+        """Return the value of the objective; None if the objective has no value.
 
-        A metric is limited at the value below which nothing is gained, such as 0 for an overshoot.
+        A metric is limited at the value below which lower is no better, such as 0 for an overshoot.
 
         Raises:
-            ExpressionError: If it contains an unknown name.
+            ExpressionError: If the objective contains an unknown name.
             TuneError: If the result is not a number.
         """
         found = evaluate_expression(self.objective, values)
@@ -148,10 +148,10 @@ def _judge(expression: Expression, values: Values) -> ConstraintFinding:
 
 
 def _measure_margin(expression: Expression, node: Node, values: Values) -> float | None:
-    """Return the distance of a condition to the other verdict; None if it needs a missing value.
+    """Return the distance of a condition to the other verdict; None if a value is missing.
 
-    This is the robustness of a formula (A. Donze and O. Maler, "Robust satisfaction of temporal
-    logic over real-valued signals", FORMATS 2010), without time.
+    The distance is the robustness of a formula (A. Donze and O. Maler, "Robust satisfaction of
+    temporal logic over real-valued signals", FORMATS 2010), without time.
     """
     if isinstance(node, Comparison):
         sides = [evaluate_node(expression, one, values).unpack() for one in node.operands]

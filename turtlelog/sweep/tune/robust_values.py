@@ -19,17 +19,17 @@ from turtlelog.sweep.tune.goal import TuningGoal
 from turtlelog.sweep.tune.search import SearchedKey, Tuned, sum_up
 
 _WORSE: Final = 0.1
-"""Largest loss of the objective, as a share of the best: the rounding of a gain."""
+"""Largest loss of the objective, as a share of the best value: the rounding of a gain."""
 
 _OF_SPREAD: Final = 0.01
-"""The same as a share of the distance from the best to the median candidate, if that is larger: a
-share of a best value of 0 is always 0."""
+"""The same loss as a share of the distance from the best to the median candidate, if that is
+larger. A share of a best value of 0 would always be 0."""
 
 _POINTS: Final = 16
-"""Candidates between the best value and each bound, denser near the best."""
+"""Number of candidates between the best value and each bound, denser near the best."""
 
 _ROUNDS: Final = 5
-"""Largest number of neighbourhoods: if a metric depends on single samples, each may contain a
+"""Largest number of neighbourhoods. If a metric depends on single samples, each may contain a
 better value."""
 
 _HALVINGS: Final = 8
@@ -51,9 +51,9 @@ class KeyRange:
         high: Largest value that is still good.
         low_end: Reason for the lower end: the objective becomes worse, a constraint is violated, a
             value is missing, or the given bound is reached.
-        high_end: Reason for the upper end, likewise.
-        low_constraint: Constraint that is violated below; empty if there is none.
-        high_constraint: Constraint that is violated above; empty if there is none.
+        high_end: Reason for the upper end, with the same values.
+        low_constraint: Constraint that is violated below the range; empty if no constraint is.
+        high_constraint: Constraint that is violated above the range; empty if no constraint is.
     """
 
     key: str
@@ -67,7 +67,7 @@ class KeyRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Neighbourhood:
-    """The range in which each key can change while the others stay fixed.
+    """The range in which each key can change while the other keys stay fixed.
 
     Attributes:
         slack: Largest accepted loss of the objective.
@@ -80,7 +80,7 @@ class Neighbourhood:
 
 @dataclass(slots=True)
 class _Walk:
-    """A walk from the best value to a bound: the last good fraction, and the first bad one."""
+    """A walk from the best value to a bound: the last good fraction and the first bad fraction."""
 
     place: int
     bound: float
@@ -93,7 +93,7 @@ class _Walk:
 def explore_best(
     candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned, *, is_maximised: bool = False
 ) -> tuple[Tuned, Neighbourhood]:
-    """Return the best candidate and its neighbourhood; a better candidate found there replaces it.
+    """Return the best candidate and its neighbourhood. A better candidate found there replaces it.
 
     Args:
         candidates: Evaluator of candidates.
@@ -174,7 +174,7 @@ def _describe(
 
 
 def _find_slack(candidates: Candidates, best: float) -> float:
-    """Return the accepted loss of the objective relative to the best."""
+    """Return the accepted loss of the objective, relative to the best value."""
     values = [
         one.objective
         for one in candidates.list_known()
@@ -184,7 +184,7 @@ def _find_slack(candidates: Candidates, best: float) -> float:
 
 
 def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
-    """Return the reason why a candidate is not good; None if it is good."""
+    """Return why a candidate is not good; None if the candidate is good."""
     broken = [found for found in one.constraints if not found.holds]
     if broken:
         return "constraint", broken[0].expression
@@ -204,7 +204,7 @@ _PARTS: Final = {
 }
 _AXES: Final = {"speed": "speed", "turn_rate": "turn"}
 _MOST_BYTES: Final = 2**24
-"""Largest output of `identify --json` that is read [bytes]: for one robot it has some kB."""
+"""Largest output of `identify --json` that is read [bytes]; one robot has a few kB."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,7 +214,7 @@ class Variation:
     Attributes:
         key: Dotted scenario key.
         low: Smallest value.
-        high: Largest value; the distribution is uniform, over whole numbers if `is_whole`.
+        high: Largest value. The distribution is uniform, over whole numbers if `is_whole` is set.
         is_whole: Whether values are whole numbers.
     """
 
@@ -232,7 +232,7 @@ class Spread:
         runs: Number of variants.
         with_value: Number of variants in which the objective has a value.
         holds: Number of variants in which every constraint holds and the objective has a value.
-        median: Median of the objective; None if it has no value in any variant.
+        median: Median of the objective; None if the objective has no value in any variant.
         low: 5th percentile of the objective, interpolated.
         high: 95th percentile of the objective, interpolated.
         worst: Worst value of the objective.
@@ -255,13 +255,13 @@ def choose_variations(
     """Return the keys to sample at random in variants of a scenario.
 
     The seed varies if the scenario has random effects. The transport delay varies by one tick up
-    and down, because a program that runs on ticks differs from its model by as much. The keys in
-    `more` vary, for example those of an identified robot's intervals.
+    and down, because a program that runs on ticks may differ from its model by one tick. The keys
+    in `more` vary too, for example with the intervals of an identified robot.
 
     Args:
-        scenario: The best scenario; its law may run.
+        scenario: Best scenario; its law may run.
         runs: Number of variants.
-        more: Further keys; they replace the keys above.
+        more: Further keys, which replace the keys above.
     """
     given = {one.key: one.high for one in more}
     resolved = resolve_scenario(override_scenario(scenario, given, source="--spread"))
@@ -335,13 +335,13 @@ def simulate_variants(
     """Simulate variants of a scenario and return their results.
 
     Args:
-        scenario: The best scenario.
+        scenario: Best scenario.
         goal: Objective and constraints.
         variations: Keys to sample, each uniformly from its range and independently.
         runs: Number of variants.
         seed: Seed of the sampling; the seeds of the scenario increase by one.
-        jobs: As in `Candidates`.
-        more: As in `Candidates`.
+        jobs: Number of processes, as in `Candidates`.
+        more: Further options, as in `Candidates`.
     """
     generator = np.random.default_rng(seed)
     columns = [_draw(one, runs, generator) for one in variations]

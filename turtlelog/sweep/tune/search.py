@@ -1,12 +1,12 @@
 """The search for the best values of keys between bounds, in three steps.
 
-First a scrambled Sobol sequence covers the range evenly. Differential evolution (R. Storn and K.
-Price, J. Global Optimization 11, 1997; as scipy has it) continues from its best points, whole
-generations at a time. A compass search (T. G. Kolda, R. M. Lewis and V. Torczon, SIAM Review 45,
-2003) then halves its steps around the best. A candidate that satisfies the constraints is better
-than one that does not. If both do, the better objective decides; if none does, the smaller
-violation decides (K. Deb, "An efficient constraint handling method for genetic algorithms",
-Computer Methods in Applied Mechanics and Engineering 186, 2000).
+First, a scrambled Sobol sequence covers the range evenly. Second, differential evolution (R. Storn
+and K. Price, J. Global Optimization 11, 1997; as in scipy) continues from the best points, whole
+generations at a time. Third, a compass search (T. G. Kolda, R. M. Lewis and V. Torczon, SIAM Review
+45, 2003) halves its steps around the best point. A candidate that satisfies the constraints is
+better than a candidate that does not. If both candidates do, the better objective decides; if
+neither does, the smaller violation decides (K. Deb, "An efficient constraint handling method for
+genetic algorithms", Computer Methods in Applied Mechanics and Engineering 186, 2000).
 """
 
 import math
@@ -23,25 +23,25 @@ from turtlelog.sweep.plan import EqualSteps, parse_key_values
 from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
 
 _SPREAD: Final = 32
-"""Points per key of the initial cover: one key has steps of 3 % of its range. The number is a power
-of two, as the Sobol sequence requires."""
+"""Number of points per key of the first cover: one key has steps of 3 % of its range. The number is
+a power of two, as the Sobol sequence requires."""
 
 _POPULATION: Final = 12
-"""Population of the evolution per key: its authors advise 10, scipy uses 15."""
+"""Population of the evolution per key: the authors of the method advise 10, scipy uses 15."""
 
 _FEWEST: Final = 16
 """Smallest population of the evolution."""
 
 _FIRST_STEP: Final = 1.0 / 16.0
 _LAST_STEP: Final = 1e-5
-"""Last step of the compass search as a share of the range; the first is the distance of two points
-of the cover. The last is finer than typed values."""
+"""Last step of the compass search as a share of the range, finer than typed values. The first step
+is the distance between two points of the cover."""
 
 _CORNERS: Final = 6
-"""Largest number of keys for which the corners of the range are candidates, 64 at most."""
+"""Largest number of keys for which the corners of the range are candidates, at most 64 corners."""
 
 _FAR: Final = 1e100
-"""Added to the score of a candidate that violates constraints, so that it comes after all
+"""Amount added to the score of a candidate that violates constraints, so that it comes after all
 others."""
 
 Order = tuple[int, float]
@@ -56,9 +56,9 @@ class Tuned:
         evaluations: Number of simulated candidates.
         failed: Number of candidates that failed.
         failure: Reason of the first failure; empty if no candidate failed.
-        feasible: Number of candidates that satisfied the constraints.
+        feasible: Number of candidates that satisfy the constraints.
         at_bounds: Keys whose best value is at a bound of their range.
-        is_flat: Whether all candidates that satisfied the constraints, at least two, have the same
+        is_flat: Whether all candidates that satisfy the constraints, at least two, have the same
             objective.
     """
 
@@ -133,7 +133,7 @@ def search_best(
 def sum_up(
     candidates: Candidates, keys: Sequence[SearchedKey], *, is_maximised: bool = False
 ) -> Tuned:
-    """Return the result of the candidates so far; there must be at least one."""
+    """Return the result of the candidates so far, at least one."""
     known, best = candidates.list_known(), find_best(candidates, is_maximised=is_maximised)
     feasible = [one.objective for one in known if one.is_feasible]
     return Tuned(
@@ -152,7 +152,7 @@ def sum_up(
 
 
 def find_best(candidates: Candidates, *, is_maximised: bool = False) -> Candidate:
-    """Return the best known candidate; of equal ones the first.
+    """Return the best known candidate; of equal candidates, the first.
 
     Raises:
         ValueError: If no candidate is known.
@@ -240,7 +240,7 @@ class _Search:
         )
 
     def refine(self) -> None:
-        """Search around the best point with steps that halve, along keys and diagonals."""
+        """Search around the best point along keys and diagonals, with steps that halve."""
         count = len(self._keys)
         directions = [*np.eye(count), *-np.eye(count)]
         if 1 < count <= _CORNERS:
@@ -262,7 +262,8 @@ def _number(order: Order) -> float:
 
 
 _MOST_STEPS: Final = 10_000
-"""Largest number of values of a key with a step: each candidate searches the nearest of them."""
+"""Largest number of values of a key with a step; from each candidate, the nearest of them are
+searched."""
 
 
 def parse_searched_keys(

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 FOR_EACH_KEY: Final = 300
-"""Default candidates per key: the cover takes 32, and a generation of the evolution 12."""
+"""Default number of candidates per key: the cover takes 32, and a generation of the evolution
+12."""
 
 FEWEST: Final = 8
 """Smallest number of candidates of a search."""
@@ -57,12 +58,12 @@ class TunedScenario:
 
     @property
     def values(self) -> dict[str, float]:
-        """The best value of each key."""
+        """Best value of each key."""
         return dict(zip((one.key for one in self.keys), self.tuned.best.point, strict=True))
 
     @property
     def objective(self) -> float:
-        """The value of the objective at the best values."""
+        """Value of the objective at the best values."""
         found = self.tuned.best.objective
         return math.nan if found is None else found
 
@@ -116,9 +117,9 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         subject_to: Constraints, as in `["rotate.overshoot <= 2"]`.
         law: Law to use instead of the scenario's law, as in `simulate_run`.
         changes: Values by dotted key, the same for all candidates.
-        evaluations: Approximate largest number of candidates; None: 300 per key.
+        evaluations: Approximate largest number of candidates. Default: 300 per key.
         seed: Seed of the search; the same seed gives the same result.
-        jobs: Number of processes, or an executor; None: one per core if that is faster.
+        jobs: Number of processes, or an executor. Default: one per core if that is faster.
         step_budget_s: Longest computing time of the law per step [s].
 
     Raises:
@@ -159,13 +160,13 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 def complete_searched(
     scenario: Scenario, texts: Sequence[str], *, source: str, trust_law: bool = False
 ) -> tuple[Scenario, tuple[SearchedKey, ...]]:
-    """Return the keys, and the scenario with a value for each key, as laws may have no defaults.
+    """Return the keys, and the scenario with a value for each key, because laws may lack defaults.
 
     Args:
         scenario: Scenario to tune.
-        texts: Keys with their bounds, as `parse_searched_keys` reads them.
+        texts: Keys with their bounds, in the form that `parse_searched_keys` reads.
         source: Prefix of error messages.
-        trust_law: Whether a law named in a recording may run, too.
+        trust_law: Whether a law named in a recording may run too.
     """
     known = flatten_scenario(scenario)
     keys = parse_searched_keys(texts, known, source=source)

@@ -1,0 +1,97 @@
+"""How a run ended at its goal."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from turtlelog.run.ending import find_goal_end
+
+RUN = tl.simulate_run(tl.load_scenario("paper-kp1"))
+"""A run that ends by itself within its tolerances."""
+
+ALLOWED_M = 0.001 * float(np.hypot(2.0 - 5.5444446, 10.0 - 5.5444446)) + 0.001
+"""Heading tolerance times the distance from start to goal, plus the position tolerance [m]."""
+
+
+def end_at(error_m: float, **changes: Any) -> tl.Run:
+    """Return the run with its last pose at a distance beside the goal [m]."""
+    xy_m = RUN.poses.xy_m.copy()
+    assert RUN.goal_xy_m is not None
+    xy_m[-1] = (RUN.goal_xy_m[0] + error_m, RUN.goal_xy_m[1])
+    return replace(RUN, poses=replace(RUN.poses, xy_m=xy_m), **changes)
+
+
+@pytest.mark.parametrize(
+    ("factor", "reason", "verdict"),
+    [
+        (0.999, "standstill", "reached"),
+        (1.001, "standstill", "missed"),
+        (1.001, "timeout", "missed"),
+        (1.001, "max_duration", "missed"),
+        (1.001, "within_tolerance", "reached"),
+        (1.001, "arrived", "ended"),
+        (1.001, None, "ended"),
+    ],
+)
+def test_tolerances_and_stop_reason_decide(factor: float, reason: str | None, verdict: str) -> None:
+    end = find_goal_end(end_at(factor * ALLOWED_M, stop_reason=reason))
+    assert end is not None
+    assert end.verdict == verdict
+    assert end.allowed_m == pytest.approx(ALLOWED_M, rel=1e-6)
+    assert end.error_m == pytest.approx(factor * ALLOWED_M, rel=1e-6)
+
+
+def test_the_sentence_names_what_the_tolerances_allow() -> None:
+    end = find_goal_end(end_at(0.1, stop_reason="standstill"))
+    assert end is not None
+    assert end.describe() == "missed the goal by 0.1 m (allowed: 0.00669 m) after 20.5 s"
+    small = find_goal_end(end_at(0.008, stop_reason="standstill"))
+    assert small is not None
+    assert small.describe() == "missed the goal by 8 mm (allowed: 6.69 mm) after 20.5 s"
+
+
+@pytest.mark.parametrize(
+    ("left_m", "short_m", "place"),
+    [
+        (0.1, 0.0009, "0.1 m left of the line from start to goal."),
+        (-0.1, 0.0011, "0.1 m right of the line from start to goal and 1.1 mm short of the goal."),
+        (0.0011, -0.1, "1.1 mm left of the line from start to goal and 0.1 m beyond the goal."),
+        (0.0009, -0.1, "0.1 m beyond the goal."),
+    ],
+)
+def test_the_place_of_the_end_is_across_and_along_the_line(
+    left_m: float, short_m: float, place: str
+) -> None:
+    assert RUN.goal_xy_m is not None
+    start_x_m, start_y_m = RUN.poses.xy_m[0].tolist()
+    bearing_rad = np.arctan2(RUN.goal_xy_m[1] - start_y_m, RUN.goal_xy_m[0] - start_x_m)
+    cos, sin = np.cos(bearing_rad), np.sin(bearing_rad)
+    xy_m = RUN.poses.xy_m.copy()
+    xy_m[-1] = RUN.goal_xy_m - short_m * np.array([cos, sin]) + left_m * np.array([-sin, cos])
+    end = find_goal_end(replace(RUN, poses=replace(RUN.poses, xy_m=xy_m)))
+    assert end is not None
+    assert end.describe_place() == f"The end is {place}"
+
+
+def test_a_run_without_tolerances_did_not_miss() -> None:
+    for reason in ("max_duration", "standstill"):
+        end = find_goal_end(end_at(1e-6, stop_reason=reason, parameters={}))
+        assert end is not None
+        assert end.describe() == "ended 0.001 mm from the goal after 20.5 s"
+
+
+def test_a_law_that_reads_noisy_poses_does_not_judge_by_itself() -> None:
+    run = end_at(0.1, stop_reason="within_tolerance")
+    run = replace(run, poses=replace(run.poses, sensed_xy_m=run.poses.xy_m.copy()))
+    end = find_goal_end(run)
+    assert end is not None
+    assert end.verdict == "ended"
+
+
+def test_without_a_goal_there_is_no_end_at_it() -> None:
+    assert find_goal_end(replace(RUN, goal_xy_m=None)) is None
+    free = replace(RUN.declaration, uses_goal=False)
+    assert find_goal_end(replace(RUN, declaration=free)) is None
