@@ -138,11 +138,11 @@ class Numeric(ABC):
 class Metric(Numeric):
     """Metric of a run: a number with a unit, or the reason why the number is missing.
 
-    A metric behaves as the float `value` in arithmetic, sorting, formatting and comparisons. A metric without a value
-    raises MissingValueError when it is used as a number, also in `!=`, so that no test passes by
-    mistake. `==` of two metrics compares value and unit, or status and reason if both lack a value;
-    it raises no error. `hash` uses the value. `bool` raises an error, because a metric of 0 is not
-    a failure.
+    A metric behaves as the float `value` in arithmetic, sorting, formatting and comparisons. A
+    metric without a value raises MissingValueError when it is used as a number, also in `!=`, so
+    that no test passes by mistake. `==` of two metrics compares value and unit, or status and
+    reason if both lack a value; it raises no error. `hash` uses the value. `bool` raises an error,
+    because a metric of 0 is not a failure.
 
     Attributes:
         id: `<phase, final or run>.<metric>`.
