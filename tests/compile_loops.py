@@ -1,6 +1,6 @@
 """Compile what tests run, once: each of their workers would compile it for itself.
 
-A loop takes over 10 s: of every day are those of the sequential laws and of one other; with the
+A loop takes 4 to 6 s: of every day are those of the sequential laws and of one other; with the
 word `all` those of every law and plant.
 """
 

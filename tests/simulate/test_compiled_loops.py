@@ -102,7 +102,7 @@ def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path
         "from numba import types; import small\n"
         "from turtlelog.simulate.compiled import compiled_loop\n"
         "kind = types.int64(types.int64)\n"
-        "compiled_loop.compile_entry(small.small, 'rows_p_12', {'STAMP': 2}, kind)\n"
+        "compiled_loop.compile_entry(small.small, 'rows_p_12', lambda _: {'STAMP': 2}, kind)\n"
     )
     hashed = sha1(str(tmp_path).encode(), usedforsecurity=False).hexdigest()
     cache = tmp_path / "cache" / f"{tmp_path.name}_{hashed}"

@@ -11,6 +11,7 @@ from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import iterate_ticks, simulate_run
+from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, find_maker
 
 BACKLOGS = {"paper-kp1": 6, "paper-kp2": 5, "paper-kp4": 6, "paper-kp10": 5}
 PAUSES = {"paper-kp1": 34, "paper-kp2": 34, "paper-kp4": 34, "paper-kp10": 33}
@@ -255,3 +256,12 @@ def test_ticks_come_one_by_one() -> None:
     assert (first.time_ns, second.time_ns) == (0, TICK_NS)
     assert first.stop_reason is None
     assert [sample.sequence for sample in second.published] == [1]
+
+
+@pytest.mark.parametrize("kind", [TickRow, SampleRow, EventRow])
+def test_made_row_has_the_defaults_of_its_class(kind: Any) -> None:
+    make = find_maker(kind)
+    first, second = make(), make()
+    assert type(first) is kind
+    assert first is not second
+    assert repr(first) == repr(kind())

@@ -137,8 +137,9 @@ def step(
     x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
     row.error_x_m, row.error_y_m = x_m, y_m
     row.distance_m = hypot(x_m, y_m)
-    state.integral_angular = state.derivative_angular = 0.0
-    state.integral_linear = state.derivative_linear = 0.0
+    if state.begun >= 0:  # otherwise all of them are 0
+        state.integral_angular = state.derivative_angular = 0.0
+        state.integral_linear = state.derivative_linear = 0.0
     phase, speed, turn_rate = state.phase, 0.0, 0.0
     if law.entries > 0 and phase >= 0:
         _follow_schedule(law, state, table, row.distance_m, pose[2])

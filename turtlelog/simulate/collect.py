@@ -109,8 +109,12 @@ class RunCollector:
                 row.speed_m_s,
                 row.turn_rate_rad_s,
             )
-            for number, sample in enumerate(tick.computed):
-                add_sample(sample, states[number] if states else ())
+            if states:
+                for sample, own in zip(tick.computed, states, strict=True):
+                    add_sample(sample, own)
+            else:
+                for sample in tick.computed:
+                    add_sample(sample)
             for sample in tick.published:
                 commands += pack_command(
                     sample.published_ns, sample.speed_m_s, sample.turn_rate_rad_s

@@ -26,8 +26,8 @@ from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 COST_S: Final = 1.0
 """Time to import numba and load a loop from the cache [s]."""
 
-FIRST_S: Final = 9.0
-"""Time if the loop is not in the cache [s]: numba compiles it for 8 s."""
+FIRST_S: Final = 6.0
+"""Time if the loop is not in the cache [s]: numba compiles it for 4 to 6 s."""
 
 _SAVED_S: Final = 1.2e-5
 """Least time that a compiled loop saves per sample for turtlesim [s]. With the columns of its run,

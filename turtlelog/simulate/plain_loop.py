@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from itertools import takewhile
 from math import inf
-from operator import attrgetter
+from operator import attrgetter, le
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -43,6 +45,7 @@ from turtlelog.simulate.rows import (
     SampleRow,
     TickRow,
     describe_event,
+    find_maker,
 )
 from turtlelog.simulate.settings import build_settings, find_states, list_acting
 from turtlelog.simulate.step_budget import (
@@ -60,8 +63,9 @@ from turtlelog.simulate.step_budget import (
 )
 from turtlelog.simulate.streams import DrawnEvents, list_streams
 
-_FORGET_EVERY: Final = 512
-"""Ticks between two deletions of rows that are no longer needed."""
+_FORGET_EVERY: Final = 64
+"""Ticks between two deletions of rows that are no longer needed. Few rows stay in the processor's
+cache, and deleting them more often takes longer."""
 
 Samples = tuple[SampleRow, ...]
 
@@ -201,7 +205,7 @@ class PlainLoop:
         )
         return found.decide, found.record
 
-    def iterate(self) -> Iterator[Tick]:
+    def iterate(self) -> Iterator[Tick]:  # noqa: C901  (each call takes 2 % of a tick)
         """Yield the ticks until the law is done or the run is over.
 
         Raises:
@@ -218,13 +222,21 @@ class PlainLoop:
             if now.failure != 0:
                 raise self._describe_runaway(tick)
             failure, stop, told = None, None, _NONE
-            if now.waits_for == 0 or delays_poses:
-                failure = self._answer(answer, tick)
+            try:
+                if now.waits_for == 0 or delays_poses:
+                    answer(settings, state, rows, parts, tick)
+            except KeyboardInterrupt:
+                raise
+            except BaseException as err:
+                failure = self.describe_failure(err)
+            if failure is not None or now.failure != 0:
+                failure = self._end_failed(failure)
             finish_tick(settings, state, rows, parts, tick, before)
-            computed = _list_rows(samples, before, now.samples)
-            is_same = published == before and now.published == now.samples
+            end = now.samples
+            computed = (samples[before],) if end == before + 1 else _list_rows(samples, before, end)
+            is_same = published == before and now.published == end
             sent = computed if is_same else _list_rows(samples, published, now.published)
-            before, published = now.samples, now.published
+            before, published = end, now.published
             if now.events != events:
                 events = now.events
                 told = self._describe_events(period_ns, "" if failure is None else f": {failure}")
@@ -238,19 +250,12 @@ class PlainLoop:
             if tick % _FORGET_EVERY == 0:
                 self._forget()
 
-    def _answer(self, answer: Callable[..., None], tick: int) -> SimulationError | None:
-        """Let the controller answer in a tick; return the failure of the law, or None."""
-        failure: SimulationError | None = None
-        try:
-            answer(self.settings, self.state, self.rows, self.parts, tick)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as err:
-            failure = self.describe_failure(err)
+    def _end_failed(self, failure: SimulationError | None) -> SimulationError:
+        """End the run; return the failure of the law, or that of its numbers."""
         if self.now.failure != 0:
             failure = self._describe_numbers()
-        if failure is not None:
-            self.now.stop = LATE if isinstance(failure, StepBudgetError) else LAW_FAILED
+        assert failure is not None
+        self.now.stop = LATE if isinstance(failure, StepBudgetError) else LAW_FAILED
         return failure
 
     def _take_states(self, computed: Samples) -> tuple[tuple[float, ...], ...]:
@@ -369,8 +374,8 @@ def _list_rows(rows: dict[int, Any], first: int, end: int) -> Samples:
 class _New:
     """Factory of a row of each kind."""
 
-    tick: type[TickRow]
-    sample: type[SampleRow]
+    tick: Callable[[], TickRow]
+    sample: Callable[[], SampleRow]
     event: type[EventRow]
     waiting: type[Any] | None
     states: type[Any] | None
@@ -394,11 +399,14 @@ class _Rows:
 
 
 def _drop(rows: dict[int, Any], before: int) -> int:
-    """Delete the rows before a number, and return how many were deleted."""
-    old = [number for number in rows if number < before]
-    for number in old:
-        del rows[number]
-    return len(old)
+    """Delete the rows before a number, and return how many. Numbers of rows rise."""
+    kept = list(takewhile(partial(le, before), reversed(rows)))
+    count = len(rows) - len(kept)
+    if count > 0:
+        last = [(number, rows[number]) for number in reversed(kept)]
+        rows.clear()
+        rows.update(last)
+    return count
 
 
 def _build_rows(scenario: Scenario, law: AnyLaw, declaration: Declaration) -> Any:
@@ -417,8 +425,8 @@ def _build_rows(scenario: Scenario, law: AnyLaw, declaration: Declaration) -> An
         drawn_samples=DrawnEvents(scenario.seed, used, ticks=False),
         new=(
             _New(
-                tick=TickRow,
-                sample=SampleRow,
+                tick=find_maker(TickRow),
+                sample=find_maker(SampleRow),
                 event=EventRow,
                 waiting=PLANTS[scenario.plant.kind].Waiting,
                 states=find_states(declaration.states) if is_part else None,

@@ -5,9 +5,9 @@ In ordinary Python the data are objects, in compiled code records with the same 
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, Final
+from dataclasses import dataclass, field, fields
+from functools import cache, partial
+from typing import Any, Final, TypeVar
 
 from turtlelog.parts import NEVER_NS
 from turtlelog.run import Event
@@ -278,6 +278,23 @@ class EventRow:
     kind: int = 0
     first: float = 0.0
     second: float = 0.0
+
+
+_Row = TypeVar("_Row")
+
+
+@cache
+def find_maker(kind: type[_Row]) -> Callable[[], _Row]:
+    """Return a function that makes a row with its defaults, in half the time of its class."""
+    names: dict[Any, list[str]] = {}
+    for one in fields(kind):  # type: ignore[arg-type]
+        names.setdefault(repr(one.default), []).append(f"row.{one.name}")
+    lines = [f"    {' = '.join(same)} = {default}" for default, same in names.items()]
+    text = "\n".join(["def make():", "    row = new(kind)", *lines, "    return row"])
+    scope: dict[str, Any] = {"new": object.__new__, "kind": kind, "nan": math.nan}
+    exec(text, scope)
+    made: Callable[[], _Row] = scope["make"]
+    return made
 
 
 _LOSSES: Final = {

@@ -4,6 +4,7 @@ Numba stores the loop on disk. The name of a loop contains a stamp of all source
 the same parts are removed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, make_dataclass
 from functools import cache, lru_cache, partial
 from types import FunctionType
@@ -196,16 +197,19 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
     from numba.core.errors import NumbaError
 
     kinds, parts, stamp = _bind(law, plant, states)
-    twins = Twins()
-    scope = {
-        **{name: twins.compile(step) for name, step in _STEPS.items()},
-        "PARTS": Parts(*map(twins.compile, parts)),
-        "STAMP": int(stamp[:12], 16),
-    }
+
+    def bind(compiler: Any) -> dict[str, Any]:
+        twins = Twins(compiler)
+        return {
+            **{name: twins.compile(step) for name, step in _STEPS.items()},
+            "PARTS": Parts(*map(twins.compile, parts)),
+            "STAMP": int(stamp[:12], 16),
+        }
+
     signature = types.int64(*map(typeof, _list_examples(kinds)))
     name = name_loop(law, plant, states)
     try:
-        run = compile_entry(compiled_entry.run_loop, name, scope, signature)
+        run = compile_entry(compiled_entry.run_loop, name, bind, signature)
     except NumbaError as err:
         raise TwinError(describe_numba_error(str(err))) from err
     return CompiledLoop(law, plant, states, kinds, run, not run.stats.cache_hits)
@@ -235,7 +239,7 @@ def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
     timeout = loop.law.stops.index("timeout") + 1 if "timeout" in loop.law.stops else 0
     scope = {"STAMP": int(stamp[:12], 16), "TIMEOUT": timeout}
     name = f"rows_{name_loop(loop.law, loop.plant, loop.states)}"
-    made = compile_entry(compiled_entry.run_rows, name, scope, signature)
+    made = compile_entry(compiled_entry.run_rows, name, lambda _: scope, signature)
     return partial(made, loop.run, measure)
 
 
@@ -243,17 +247,38 @@ def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
     return np.empty(1, kinds.settings), np.empty(1, kinds.state), kinds.allocate(1, 1)
 
 
-def compile_entry(entry: Any, name: str, scope: dict[str, Any], signature: Any) -> Any:
+def compile_entry(
+    entry: Any, name: str, bind: Callable[[Any], dict[str, Any]], signature: Any
+) -> Any:
     """Return an entry function compiled under a name; numba's cache finds it by this name.
 
     Older versions in the cache are removed.
+
+    Args:
+        entry: The outermost function.
+        name: Name with the stamp.
+        bind: Function of the compiler of twins that returns the names in capitals.
+        signature: Type of the function.
     """
+    try:
+        from turtlelog.simulate.compiled.twin_compiler import EntryCompiler, TwinCompiler
+
+        special = {"pipeline_class": EntryCompiler}
+        return _compile_entry(entry, name, bind(TwinCompiler), signature, special)
+    except Exception:  # numba's compiler knows its own version, and code that ours does not
+        return _compile_entry(entry, name, bind(None), signature, {})
+
+
+def _compile_entry(
+    entry: Any, name: str, scope: dict[str, Any], signature: Any, special: dict[str, Any]
+) -> Any:
     from numba import njit
 
     scope = {**scope, "__name__": entry.__module__}
     bound = FunctionType(entry.__code__, scope, entry.__name__)
     bound.__qualname__, bound.__module__ = name, entry.__module__
-    made = njit(signature, nogil=True, cache=True, error_model="numpy", _nrt=False)(bound)
+    options = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False, **special}
+    made = njit(signature, **options)(bound)
     if not made.stats.cache_hits:
         remove_others(entry.__module__, name.rpartition("_")[0], name)
     return made

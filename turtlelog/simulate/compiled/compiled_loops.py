@@ -124,7 +124,7 @@ def _pause_garbage_collection() -> Iterator[None]:
 _BESIDE: Final[dict[str, Any]] = {}
 """Processes that compile a module, by the name of the module."""
 
-_IMPORT: Final = "import sys; sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"
+_IMPORT: Final = "import gc, sys; gc.disable(); sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"
 
 
 def _start(modules: Sequence[str], processes: ExitStack) -> None:

@@ -139,10 +139,17 @@ def _describe(thing: Any, place: str) -> tuple[str, Any]:
 class Twins:
     """Compiler of functions and of the functions that they call."""
 
-    def __init__(self, *, inline: bool = True, wide: frozenset[str] = frozenset()) -> None:
+    def __init__(
+        self,
+        compiler: Any = None,
+        *,
+        inline: bool = True,
+        wide: frozenset[str] = frozenset(),
+    ) -> None:
         """Load numba and store the options.
 
         Args:
+            compiler: Class that compiles them; None: numba's own compiler.
             inline: Whether functions are inlined into their callers; otherwise LLVM decides.
             wide: Names of first parameters with dozens of fields. Passing so many fields takes
                 longer to compile than the function, so such functions are inlined.
@@ -158,6 +165,8 @@ class Twins:
             "no_cfunc_wrapper": True,
             "_nrt": False,
         }
+        if compiler is not None:
+            options["pipeline_class"] = compiler
         self._call = njit(**options)
         self._inline = njit(forceinline=True, **options) if inline else self._call
         self._part = njit(inline="always", **options)

@@ -233,10 +233,13 @@ def name_measurement(coverage: Coverage) -> str:
 def compile_measurement(entry: Function, coverage: Coverage) -> Any:
     """Return the compiled function that measures a row; `entry` is the outermost function."""
     functions, stamp = _bind(coverage)
-    twins = Twins(inline=False, wide=frozenset({"curve", "course", "row"}))
-    scope = {name: twins.compile(function) for name, function in functions.items()}
-    scope |= {"ROW": Row, "CURVES": len(coverage.curves), "STAMP": int(stamp[:12], 16)}
-    return compile_entry(entry, name_measurement(coverage), scope, type_measurement(coverage))
+
+    def bind(compiler: Any) -> dict[str, Any]:
+        twins = Twins(compiler, inline=False, wide=frozenset({"curve", "course", "row"}))
+        scope = {name: twins.compile(function) for name, function in functions.items()}
+        return {**scope, "ROW": Row, "CURVES": len(coverage.curves), "STAMP": int(stamp[:12], 16)}
+
+    return compile_entry(entry, name_measurement(coverage), bind, type_measurement(coverage))
 
 
 _ANY_PATH: Final = Path(kind="line", points=((0.0, 0.0), (1.0, 0.0)))
