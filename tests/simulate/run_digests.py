@@ -105,11 +105,18 @@ def digest_run(number: int, simulate: Simulate = simulate_run) -> tuple[list[int
         columns[part if part in columns else "events"][key] = value
     found = measure_run(run).items()
     columns["metrics"] = {
-        name: (one.value, one.status) for name, one in found if name not in _IN_SPACE
+        name: (_write_value(name, one.value), one.status)
+        for name, one in found
+        if name not in _IN_SPACE
     }
     end = len(run.poses), len(run.samples), len(run.commands)
     pose = *run.poses.xy_m[-1], run.poses.heading_rad[-1]
     return [_digest(columns[name]) for name in PARTS], [*map(float, (*end, *pose))]
+
+
+def _write_value(name: str, value: float | None) -> float | None:
+    """Return a value as it was when the digests were made: a lag was a number of numpy's."""
+    return np.float64(value) if value is not None and name.endswith(".lag") else value
 
 
 class _Written(str):
