@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
 from turtlelog.identify.held_response import FIRST_ORDER, LaggedResponse, Structure, Values
-from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, estimate_noise
+from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, fit_noise
 
 _GRID_S: Final = 0.04
 """Distance of the dead times in the first search [s]: a quarter of a usual delay."""
@@ -48,6 +48,14 @@ _MOST_ROUNDS: Final = 40
 _ROUND_ENDS: Final = 1e-9
 """Share of the cost that another round must save."""
 
+_MOST_LESSONS: Final = 6
+"""Largest number of times that the noise is learnt from the residual of the fit with the noise
+before; three or four are usual."""
+
+_LEARNT: Final = 0.5
+"""Decrease of twice the negative log-likelihood below which the noise is learnt: any further
+parameter must decrease it by thirty times as much."""
+
 _SCORE_LAGS: Final = 12
 """Number of steps over which the covariance includes correlations left by whitening."""
 
@@ -76,7 +84,7 @@ class StepModel:
         self.motions = [motion for motion in motions if len(motion.moved)]
         self.moved = np.concatenate([motion.moved for motion in self.motions])
         self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
-        self.follows = np.concatenate([motion.follows for motion in self.motions])
+        self.shared = np.concatenate([motion.shared for motion in self.motions])
 
     def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
         """Return the response of each run's commands for a time constant and further parameters."""
@@ -155,8 +163,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
-    whitening, _ = _learn_noise(model, start := _search_start(motions))
-    return _finish(model, _descend(model, start, whitening.apply)[0])
+    return _finish(model, _search_start(motions))
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
@@ -202,25 +209,39 @@ def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
 
 def _finish(model: StepModel, parameters: Values) -> AxisFit:
     """Return the best fit near the given parameters, with its own noise."""
-    whitening, is_outlier = _learn_noise(model, parameters)
-    parameters, cost = _descend(model, parameters, whitening.apply)
+    least = np.inf
+    for _ in range(_MOST_LESSONS):
+        whitening, is_outlier = _learn_noise(model, parameters)
+        parameters, cost = _descend(model, parameters, whitening.apply)
+        gained, least = least - (cost + whitening.log_size), cost + whitening.log_size
+        if gained < _LEARNT:
+            break
     return _conclude(model, parameters, cost, whitening, is_outlier)
 
 
 def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
     """Return the misfit of a prediction of the rest of the steps by a fit to the first part.
 
-    The misfit is twice the negative log-likelihood, with the noise of the first part.
+    The misfit is twice the negative log-likelihood, with the noise and the uncertainty of the first
+    part: where it shows no delay, no structure is to blame for a wrong one. A parameter that it
+    does not show at all is as uncertain as one step leaves it.
     """
-    model = StepModel(first, fit.model.structure)
-    whitening, _ = _learn_noise(model, fit.parameters)
-    parameters, _ = _descend(model, fit.parameters, whitening.apply)
-    noise = _learn_noise(model, parameters)[0].noise
+    known = _finish(StepModel(first, fit.model.structure), fit.parameters)
     ahead = StepModel(rest, fit.model.structure)
-    residual = ahead.moved - ahead.linearise(parameters)[0]
+    modelled, slopes = ahead.linearise(known.parameters)
+    residual = ahead.moved - modelled
     outlier = find_outlying_steps(residual)
-    whitening = Whitening(noise, ahead.duration_s, ahead.follows, outlier)
-    return _sum_softly(whitening.apply(residual)) + whitening.log_size
+    whitening = Whitening(known.whitening.noise, ahead.duration_s, ahead.shared, outlier)
+    white, slopes = whitening.apply(residual), whitening.apply(slopes)
+    earlier = known.whitening.apply(known.model.linearise(known.parameters)[1])
+    before, after = earlier.T @ earlier, slopes.T @ slopes
+    before = before + (before + after) / len(fit.residual)
+    size = np.maximum(np.sqrt(np.diag(before + after)), _UNSEEN)
+    before, after = (one / np.outer(size, size) + _ROUNDED * np.eye(len(size)) for one in (before, after))
+    pull = slopes.T @ np.clip(white, -_SOFT, _SOFT) / size
+    learnt = float(pull @ np.linalg.solve(before + after, pull))
+    spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]
+    return _sum_softly(white) + whitening.log_size - learnt + float(spread)
 
 
 def measure_badness(fit: AxisFit) -> float:
@@ -230,8 +251,12 @@ def measure_badness(fit: AxisFit) -> float:
 
 def measure_reductions(
     fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
-) -> list[float]:
-    """Return by how much further parameters could reduce the sum of squares, to first order."""
+) -> list[tuple[float, float]]:
+    """Return by how much further parameters could reduce the sum of squares, to first order.
+
+    The second number is the reduction by the start values themselves: of starts whose effects
+    differ in size alone, one is nearest.
+    """
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     other = StepModel(fit.model.motions, structure)
@@ -243,7 +268,8 @@ def measure_reductions(
     white = np.clip(fit.white, -_SOFT, _SOFT)
     columns = np.column_stack([white, fit.whitening.apply(np.column_stack(bent))])
     white, *bent = (columns - slopes @ np.linalg.lstsq(slopes, columns)[0]).T
-    return [float(white @ one) ** 2 / max(float(one @ one), LEAST_STEP) for one in bent]
+    sums = [(float(white @ one), max(float(one @ one), LEAST_STEP)) for one in bent]
+    return [(along**2 / size, 2.0 * along - size) for along, size in sums]
 
 
 def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
@@ -272,8 +298,7 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
 def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:
     residual = model.moved - model.linearise(parameters)[0]
     is_outlier = find_outlying_steps(residual)
-    noise = estimate_noise(residual, model.follows, is_outlier)
-    return Whitening(noise, model.duration_s, model.follows, is_outlier), is_outlier
+    return fit_noise(residual, model.duration_s, model.shared, is_outlier), is_outlier
 
 
 def _conclude(

@@ -74,9 +74,6 @@ _DEADBANDS: Final = 12
 """Magnitudes of commands that are tried as deadband, up to half of the largest. As many are then
 tried between the neighbours of the best one, until these are adjacent magnitudes."""
 
-_REFINED: Final = 2
-"""Number of the most promising starts that are refined."""
-
 _RIVAL: Final = 10.0
 """Difference of twice the negative log-likelihood up to which a log does not decide between two
 structures with equally many parameters: odds of 150 to 1."""
@@ -300,9 +297,9 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
         )
         for extras in starts
     ]
-    gains = [*zip(measure_reductions(fit, structure, moved), starts, strict=True)]
-    gains.sort(reverse=True)
-    return [extras for gain, extras in gains[:_REFINED] if gain >= _ASKS]
+    gains = measure_reductions(fit, structure, moved)
+    rows = {max(range(len(gains)), key=lambda row: gains[row][by]) for by in (0, 1)}
+    return [starts[row] for row in sorted(rows) if gains[row][0] >= _ASKS]
 
 
 def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:
