@@ -155,6 +155,8 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         limit = axis.rate_limit
         where = "within its velocity loop" if axis.limit_acts == "within_lag" else "before the lag"
         yield f"{name} changes by at most {_show_limit(limit)}, {where}."
+    if axis.jerk_time_s is not None:
+        yield f"{name} needs {_show_limit(axis.jerk_time_s)} to change so fast: its jerk is limited."
     if axis.bound_beside is not None:
         yield from _describe_wheels(axis, axis.bound_beside)
     elif axis.bound is not None:

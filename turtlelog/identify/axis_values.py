@@ -22,7 +22,11 @@ _FINEST: Final = 1e-4
 is measured. Nothing shows that this effect is the same over less."""
 
 _ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
-    {"limited_before": "before_lag", "limited_within": "within_lag"}
+    {
+        "limited_before": "before_lag",
+        "limited_softly": "before_lag",
+        "limited_within": "within_lag",
+    }
 )
 
 
@@ -57,6 +61,7 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         lag_product_s2=_take(fit, names.get("product"), "s^2"),
         limit_acts=_ACTS.get(structure.order, ""),
         rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
+        jerk_time_s=_take(fit, names.get("jerk_time"), "s"),
         bound=_divide(fit, names.get("tightness"), UNITS[axis]),
         bound_acts=structure.bound,
         bound_beside=_invert_parameter(

@@ -25,7 +25,7 @@ from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _LIMITS: Final = (
-    *("rate_limit", "bound", "bound_beside"),
+    *("rate_limit", "jerk_time_s", "bound", "bound_beside"),
     *("deadband", "reverse_gain", "friction"),
 )
 """Further parameters of structures; their values may differ between two structures."""
@@ -96,6 +96,7 @@ def _list_parts(structure: Structure) -> list[str]:
     parts = {
         "second_order": "a second time constant",
         "limited_before": "a limit of the acceleration before the time constant",
+        "limited_softly": "limits of the acceleration and the jerk before the time constant",
         "limited_within": "a limit of the acceleration within the velocity loop",
     }
     said = [parts[structure.order]] if structure.order in parts else []

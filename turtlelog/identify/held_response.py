@@ -285,13 +285,46 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
     return left
 
 
-Order = Literal["first_order", "second_order", "limited_before", "limited_within"]
+class MeanResponse:
+    """The mean of responses, each some time later: what a filter of finite length shows."""
+
+    def __init__(self, response: LaggedResponse, longest_s: float) -> None:
+        """Prepare the mean over delays from 0 to the longest one [s]."""
+        self._response = response
+        self._later_s = [longest_s * node for node, _ in _GAUSS]
+
+    def place(self, time_s: Values) -> list[Places]:
+        """Return the commands that are held at each time minus the dead time [s], and later."""
+        return [self._response.place(time_s - later_s) for later_s in self._later_s]
+
+    def evaluate(self, places: list[Places]) -> tuple[Values, Values]:
+        """Return the integral of the rate, up to a constant, and the rate itself."""
+        found = [self._response.evaluate(one) for one in places]
+        way, rate = (
+            np.sum([share * one[row] for (_, share), one in zip(_GAUSS, found, strict=True)], axis=0)
+            for row in (0, 1)
+        )
+        return way, rate
+
+
+_GAUSS: Final = (
+    (0.06943184420297371, 0.17392742256872693),
+    (0.33000947820757187, 0.32607257743127307),
+    (0.6699905217924281, 0.32607257743127307),
+    (0.9305681557970263, 0.17392742256872693),
+)
+"""Nodes and weights of Gauss and Legendre on [0, 1]."""
+
+Order = Literal[
+    "first_order", "second_order", "limited_before", "limited_softly", "limited_within"
+]
 """Order of a robot model.
 
 `first_order`: one time constant. `second_order`: two, with their product as a further parameter
 [s^2]. `limited_before` and `limited_within`: one time constant and a limit of the change of rate,
 before the lag (the command becomes a ramp) or within its loop (the rate does). Their further
-parameter is the time per unit of the command [s^2/m] or [s^2/rad]."""
+parameter is the time per unit of the command [s^2/m] or [s^2/rad]. `limited_softly`: before the
+lag, by ramps with a limited jerk; the parameter is the time in which the slope builds up [s]."""
 
 Bound = Literal["", "command", "rate", "scaled", "clipped", "yielding", "reduced"]
 
@@ -302,7 +335,7 @@ one is reduced: all that commands of one size show."""
 
 _STEPS: Final = MappingProxyType(
     {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}
-    | {"friction": 1e-5}
+    | {"friction": 1e-5, "jerk_time": 1e-4}
 )
 """Steps for derivatives with respect to the further parameters, in their units."""
 
@@ -311,6 +344,7 @@ _OF_ORDER: Final = MappingProxyType(
         "first_order": (),
         "second_order": ("product",),
         "limited_before": ("slowness",),
+        "limited_softly": ("slowness", "jerk_time"),
         "limited_within": ("slowness",),
     }
 )
@@ -379,7 +413,7 @@ class Structure:
         lag_s: float,
         extras: Sequence[float],
         beside: HeldInput | None = None,
-    ) -> LaggedResponse:
+    ) -> LaggedResponse | MeanResponse:
         """Return the response to commands for a time constant and the further parameters.
 
         Args:
@@ -391,13 +425,14 @@ class Structure:
         values = dict(zip(self.names, extras, strict=True))
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
             commands = _shape_commands(commands, self, values, beside)
-        if self.order == "limited_before":
+        if self.order in {"limited_before", "limited_softly"}:
             commands = _limit_changes(commands, values["slowness"])
         elif self.order == "limited_within" or self.bound == "rate":
             tightness = values.get("tightness", 0.0) if self.bound == "rate" else 0.0
             most = 1.0 / tightness if tightness > 0.0 else math.inf
             commands = limit_within(commands, values.get("slowness", 0.0), lag_s, most)
-        return LaggedResponse(commands, lag_s, values.get("product", 0.0))
+        response = LaggedResponse(commands, lag_s, values.get("product", 0.0))
+        return MeanResponse(response, values["jerk_time"]) if "jerk_time" in values else response
 
 
 SECOND_ORDER: Final = Structure(order="second_order")

@@ -87,6 +87,8 @@ class AxisModel:
         rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], if the motion shows one.
         limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
             its loop, so that the rate itself is a ramp; empty if there is none.
+        jerk_time_s: Time in which the acceleration reaches its limit before the low-pass [s], if
+            the motion shows a limit of the jerk as well.
         bound: Largest rate [m/s] or [rad/s], if commands exceed it.
         bound_acts: Limited quantity: the command, which the low-pass then follows; the rate, which
             follows larger commands until it reaches the limit; or the wheels, which both axes
@@ -129,6 +131,7 @@ class AxisModel:
     lag_product_s2: Estimate | None = None
     rate_limit: Estimate | None = None
     limit_acts: Literal["", "before_lag", "within_lag"] = ""
+    jerk_time_s: Estimate | None = None
     bound: Estimate | None = None
     bound_acts: Bound = ""
     bound_beside: Estimate | None = None
@@ -224,6 +227,8 @@ class AxisModel:
         order: Order = "second_order" if self.model == "second_order" else "first_order"
         if self.limit_acts:
             order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
+        if self.jerk_time_s is not None:
+            order = "limited_softly"
         return Structure(
             order=order,
             bound=self.bound_acts,
@@ -239,6 +244,7 @@ class AxisModel:
         values = {
             "product": self.lag_product_s2,
             "slowness": self.rate_limit,
+            "jerk_time": self.jerk_time_s,
             "tightness": self.bound,
             "coupling": self.bound_beside,
             "reverse": self.reverse_gain,

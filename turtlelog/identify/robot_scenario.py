@@ -2,8 +2,9 @@
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -59,6 +60,14 @@ _DRIVE_S: Final = 5.0
 
 _ABOVE_DRIFT: Final = 2.0
 """Standard deviations of that drift within the tolerance: 1 drive of 20 drifts further."""
+
+_RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = MappingProxyType(
+    {
+        "speed": ("limits.acceleration_m_s2", "limits.jerk_m_s3"),
+        "turn_rate": ("limits.turn_acceleration_rad_s2", "limits.turn_jerk_rad_s3"),
+    }
+)
+"""Keys of the limits before the time constant."""
 
 _PLACE: Final = ("x_m", "y_m")
 
@@ -336,12 +345,16 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
                 f" Where the robot has one, set {key}."
             )
         if axis.rate_limit is not None and axis.gain and axis.limit_acts == "before_lag":
-            key = "limits.acceleration_m_s2"
-            key = key if axis.axis == "speed" else "limits.turn_acceleration_rad_s2"
-            values[key] = _round(axis.rate_limit.value / abs(axis.gain.value))
+            keys = _RAMP_KEYS[axis.axis]
+            acceleration = axis.rate_limit.value / abs(axis.gain.value)
+            values[keys[0]] = _round(acceleration)
+            jerk = ""
+            if axis.jerk_time_s is not None and axis.jerk_time_s.value > 0.0:
+                values[keys[1]] = _round(acceleration / axis.jerk_time_s.value)
+                jerk = " So does the limit of the jerk."
             notes.append(
                 f"The limit of how fast the {name} changes acts before its time constant. It clips"
-                f" commands, so it is that of the motion by the gain."
+                f" commands, so it is that of the motion by the gain.{jerk}"
             )
     return values, notes
 

@@ -52,6 +52,9 @@ _PREDICTED: Final = 2.0
 _STARTS_S: Final = (0.1, 0.5)
 """Durations of the largest change of the command at which the search for a limit starts [s]."""
 
+_JERK_TIMES_S: Final = (0.05, 0.2)
+"""Times in which a slope builds up, from which the search for a limit of the jerk starts [s]."""
+
 _BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
 """Shares of the largest command at which the search for a bound starts."""
 
@@ -81,6 +84,11 @@ structures with equally many parameters: odds of 150 to 1."""
 _DOUBTFUL: Final = 6.0
 """Decrease from which a rejected structure with a further parameter is a rival nevertheless: by
 chance in 1.5 % of robots."""
+
+_SOFTENS: Final = 4.0
+"""The same decrease for a limit of the jerk, which then has an interval that excludes 0. It is
+asked for sooner, because it moves the dead time by half the time in which the slope builds up: by
+chance in 2.5 % of robots with a limit of the acceleration before the time constant."""
 
 _MOST_CHANGES: Final = 20_000
 """Largest number of changes of the command for the search of a limit, which follows them one by
@@ -143,7 +151,9 @@ def is_rival(fit: AxisFit, other: AxisFit) -> bool:
     worse = measure_badness(other) - measure_badness(fit)
     if other is fit or more < 0:
         return False
-    return worse <= (-_DOUBTFUL if more else _RIVAL)
+    added = {*other.model.structure.names} - {*fit.model.structure.names}
+    least = _SOFTENS if added == {"jerk_time"} else _DOUBTFUL
+    return worse <= (-least if more else _RIVAL)
 
 
 def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
@@ -203,12 +213,15 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         other = replace(structure, order=order)
         if other == structure or not _is_open(other, commands):
             continue
+        if order == "limited_softly" and structure.order != "limited_before":
+            continue
         slowness = [known["slowness"]] if "slowness" in known else []
         tries = {
             "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
             "slowness": [*slowness, *(start_s / span for start_s in _STARTS_S)],
+            "jerk_time": [*_JERK_TIMES_S],
         }
-        name = next(iter({*other.names} & {*tries}), None)
+        name = next((name for name in reversed(other.names) if name in tries), None)
         yield (
             other,
             [start(other, **{name: value}) for value in tries[name]] if name else [start(other)],
@@ -299,7 +312,9 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
     ]
     gains = measure_reductions(fit, structure, moved)
     rows = {max(range(len(gains)), key=lambda row: gains[row][by]) for by in (0, 1)}
-    return [starts[row] for row in sorted(rows) if gains[row][0] >= _ASKS]
+    added = {*structure.names} - {*fit.model.structure.names}
+    asks_for = _SOFTENS if added == {"jerk_time"} else _ASKS
+    return [starts[row] for row in sorted(rows) if gains[row][0] >= asks_for]
 
 
 def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:
