@@ -4,6 +4,7 @@ import math
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
@@ -152,9 +153,13 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     )
     yield from _describe_second_order(axis)
     if axis.rate_limit is not None:
-        limit = axis.rate_limit
-        where = "within its velocity loop" if axis.limit_acts == "within_lag" else "before the lag"
-        yield f"{name} changes by at most {_show_limit(limit)}, {where}."
+        yield f"{name} changes by at most {_show_limit(axis.rate_limit)}, {_WHERE[axis.limit_acts]}."
+    if axis.rate_limit_beside is not None:
+        other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+        yield (
+            f"{name}: this limit is that of the wheels. A commanded {other} that changes by"
+            f" {_show_limit(axis.rate_limit_beside)} reaches it alone."
+        )
     if axis.jerk_time_s is not None:
         yield f"{name} needs {_show_limit(axis.jerk_time_s)} to change so fast: its jerk is limited."
     if axis.bound_beside is not None:
@@ -168,6 +173,16 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     if axis.reverse_gain is not None:
         gain = tl.identify.format_gain(axis.reverse_gain)
         yield f"{name}: commands below 0 have a gain of {gain}."
+
+
+_WHERE: Final = MappingProxyType(
+    {
+        "before_lag": "before the lag",
+        "within_lag": "within its velocity loop",
+        "at_wheels": "if the other axis does not change",
+    }
+)
+"""Where a limit of the acceleration acts, in words."""
 
 
 def _describe_wheels(axis: "AxisModel", beside: "Estimate") -> Iterator[str]:

@@ -237,7 +237,9 @@ def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[Ax
     before, after = earlier.T @ earlier, slopes.T @ slopes
     before = before + (before + after) / len(fit.residual)
     size = np.maximum(np.sqrt(np.diag(before + after)), _UNSEEN)
-    before, after = (one / np.outer(size, size) + _ROUNDED * np.eye(len(size)) for one in (before, after))
+    before, after = (
+        one / np.outer(size, size) + _ROUNDED * np.eye(len(size)) for one in (before, after)
+    )
     pull = slopes.T @ np.clip(white, -_SOFT, _SOFT) / size
     learnt = float(pull @ np.linalg.solve(before + after, pull))
     spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]

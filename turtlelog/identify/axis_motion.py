@@ -135,9 +135,7 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     if axis == "speed":
         heading_rad = np.unwrap(run.poses.heading_rad)
         direction_rad = np.interp(0.5 * (begins_s + ends_s), run.poses.time_ns / 1e9, heading_rad)
-    motion = _select(
-        time_s, first[used], moved[used], direction_rad[used], commands, tuple(stops)
-    )
+    motion = _select(time_s, first[used], moved[used], direction_rad[used], commands, tuple(stops))
     return replace(motion, beside=hold_commands(command_s, other, 0.0))
 
 

@@ -21,11 +21,12 @@ _FINEST: Final = 1e-4
 """Least standard error of a limit, as a share of it: the change over which its effect on the motion
 is measured. Nothing shows that this effect is the same over less."""
 
-_ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
+_ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag", "at_wheels"]](
     {
         "limited_before": "before_lag",
         "limited_softly": "before_lag",
         "limited_within": "within_lag",
+        "limited_wheels": "at_wheels",
     }
 )
 
@@ -61,6 +62,11 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         lag_product_s2=_take(fit, names.get("product"), "s^2"),
         limit_acts=_ACTS.get(structure.order, ""),
         rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
+        rate_limit_beside=_invert_parameter(
+            fit,
+            names.get("slowness_beside"),
+            f"{UNITS['turn_rate' if axis == 'speed' else 'speed']}^2",
+        ),
         jerk_time_s=_take(fit, names.get("jerk_time"), "s"),
         bound=_divide(fit, names.get("tightness"), UNITS[axis]),
         bound_acts=structure.bound,

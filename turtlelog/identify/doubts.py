@@ -25,7 +25,7 @@ from turtlelog.identify.robot_noise import LEAST_STEP
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _LIMITS: Final = (
-    *("rate_limit", "jerk_time_s", "bound", "bound_beside"),
+    *("rate_limit", "rate_limit_beside", "jerk_time_s", "bound", "bound_beside"),
     *("deadband", "reverse_gain", "friction"),
 )
 """Further parameters of structures; their values may differ between two structures."""
@@ -98,6 +98,7 @@ def _list_parts(structure: Structure) -> list[str]:
         "limited_before": "a limit of the acceleration before the time constant",
         "limited_softly": "limits of the acceleration and the jerk before the time constant",
         "limited_within": "a limit of the acceleration within the velocity loop",
+        "limited_wheels": "a limit of the acceleration of each wheel",
     }
     said = [parts[structure.order]] if structure.order in parts else []
     bounds = {

@@ -26,6 +26,9 @@ _LEAST_LAG_S: Final = 1e-9
 _LEAST_TIGHTNESS: Final = 1e-6
 """Reciprocal of what stands for no limit of an axis without the other [s/m or s/rad]."""
 
+_LEAST_SLOWNESS: Final = 1e-9
+"""Time for a unit change that stands for none [s^2/m] or [s^2/rad]."""
+
 _APART: Final = 1e-3
 """Relative difference below which two time constants are separated, because their parts would
 cancel. This changes the response by less than a millionth."""
@@ -286,24 +289,26 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
 
 
 class MeanResponse:
-    """The mean of responses, each some time later: what a filter of finite length shows."""
+    """The weighted mean of responses, each some time later.
 
-    def __init__(self, response: LaggedResponse, longest_s: float) -> None:
-        """Prepare the mean over delays from 0 to the longest one [s]."""
-        self._response = response
-        self._later_s = [longest_s * node for node, _ in _GAUSS]
+    Two wheels have a mean speed. A limit of the jerk makes each ramp the mean of later ramps.
+    """
+
+    def __init__(self, parts: Sequence[tuple[float, LaggedResponse, float]]) -> None:
+        """Take the weight of each response, and its delay [s]."""
+        self._parts = parts
 
     def place(self, time_s: Values) -> list[Places]:
-        """Return the commands that are held at each time minus the dead time [s], and later."""
-        return [self._response.place(time_s - later_s) for later_s in self._later_s]
+        """Return the commands that are held at each time minus the dead time [s]."""
+        return [response.place(time_s - later_s) for _, response, later_s in self._parts]
 
     def evaluate(self, places: list[Places]) -> tuple[Values, Values]:
         """Return the integral of the rate, up to a constant, and the rate itself."""
-        found = [self._response.evaluate(one) for one in places]
-        way, rate = (
-            np.sum([share * one[row] for (_, share), one in zip(_GAUSS, found, strict=True)], axis=0)
-            for row in (0, 1)
-        )
+        both = [
+            weight * np.stack(response.evaluate(place))
+            for (weight, response, _), place in zip(self._parts, places, strict=True)
+        ]
+        way, rate = np.sum(both, axis=0)
         return way, rate
 
 
@@ -316,7 +321,12 @@ _GAUSS: Final = (
 """Nodes and weights of Gauss and Legendre on [0, 1]."""
 
 Order = Literal[
-    "first_order", "second_order", "limited_before", "limited_softly", "limited_within"
+    "first_order",
+    "second_order",
+    "limited_before",
+    "limited_softly",
+    "limited_within",
+    "limited_wheels",
 ]
 """Order of a robot model.
 
@@ -324,7 +334,9 @@ Order = Literal[
 [s^2]. `limited_before` and `limited_within`: one time constant and a limit of the change of rate,
 before the lag (the command becomes a ramp) or within its loop (the rate does). Their further
 parameter is the time per unit of the command [s^2/m] or [s^2/rad]. `limited_softly`: before the
-lag, by ramps with a limited jerk; the parameter is the time in which the slope builds up [s]."""
+lag, by ramps with a limited jerk; the parameter is the time in which the slope builds up [s].
+`limited_wheels`: within the loop of each wheel; the parameter is the time per unit of the other
+axis's command, which the same limit of the wheels sets."""
 
 Bound = Literal["", "command", "rate", "scaled", "clipped", "yielding", "reduced"]
 
@@ -335,7 +347,7 @@ one is reduced: all that commands of one size show."""
 
 _STEPS: Final = MappingProxyType(
     {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}
-    | {"friction": 1e-5, "jerk_time": 1e-4}
+    | {"friction": 1e-5, "jerk_time": 1e-4, "slowness_beside": 1e-4}
 )
 """Steps for derivatives with respect to the further parameters, in their units."""
 
@@ -346,6 +358,7 @@ _OF_ORDER: Final = MappingProxyType(
         "limited_before": ("slowness",),
         "limited_softly": ("slowness", "jerk_time"),
         "limited_within": ("slowness",),
+        "limited_wheels": ("slowness", "slowness_beside"),
     }
 )
 
@@ -378,7 +391,12 @@ class Structure:
 
     @property
     def is_possible(self) -> bool:
-        """Whether its parts are compatible: a rate limit needs a first-order lag without ramps."""
+        """Whether its parts are compatible: a rate limit needs a first-order lag without ramps.
+
+        A limit of the wheels' acceleration stands alone, because other limits would be the wheels'.
+        """
+        if self.order == "limited_wheels":
+            return self == LIMITED_WHEELS
         return self.bound != "rate" or self.order in {"first_order", "limited_within"}
 
     @property
@@ -423,18 +441,39 @@ class Structure:
             beside: Commands of the other axis; None if they are 0.
         """
         values = dict(zip(self.names, extras, strict=True))
+        if self.order == "limited_wheels" and beside is not None:
+            return self._respond_wheels(commands, lag_s, values, beside)
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
             commands = _shape_commands(commands, self, values, beside)
         if self.order in {"limited_before", "limited_softly"}:
             commands = _limit_changes(commands, values["slowness"])
-        elif self.order == "limited_within" or self.bound == "rate":
+        elif self.order in {"limited_within", "limited_wheels"} or self.bound == "rate":
             tightness = values.get("tightness", 0.0) if self.bound == "rate" else 0.0
             most = 1.0 / tightness if tightness > 0.0 else math.inf
             commands = limit_within(commands, values.get("slowness", 0.0), lag_s, most)
         response = LaggedResponse(commands, lag_s, values.get("product", 0.0))
-        return MeanResponse(response, values["jerk_time"]) if "jerk_time" in values else response
+        if "jerk_time" in values:
+            longest_s = values["jerk_time"]
+            return MeanResponse([(part, response, longest_s * node) for node, part in _GAUSS])
+        return response
+
+    def _respond_wheels(
+        self, commands: HeldInput, lag_s: float, values: Mapping[str, float], beside: HeldInput
+    ) -> MeanResponse:
+        """Return the mean response of both wheels, each with a limit of its acceleration."""
+        slowness = max(values["slowness"], _LEAST_SLOWNESS)
+        commands = _join_times(commands, beside)
+        turns = values["slowness_beside"] / slowness * beside.place(commands.time_s).value
+        wheels = [
+            _integrate_commands(commands.time_s, commands.value + way * turns, commands.slope)
+            for way in (-1.0, 1.0)
+        ]
+        limited = [limit_within(wheel, slowness, lag_s) for wheel in wheels]
+        return MeanResponse([(0.5, LaggedResponse(wheel, lag_s), 0.0) for wheel in limited])
 
 
 SECOND_ORDER: Final = Structure(order="second_order")
+
+LIMITED_WHEELS: Final = Structure(order="limited_wheels")
 
 FIRST_ORDER: Final = Structure()

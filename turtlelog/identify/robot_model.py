@@ -1,9 +1,10 @@
 """Values of a robot's dynamics with intervals and in words, or the reason why they are unknown."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
+from types import MappingProxyType
 from typing import Any, Final, Literal, SupportsFloat
 
 from turtlelog.display import fit_line, format_answer, format_html, join_words
@@ -85,8 +86,11 @@ class AxisModel:
         total_delay_s: Sum of dead time and time constant, which is known better than either [s].
         lag_product_s2: Product of both time constants for second order [s^2].
         rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], if the motion shows one.
-        limit_acts: Place of the limit: before the low-pass, which then follows a ramp, or within
-            its loop, so that the rate itself is a ramp; empty if there is none.
+        limit_acts: Place of the limit: before the low-pass, which then follows a ramp; within its
+            loop, so that the rate itself is a ramp; or at each of the wheels, which both axes
+            share. Empty if there is none.
+        rate_limit_beside: Change of the other axis's command that alone reaches the limit of the
+            wheels [m/s^2] or [rad/s^2]; `rate_limit` then is that without the other axis.
         jerk_time_s: Time in which the acceleration reaches its limit before the low-pass [s], if
             the motion shows a limit of the jerk as well.
         bound: Largest rate [m/s] or [rad/s], if commands exceed it.
@@ -130,7 +134,8 @@ class AxisModel:
     total_delay_s: Estimate | None = None
     lag_product_s2: Estimate | None = None
     rate_limit: Estimate | None = None
-    limit_acts: Literal["", "before_lag", "within_lag"] = ""
+    limit_acts: Literal["", "before_lag", "within_lag", "at_wheels"] = ""
+    rate_limit_beside: Estimate | None = None
     jerk_time_s: Estimate | None = None
     bound: Estimate | None = None
     bound_acts: Bound = ""
@@ -226,7 +231,7 @@ class AxisModel:
         """Names of its further parameters."""
         order: Order = "second_order" if self.model == "second_order" else "first_order"
         if self.limit_acts:
-            order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
+            order = _ORDERS[self.limit_acts]
         if self.jerk_time_s is not None:
             order = "limited_softly"
         return Structure(
@@ -245,6 +250,7 @@ class AxisModel:
             "product": self.lag_product_s2,
             "slowness": self.rate_limit,
             "jerk_time": self.jerk_time_s,
+            "slowness_beside": self.rate_limit_beside,
             "tightness": self.bound,
             "coupling": self.bound_beside,
             "reverse": self.reverse_gain,
@@ -264,9 +270,19 @@ class AxisModel:
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
 
 
+_ORDERS: Final[Mapping[str, Order]] = MappingProxyType(
+    {
+        "before_lag": "limited_before",
+        "within_lag": "limited_within",
+        "at_wheels": "limited_wheels",
+    }
+)
+"""Order of a model by the place of its limit."""
+
+
 def _divide(name: str, value: float, gain: float) -> float:
     """Return a further parameter of a structure with a gain of 1."""
-    if name == "coupling":
+    if name in {"coupling", "slowness_beside"}:
         return 1.0 / value
     if name in {"slowness", "tightness"}:
         return gain / value

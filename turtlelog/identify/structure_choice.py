@@ -55,6 +55,10 @@ _STARTS_S: Final = (0.1, 0.5)
 _JERK_TIMES_S: Final = (0.05, 0.2)
 """Times in which a slope builds up, from which the search for a limit of the jerk starts [s]."""
 
+_TRACKS: Final = (0.2, 0.6, 1.5)
+"""Change of a wheel by the largest change of the other axis, as a share of that by the largest one
+of its own, at which the search for a limit of the wheels' acceleration starts."""
+
 _BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
 """Shares of the largest command at which the search for a bound starts."""
 
@@ -151,8 +155,7 @@ def is_rival(fit: AxisFit, other: AxisFit) -> bool:
     worse = measure_badness(other) - measure_badness(fit)
     if other is fit or more < 0:
         return False
-    added = {*other.model.structure.names} - {*fit.model.structure.names}
-    least = _SOFTENS if added == {"jerk_time"} else _DOUBTFUL
+    least = _SOFTENS if is_soft(fit.model.structure, other.model.structure) else _DOUBTFUL
     return worse <= (-least if more else _RIVAL)
 
 
@@ -165,7 +168,16 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
         if name not in fit.model.structure.names and off <= _SEEN * float(errors[place]):
             return False
     is_clear = measure_badness(fit) - measure_badness(other) >= _CLEARLY
-    return is_clear and other.parameters[GAIN] > 0.0 and measure_effect(fit, other) >= _MATTERS
+    if not is_clear or other.parameters[GAIN] <= 0.0:
+        return False
+    return is_soft(fit.model.structure, other.model.structure) or (
+        measure_effect(fit, other) >= _MATTERS
+    )
+
+
+def is_soft(structure: Structure, other: Structure) -> bool:
+    """Return whether another structure only adds a limit of the jerk, which moves the dead time."""
+    return {*other.names} - {*structure.names} == {"jerk_time"}
 
 
 def shows_gain(fit: AxisFit) -> bool:
@@ -215,6 +227,9 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
             continue
         if order == "limited_softly" and structure.order != "limited_before":
             continue
+        if order == "limited_wheels":
+            yield from _list_wheels(fit, other, known, span)
+            continue
         slowness = [known["slowness"]] if "slowness" in known else []
         tries = {
             "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
@@ -248,6 +263,18 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
+
+
+def _list_wheels(
+    fit: AxisFit, other: Structure, known: dict[str, float], span: float
+) -> Iterator[tuple[Structure, Starts]]:
+    """Yield a limit of the wheels' acceleration; nothing if the other axis rests."""
+    beside = max(
+        (float(np.ptp(one.beside.value)) for one in fit.model.motions if one.beside), default=0.0
+    )
+    if beside:
+        slow = [known["slowness"]] if "slowness" in known else [one / span for one in _STARTS_S]
+        yield other, [(one, one * share * span / beside) for one in slow for share in _TRACKS]
 
 
 def _list_coupled(
@@ -312,8 +339,7 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
     ]
     gains = measure_reductions(fit, structure, moved)
     rows = {max(range(len(gains)), key=lambda row: gains[row][by]) for by in (0, 1)}
-    added = {*structure.names} - {*fit.model.structure.names}
-    asks_for = _SOFTENS if added == {"jerk_time"} else _ASKS
+    asks_for = _SOFTENS if is_soft(fit.model.structure, structure) else _ASKS
     return [starts[row] for row in sorted(rows) if gains[row][0] >= asks_for]
 
 

@@ -40,7 +40,7 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "time constant": ("lag_s", "lag_product_s2", "model"),
         "limits": (
             *("bound", "bound_acts", "bound_beside"),
-            *("rate_limit", "limit_acts", "jerk_time_s"),
+            *("rate_limit", "limit_acts", "rate_limit_beside", "jerk_time_s"),
         ),
         "friction": ("friction", "deadband"),
     }
