@@ -152,16 +152,7 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         f" {axis.steps} steps between poses.{_describe_residual(axis)}"
     )
     yield from _describe_second_order(axis)
-    if axis.rate_limit is not None:
-        yield f"{name} changes by at most {_show_limit(axis.rate_limit)}, {_WHERE[axis.limit_acts]}."
-    if axis.rate_limit_beside is not None:
-        other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
-        yield (
-            f"{name}: this limit is that of the wheels. A commanded {other} that changes by"
-            f" {_show_limit(axis.rate_limit_beside)} reaches it alone."
-        )
-    if axis.jerk_time_s is not None:
-        yield f"{name} needs {_show_limit(axis.jerk_time_s)} to change so fast: its jerk is limited."
+    yield from _describe_acceleration(axis)
     if axis.bound_beside is not None:
         yield from _describe_wheels(axis, axis.bound_beside)
     elif axis.bound is not None:
@@ -175,11 +166,28 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         yield f"{name}: commands below 0 have a gain of {gain}."
 
 
+def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
+    """Yield the limits of how fast the rate changes, in sentences."""
+    name = tl.identify.NAMES[axis.axis].capitalize()
+    other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+    if axis.rate_limit is not None:
+        where = _WHERE[axis.limit_acts]
+        yield f"{name} changes by at most {_show_limit(axis.rate_limit)}, {where}."
+    if axis.jerk_time_s is not None:
+        time_s = _show_limit(axis.jerk_time_s)
+        yield f"{name}: its jerk is limited, so the acceleration reaches its limit within {time_s}."
+    if axis.rate_limit_beside is not None:
+        yield (
+            f"The wheels limit the acceleration of both axes together: a {other} that changes by"
+            f" {_show_limit(axis.rate_limit_beside)} reaches this limit alone."
+        )
+
+
 _WHERE: Final = MappingProxyType(
     {
         "before_lag": "before the lag",
         "within_lag": "within its velocity loop",
-        "at_wheels": "if the other axis does not change",
+        "at_wheels": "alone",
     }
 )
 """Where a limit of the acceleration acts, in words."""

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
-from turtlelog.identify.held_response import FIRST_ORDER, LaggedResponse, Structure, Values
+from turtlelog.identify.held_response import Response, Values
 from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, fit_noise
+from turtlelog.identify.robot_structure import FIRST_ORDER, Structure
 
 _GRID_S: Final = 0.04
 """Distance of the dead times in the first search [s]: a quarter of a usual delay."""
@@ -25,7 +26,7 @@ _SPIKE_STEPS: Final = 2
 """Steps on either side that show whether a step is a jump in the first search: one wrong heading
 makes two wrong steps, there and back."""
 
-_SOFT: Final = 3.0
+SOFT: Final = 3.0
 """Standard deviations from which a residual counts less than its square (soft L1)."""
 
 _OUTLIER: Final = 8.0
@@ -59,10 +60,10 @@ parameter must decrease it by thirty times as much."""
 _SCORE_LAGS: Final = 12
 """Number of steps over which the covariance includes correlations left by whitening."""
 
-_UNSEEN: Final = 1e-12
+UNSEEN: Final = 1e-12
 """Smallest effect of a parameter's unit on all steps, in standard deviations of the noise."""
 
-_ROUNDED: Final = 1e-14
+ROUNDED: Final = 1e-14
 """Share of joint changes of parameters that is only rounding."""
 
 GAIN, DEAD_TIME, LAG, EXTRA = range(4)
@@ -86,16 +87,14 @@ class StepModel:
         self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
         self.shared = np.concatenate([motion.shared for motion in self.motions])
 
-    def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
+    def prepare(self, lag_s: float, *extras: float) -> list[Response]:
         """Return the response of each run's commands for a time constant and further parameters."""
         return [
             self.structure.respond(motion.commands, lag_s, extras, motion.beside)
             for motion in self.motions
         ]
 
-    def predict(
-        self, dead_time_s: float, *lags: Sequence[LaggedResponse]
-    ) -> list[tuple[Values, Values]]:
+    def predict(self, dead_time_s: float, *lags: Sequence[Response]) -> list[tuple[Values, Values]]:
         """Return displacement and rate of each step for each response, with a gain of 1."""
         found: list[list[tuple[Values, Values]]] = [[] for _ in lags]
         for row, motion in enumerate(self.motions):
@@ -163,7 +162,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
-    return _finish(model, _search_start(motions))
+    return finish_fit(model, _search_start(motions))
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
@@ -185,7 +184,7 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
     """
     model = StepModel(fit.model.motions, structure)
     tried = [_descend(model, _fit_gain(fit, model, start), fit.whitening.apply) for start in starts]
-    return _finish(model, min(tried, key=lambda found: found[1])[0])
+    return finish_fit(model, min(tried, key=lambda found: found[1])[0])
 
 
 def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values:
@@ -204,10 +203,10 @@ def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values
 def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
     """Return the best fit of the same structure from other start parameters, with its own noise."""
     near = np.append(start[: LAG + 1], fit.parameters[EXTRA:])
-    return _finish(fit.model, _descend(fit.model, near, fit.whitening.apply)[0])
+    return finish_fit(fit.model, _descend(fit.model, near, fit.whitening.apply)[0])
 
 
-def _finish(model: StepModel, parameters: Values) -> AxisFit:
+def finish_fit(model: StepModel, parameters: Values) -> AxisFit:
     """Return the best fit near the given parameters, with its own noise."""
     least = np.inf
     for _ in range(_MOST_LESSONS):
@@ -219,70 +218,6 @@ def _finish(model: StepModel, parameters: Values) -> AxisFit:
     return _conclude(model, parameters, cost, whitening, is_outlier)
 
 
-def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
-    """Return the misfit of a prediction of the rest of the steps by a fit to the first part.
-
-    The misfit is twice the negative log-likelihood, with the noise and the uncertainty of the first
-    part: where it shows no delay, no structure is to blame for a wrong one. A parameter that it
-    does not show at all is as uncertain as one step leaves it.
-    """
-    known = _finish(StepModel(first, fit.model.structure), fit.parameters)
-    ahead = StepModel(rest, fit.model.structure)
-    modelled, slopes = ahead.linearise(known.parameters)
-    residual = ahead.moved - modelled
-    outlier = find_outlying_steps(residual)
-    whitening = Whitening(known.whitening.noise, ahead.duration_s, ahead.shared, outlier)
-    white, slopes = whitening.apply(residual), whitening.apply(slopes)
-    earlier = known.whitening.apply(known.model.linearise(known.parameters)[1])
-    before, after = earlier.T @ earlier, slopes.T @ slopes
-    before = before + (before + after) / len(fit.residual)
-    size = np.maximum(np.sqrt(np.diag(before + after)), _UNSEEN)
-    before, after = (
-        one / np.outer(size, size) + _ROUNDED * np.eye(len(size)) for one in (before, after)
-    )
-    pull = slopes.T @ np.clip(white, -_SOFT, _SOFT) / size
-    learnt = float(pull @ np.linalg.solve(before + after, pull))
-    spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]
-    return _sum_softly(white) + whitening.log_size - learnt + float(spread)
-
-
-def measure_badness(fit: AxisFit) -> float:
-    """Return the misfit of a fit to its own steps: twice the negative log-likelihood."""
-    return fit.cost + fit.whitening.log_size
-
-
-def measure_reductions(
-    fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
-) -> list[tuple[float, float]]:
-    """Return by how much further parameters could reduce the sum of squares, to first order.
-
-    The second number is the reduction by the start values themselves: of starts whose effects
-    differ in size alone, one is nearest.
-    """
-    modelled, slopes = fit.model.linearise(fit.parameters)
-    gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
-    other = StepModel(fit.model.motions, structure)
-    bent = [
-        gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
-        for extras in starts
-    ]
-    slopes = fit.whitening.apply(slopes)
-    white = np.clip(fit.white, -_SOFT, _SOFT)
-    columns = np.column_stack([white, fit.whitening.apply(np.column_stack(bent))])
-    white, *bent = (columns - slopes @ np.linalg.lstsq(slopes, columns)[0]).T
-    sums = [(float(white @ one), max(float(one @ one), LEAST_STEP)) for one in bent]
-    return [(along**2 / size, 2.0 * along - size) for along, size in sums]
-
-
-def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
-    """Return the cost of another structure near the parameters of a fit, after one linear step."""
-    other = StepModel(fit.model.motions, structure)
-    near = np.append(fit.parameters[: LAG + 1], extras)
-    modelled, slopes = other.linearise(near)
-    white, slopes = (fit.whitening.apply(one) for one in (other.moved - modelled, slopes))
-    return _sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
-
-
 def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
     """Return the change of the parameters from some steps alone, and its covariance.
 
@@ -292,7 +227,7 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
     slopes[:, LAG] -= slopes[:, DEAD_TIME]
     white, slopes = fit.white[part], fit.whitening.apply(slopes)[part]
     covariance, _ = _estimate_covariance(white, slopes)
-    bent = 1.0 + (white / _SOFT) ** 2
+    bent = 1.0 + (white / SOFT) ** 2
     inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     return inverse @ (slopes.T @ (white / np.sqrt(bent))), covariance
 
@@ -399,9 +334,9 @@ def _descend(
     highest[DEAD_TIME] = LARGEST_DEAD_TIME_S
     modelled, slopes = model.linearise(parameters)
     white, slopes = whiten(model.moved - modelled), whiten(slopes)
-    cost, damping = _sum_softly(white), 1e-3
+    cost, damping = sum_softly(white), 1e-3
     for _ in range(_MOST_ROUNDS):
-        weights = 1.0 / np.sqrt(1.0 + (white / _SOFT) ** 2)
+        weights = 1.0 / np.sqrt(1.0 + (white / SOFT) ** 2)
         downhill = slopes.T @ (weights * white)
         curvature = slopes.T @ (weights[:, None] * slopes)
         stuck = ((parameters <= lowest) & (downhill < 0.0)) | (
@@ -416,7 +351,7 @@ def _descend(
         tried = np.clip(tried, lowest, highest)
         modelled, new_slopes = model.linearise(tried)
         new_white = whiten(model.moved - modelled)
-        new_cost = _sum_softly(new_white)
+        new_cost = sum_softly(new_white)
         if new_cost >= cost:
             damping *= 10.0
             if damping > 1e6:
@@ -430,8 +365,9 @@ def _descend(
     return parameters, cost
 
 
-def _sum_softly(white: Values) -> float:
-    return float(2.0 * _SOFT**2 * (np.sqrt(1.0 + (white / _SOFT) ** 2) - 1.0).sum())
+def sum_softly(white: Values) -> float:
+    """Return the sum of robust squares: large residuals count less."""
+    return float(2.0 * SOFT**2 * (np.sqrt(1.0 + (white / SOFT) ** 2) - 1.0).sum())
 
 
 def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
@@ -442,7 +378,7 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
     The sandwich estimate allows for correlated neighbours. If a few steps carry all information, it
     is too small, but the model covariance is not.
     """
-    bent = 1.0 + (white / _SOFT) ** 2
+    bent = 1.0 + (white / SOFT) ** 2
     scores = slopes * (white / np.sqrt(bent))[:, None]
     inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     meat = scores.T @ scores
@@ -465,7 +401,7 @@ def _invert(matrix: Values) -> Values:
 
     The inverse is large, not 0, in a direction in which the matrix has no information.
     """
-    size = np.maximum(np.sqrt(np.diag(matrix)), _UNSEEN)
+    size = np.maximum(np.sqrt(np.diag(matrix)), UNSEEN)
     scale = np.outer(size, size)
     power, direction = np.linalg.eigh(matrix / scale)
-    return np.asarray((direction / np.maximum(power, _ROUNDED)) @ direction.T / scale)
+    return np.asarray((direction / np.maximum(power, ROUNDED)) @ direction.T / scale)

@@ -107,7 +107,9 @@ class AxisMotion:
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""
         first, moved, direction_rad = (
-            one[steps] for one in (self.first, self.moved, self.direction_rad)
+            self.first[steps],
+            self.moved[steps],
+            self.direction_rad[steps],
         )
         taken = _select(self.time_s, first, moved, direction_rad, self.commands, self.stops)
         return replace(taken, beside=self.beside)

@@ -8,8 +8,9 @@ import numpy as np
 
 from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, TOTAL, AxisFit, fit_without_lag
 from turtlelog.identify.axis_motion import UNITS, Axis
-from turtlelog.identify.held_response import FIRST_ORDER, Values
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_structure import FIRST_ORDER
 
 NORMAL_95: Final = 1.96
 """Standard deviations on either side that contain 95 % of normal noise."""

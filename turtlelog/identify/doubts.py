@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from turtlelog.display import join_words
 from turtlelog.identify.axis_fit import DEAD_TIME, GAIN, LAG, TOTAL, AxisFit, solve_part
 from turtlelog.identify.axis_motion import NAMES, Axis, AxisMotion
-from turtlelog.identify.held_response import Structure, Values
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.refused_axes import find_repetition
 from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
+from turtlelog.identify.robot_structure import Structure
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _LIMITS: Final = (

@@ -310,7 +310,7 @@ def fit_noise(
     shared: Values,
     is_outlier: NDArray[np.bool_],
 ) -> Whitening:
-    """Return the whitening by the likeliest noise of a residual, in steps of given durations [s]."""
+    """Return the whitening by the likeliest noise of a residual, for steps of given durations."""
     kept = ~is_outlier
     count = max(int(np.count_nonzero(kept)), 1)
 

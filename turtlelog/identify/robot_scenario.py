@@ -227,7 +227,7 @@ def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
     """Yield the limits of an axis that the plant supports, by the end of their keys."""
     if axis.bound is not None:
         yield "bound", axis.bound.value
-    if axis.rate_limit is not None and axis.limit_acts == "within_lag":
+    if axis.rate_limit is not None and axis.limit_acts != "before_lag":
         yield "acceleration", axis.rate_limit.value
     if axis.deadband is not None:
         yield "deadband", axis.deadband.value
@@ -240,8 +240,15 @@ def _tell_plant(axis: AxisModel) -> Iterator[str]:
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
+    other: Axis = "turn_rate" if axis.axis == "speed" else "speed"
+    if axis.rate_limit_beside is not None:
+        yield (
+            f"{_NOTE}The wheels limit the acceleration of both axes together. A {NAMES[other]} that"
+            f" changes by {axis.rate_limit_beside.value:.3g} {axis.rate_limit_beside.unit} reaches"
+            f" their limit alone, so the {name} beside it changes more slowly. The plant has no"
+            " such limit."
+        )
     if axis.bound_beside is not None:
-        other: Axis = "turn_rate" if axis.axis == "speed" else "speed"
         yield (
             f"{_NOTE}The wheels limit both axes together. A {NAMES[other]} of"
             f" {axis.bound_beside.value:.3g} {axis.bound_beside.unit} reaches their limit alone, so"

@@ -17,16 +17,19 @@ from turtlelog.identify.axis_fit import (
     GAIN,
     LAG,
     AxisFit,
-    measure_badness,
-    measure_near,
-    measure_reductions,
-    predict_badness,
     refit_axis,
     restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.held_response import COUPLED, Order, Structure, Values
+from turtlelog.identify.fit_misfit import (
+    measure_badness,
+    measure_near,
+    measure_reductions,
+    predict_badness,
+)
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_noise import LEAST_STEP
+from turtlelog.identify.robot_structure import COUPLED, Order, Structure
 
 _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest is predicted."""
@@ -219,28 +222,9 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     def start(other: Structure, **value: float) -> tuple[float, ...]:
         return tuple((known | value)[name] for name in other.names)
 
-    lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
-    span = max(float(np.ptp(commands)), LEAST_STEP)
-    for order in get_args(Order):
-        other = replace(structure, order=order)
-        if other == structure or not _is_open(other, commands):
-            continue
-        if order == "limited_softly" and structure.order != "limited_before":
-            continue
-        if order == "limited_wheels":
-            yield from _list_wheels(fit, other, known, span)
-            continue
-        slowness = [known["slowness"]] if "slowness" in known else []
-        tries = {
-            "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
-            "slowness": [*slowness, *(start_s / span for start_s in _STARTS_S)],
-            "jerk_time": [*_JERK_TIMES_S],
-        }
-        name = next((name for name in reversed(other.names) if name in tries), None)
-        yield (
-            other,
-            [start(other, **{name: value}) for value in tries[name]] if name else [start(other)],
-        )
+    yield from _list_orders(fit, known, commands)
+    if structure.order == "limited_wheels":
+        return
     bounded, stopped, reverse, rubbing = (
         replace(structure, bound="command"),
         replace(structure, bound="rate"),
@@ -263,6 +247,33 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
+
+
+def _list_orders(
+    fit: AxisFit, known: dict[str, float], commands: Values
+) -> Iterator[tuple[Structure, Starts]]:
+    """Yield structures of another order."""
+    structure = fit.model.structure
+    lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
+    span = max(float(np.ptp(commands)), LEAST_STEP)
+    slowness = [known["slowness"]] if "slowness" in known else []
+    tries = {
+        "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
+        "slowness": [*slowness, *(start_s / span for start_s in _STARTS_S)],
+        "jerk_time": [*_JERK_TIMES_S],
+    }
+    for order in get_args(Order):
+        other = replace(structure, order=order)
+        if other == structure or not _is_open(other, commands):
+            continue
+        if order == "limited_softly" and structure.order != "limited_before":
+            continue
+        if order == "limited_wheels":
+            yield from _list_wheels(fit, other, known, span)
+            continue
+        name = next((name for name in reversed(other.names) if name in tries), "")
+        values = [known | {name: value} for value in tries.get(name, [0.0])]
+        yield other, [tuple(one[name] for name in other.names) for one in values]
 
 
 def _list_wheels(
