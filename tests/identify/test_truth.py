@@ -1,6 +1,5 @@
 """Robots of known truth, by a simulator that shares no code with the fit."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 

@@ -136,7 +136,6 @@ KINDS: Final = MappingProxyType[str, Callable[[Wheeled, np.random.Generator], Wh
         "clipped": _bound("clipped"),
         "turning": _bound("turning"),
         "driving": _bound("driving"),
-        # No structure that is fitted is like this.
         "wheel accel.": _limit,
     }
 )
