@@ -16,7 +16,7 @@ from turtlelog.identify.axis_fit import (
     sum_softly,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.robot_noise import LEAST_STEP, Whitening
+from turtlelog.identify.robot_noise import LEAST_STEP, fit_noise
 from turtlelog.identify.robot_structure import Structure
 
 
@@ -60,16 +60,17 @@ def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) ->
 def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
     """Return the misfit of a prediction of the rest of the steps by a fit to the first part.
 
-    The misfit is twice the negative log-likelihood, with the noise and the uncertainty of the first
-    part: where it shows no delay, no structure is to blame for a wrong one. A parameter that it
-    does not show at all is as uncertain as one step leaves it.
+    The misfit is twice the negative log-likelihood, with the uncertainty of the first part: if it
+    shows no delay, no structure is to blame for a wrong one. A parameter that it does not show at
+    all is as uncertain as one step leaves it. The noise is that of the rest: if neither of two
+    structures explains it, the one with less noise before is not the worse.
     """
     known = finish_fit(StepModel(first, fit.model.structure), fit.parameters)
     ahead = StepModel(rest, fit.model.structure)
     modelled, slopes = ahead.linearise(known.parameters)
     residual = ahead.moved - modelled
     outlier = find_outlying_steps(residual)
-    whitening = Whitening(known.whitening.noise, ahead.duration_s, ahead.shared, outlier)
+    whitening = fit_noise(residual, ahead.duration_s, ahead.shared, outlier)
     white, slopes = whitening.apply(residual), whitening.apply(slopes)
     earlier = known.whitening.apply(known.model.linearise(known.parameters)[1])
     before, after = earlier.T @ earlier, slopes.T @ slopes
