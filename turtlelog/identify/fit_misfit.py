@@ -1,6 +1,7 @@
 """How well a fit explains its motion, and how well other structures would."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from turtlelog.identify.axis_fit import (
     sum_softly,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.robot_noise import LEAST_STEP, fit_noise
+from turtlelog.identify.held_response import Values
+from turtlelog.identify.robot_noise import LEAST_STEP, Whitening, fit_noise
 from turtlelog.identify.robot_structure import Structure
 
 
@@ -57,29 +59,56 @@ def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) ->
     return sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
 
 
-def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
-    """Return the misfit of a prediction of the rest of the steps by a fit to the first part.
+def compare_predictions(
+    fit: AxisFit, other: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]
+) -> float:
+    """Return by how much another structure predicts the rest of the steps better than a fit.
 
-    The misfit is twice the negative log-likelihood, with the uncertainty of the first part: if it
-    shows no delay, no structure is to blame for a wrong one. A parameter that it does not show at
-    all is as uncertain as one step leaves it. The noise is that of the rest: if neither of two
-    structures explains it, the one with less noise before is not the worse.
+    Both are fitted to the first part. The difference is that of twice the negative log-likelihoods,
+    by the noise of the rest for the other one: if neither explains the rest, the one with less
+    noise before is not the worse.
     """
+    ahead = [_predict(one, first, rest) for one in (fit, other)]
+    residual, motion = ahead[1].residual, ahead[1].ahead
+    outlier = find_outlying_steps(residual)
+    whitening = fit_noise(residual, motion.duration_s, motion.shared, outlier)
+    badness, other_badness = (_measure_ahead(one, whitening) for one in ahead)
+    return badness - other_badness
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Prediction:
+    """A fit to the first part of a log, and its residual in the rest with its slopes."""
+
+    known: AxisFit
+    ahead: StepModel
+    residual: Values
+    slopes: Values
+
+
+def _predict(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> _Prediction:
     known = finish_fit(StepModel(first, fit.model.structure), fit.parameters)
     ahead = StepModel(rest, fit.model.structure)
     modelled, slopes = ahead.linearise(known.parameters)
-    residual = ahead.moved - modelled
-    outlier = find_outlying_steps(residual)
-    whitening = fit_noise(residual, ahead.duration_s, ahead.shared, outlier)
-    white, slopes = whitening.apply(residual), whitening.apply(slopes)
+    return _Prediction(known=known, ahead=ahead, residual=ahead.moved - modelled, slopes=slopes)
+
+
+def _measure_ahead(one: _Prediction, whitening: Whitening) -> float:
+    """Return the misfit of a prediction with the uncertainty of the first part.
+
+    If that part shows no delay, no structure is to blame for a wrong one. A parameter that it does
+    not show at all is as uncertain as one step leaves it.
+    """
+    white, slopes = whitening.apply(one.residual), whitening.apply(one.slopes)
+    known = one.known
     earlier = known.whitening.apply(known.model.linearise(known.parameters)[1])
     before, after = earlier.T @ earlier, slopes.T @ slopes
-    before = before + (before + after) / len(fit.residual)
+    before = before + (before + after) / (len(earlier) + len(slopes))
     size = np.maximum(np.sqrt(np.diag(before + after)), UNSEEN)
     before, after = (
-        one / np.outer(size, size) + ROUNDED * np.eye(len(size)) for one in (before, after)
+        matrix / np.outer(size, size) + ROUNDED * np.eye(len(size)) for matrix in (before, after)
     )
     pull = slopes.T @ np.clip(white, -SOFT, SOFT) / size
     learnt = float(pull @ np.linalg.solve(before + after, pull))
     spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]
-    return sum_softly(white) + whitening.log_size - learnt + float(spread)
+    return sum_softly(white) - learnt + float(spread)

@@ -22,10 +22,10 @@ from turtlelog.identify.axis_fit import (
 )
 from turtlelog.identify.axis_motion import AxisMotion
 from turtlelog.identify.fit_misfit import (
+    compare_predictions,
     measure_badness,
     measure_near,
     measure_reductions,
-    predict_badness,
 )
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_noise import LEAST_STEP
@@ -49,8 +49,9 @@ _SEEN: Final = 1.96
 """Standard deviations by which a further parameter must differ from 0, so that its 95 % interval
 excludes 0."""
 
-_PREDICTED: Final = 2.0
-"""Required decrease of the same for the rest of the log: noise alone increases it on average."""
+_PREDICTED: Final = 1.0
+"""Required decrease of the same for the rest of the log, with the uncertainty of the first part:
+noise alone increases it on average, and decreases it so much in 1 of 13 robots."""
 
 _STARTS_S: Final = (0.1, 0.5)
 """Durations of the largest change of the command at which the search for a limit starts [s]."""
@@ -143,8 +144,7 @@ def _is_better(
     """Return whether a structure with a better score is chosen."""
     if other.model.structure.size <= fit.model.structure.size:
         return True
-    gained = predict_badness(fit, first, rest) - predict_badness(other, first, rest)
-    return is_distinct(fit, other) and gained > _PREDICTED
+    return is_distinct(fit, other) and compare_predictions(fit, other, first, rest) > _PREDICTED
 
 
 def measure_score(fit: AxisFit) -> float:
