@@ -70,6 +70,7 @@ def test_the_limit_of_the_wheels_is_found_with_gain_and_delays(coupling: str) ->
 
 
 def test_a_bound_that_no_command_reaches_is_not_found() -> None:
+    """A robot with two wheels is simulated and identified: turns of 1.88 rad/s, a bound at 2.33."""
     model = identify("turning")[2]
     assert model.turn_rate.bound_acts == ""
 
