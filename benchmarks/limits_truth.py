@@ -29,7 +29,8 @@ from turtlelog.identify import AxisModel
 
 NAMES = (
     *("gain", "dead_time_s", "lag_s", "total_delay_s"),
-    *("rate_limit", "bound", "bound_beside", "deadband", "reverse_gain", "friction"),
+    *("rate_limit", "rate_limit_beside", "bound", "bound_beside"),
+    *("deadband", "reverse_gain", "friction"),
 )
 """Whose intervals are counted."""
 

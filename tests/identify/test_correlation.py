@@ -1,6 +1,7 @@
 """At which delays commands and motion correlate best: a range that holds, or a reason."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -96,10 +97,7 @@ def test_another_robots_commands_hardly_correlate() -> None:
         motion = turn(replace_duration(NOISY, 40.0), seed)
         rng = np.random.default_rng(seed)
         moved = rng.normal(0.0, 0.01, len(motion.moved))
-        other = AxisMotion(
-            time_s=motion.time_s, first=motion.first, moved=moved, commands=motion.commands
-        )
-        told += find_correlation_delay([other])[0] is not None
+        told += find_correlation_delay([replace(motion, moved=moved)])[0] is not None
     assert told <= 3
 
 

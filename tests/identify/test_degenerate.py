@@ -18,7 +18,7 @@ from turtlelog.compare import compare_robot
 from turtlelog.errors import TurtlelogError
 from turtlelog.identify import build_robot_scenario
 from turtlelog.identify.axis_motion import find_silent_stops
-from turtlelog.identify.robot_noise import estimate_noise
+from turtlelog.identify.robot_noise import fit_noise
 
 SIZES = st.sampled_from([0.0, 1e-300, 1e-9, 0.5, 1.0, 1e8, 1e150])
 
@@ -137,8 +137,8 @@ def test_whatever_a_log_holds_gets_an_answer_or_a_known_error(run: tl.Run) -> No
 
 
 def test_a_residual_of_zero_has_a_noise() -> None:
-    always, never = np.ones(60, dtype=bool), np.zeros(60, dtype=bool)
-    noise = estimate_noise(np.zeros(60), always, never)
+    always, never = np.ones(60), np.zeros(60, dtype=bool)
+    noise = fit_noise(np.zeros(60), always, always, never).noise
     assert 0.0 < noise.slip + noise.sensing < 1e-23
 
 

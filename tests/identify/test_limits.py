@@ -25,12 +25,8 @@ from turtlelog.identify import (
     read_robot_notes,
 )
 from turtlelog.identify.doubts import cover_rivals
-from turtlelog.identify.held_response import (
-    LaggedResponse,
-    Structure,
-    hold_commands,
-    limit_within,
-)
+from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
+from turtlelog.identify.robot_structure import Structure
 from turtlelog.run import Run
 
 LOG = Log(duration_s=25.0, poses_hz=25.0)

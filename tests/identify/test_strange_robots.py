@@ -70,9 +70,8 @@ def test_only_a_pair_of_complex_poles_needs_a_longer_dead_time(
 def test_a_strange_robot_is_doubted_or_intervals_hold_and_advice_suits_it(kind: str) -> None:
     """Ten robots of a kind are identified and turned by the advised gain.
 
-    Two kinds are exceptions. A limit of the jerk has no delay of its own, but one that grows with
-    the step: the interval is that of the commanded steps. Of robots with dry friction one in five
-    misses without a doubt, by some hundredths of the gain.
+    One kind is an exception. Of robots with dry friction one in five misses without a doubt, by
+    some hundredths of the gain.
     """
     fine: list[bool] = []
     suits: list[bool] = []
@@ -82,8 +81,6 @@ def test_a_strange_robot_is_doubted_or_intervals_hold_and_advice_suits_it(kind: 
         model = tl.identify_robot(run)
         axis, true = model.turn_rate, truth.list_truth()
         found = {name: getattr(axis, name) for name in ("gain", "total_delay_s")}
-        if kind == "jerk":
-            del found["total_delay_s"]
         held = [one.low <= true[name] <= one.high for name, one in found.items() if one]
         fine += [bool(axis.doubts)] if axis.doubts else held
         suits.append(max(turn_as_advised(model, run, truth)) <= 6.0)

@@ -22,8 +22,8 @@ TRUTH = Wheeled(wheel=Limited(gain=0.95), turn_gain=0.9, track_m=0.3, most=0.35)
 
 
 @cache
-def identify(coupling: str) -> tuple[Wheeled, Run, tl.RobotModel]:
-    truth = replace(TRUTH, coupling=coupling)
+def identify(coupling: str, most: float = TRUTH.most) -> tuple[Wheeled, Run, tl.RobotModel]:
+    truth = replace(TRUTH, coupling=coupling, most=most)
     run = drive_wheels(truth, LOG, 2)
     return truth, run, tl.identify_robot(run)
 
@@ -49,7 +49,8 @@ def test_the_robots_reduce_a_command_as_they_should(
 @pytest.mark.parametrize("coupling", ["scaled", "clipped", "turning", "driving"])
 def test_the_limit_of_the_wheels_is_found_with_gain_and_delays(coupling: str) -> None:
     """Each robot is identified once, by the first of these tests that asks for it."""
-    truth, _, model = identify(coupling)
+    # Turns of up to 1.88 rad/s reach a bound of their own from wheels of 0.25 m/s alone.
+    truth, _, model = identify(coupling, 0.25 if coupling == "turning" else TRUTH.most)
     acts = {"scaled": ("scaled",) * 2, "clipped": ("clipped",) * 2}
     first = {"turning": ("yielding", "command"), "driving": ("command", "yielding")}
     assert tuple(axis.bound_acts for axis in model.axes) == (acts | first)[coupling]
@@ -66,6 +67,12 @@ def test_the_limit_of_the_wheels_is_found_with_gain_and_delays(coupling: str) ->
             assert axis.bound_beside.low < true["bound_beside"] < axis.bound_beside.high
             assert axis.bound_beside.value == pytest.approx(true["bound_beside"], rel=0.01)
         assert axis.doubts == ()
+
+
+def test_a_bound_that_no_command_reaches_is_not_found() -> None:
+    """A robot with two wheels is simulated and identified: turns of 1.88 rad/s, a bound at 2.33."""
+    model = identify("turning")[2]
+    assert model.turn_rate.bound_acts == ""
 
 
 def test_wheels_that_no_command_brings_to_their_limit_have_none() -> None:

@@ -93,15 +93,17 @@ class Wheeled:
         wheel = self.wheel
         is_speed = axis.axis == "speed"
         gain = wheel.gain if is_speed else self.turn_gain
-        most = self.most if is_speed else self.most / (0.5 * self.track_m)
-        beside = self.most / (0.5 * self.track_m) if is_speed else self.most
+        arm_m, acceleration = 0.5 * self.track_m, wheel.acceleration / wheel.gain
+        own, other = (1.0, arm_m) if is_speed else (arm_m, 1.0)
         return {
             "gain": gain,
             "dead_time_s": wheel.dead_time_s,
             "lag_s": wheel.lag_s,
             "total_delay_s": wheel.dead_time_s + wheel.lag_s,
-            "bound": gain * most,
-            "bound_beside": beside,
+            "bound": gain * self.most / own,
+            "bound_beside": self.most / other,
+            "rate_limit": gain * acceleration / own,
+            "rate_limit_beside": acceleration / other,
         }
 
 
@@ -134,7 +136,6 @@ KINDS: Final = MappingProxyType[str, Callable[[Wheeled, np.random.Generator], Wh
         "clipped": _bound("clipped"),
         "turning": _bound("turning"),
         "driving": _bound("driving"),
-        # No structure that is fitted is like this.
         "wheel accel.": _limit,
     }
 )

@@ -136,6 +136,8 @@ class AxisAnswer:
     lag_product_s2: Interval | None
     rate_limit: Interval | None
     limit_acts: str | None
+    rate_limit_beside: Interval | None
+    jerk_time_s: Interval | None
     bound: Interval | None
     bound_acts: str | None
     bound_beside: Interval | None
@@ -221,6 +223,8 @@ def _build_axis(axis: "AxisModel") -> AxisAnswer:
         lag_product_s2=_take_interval(axis.lag_product_s2),
         rate_limit=_take_interval(axis.rate_limit),
         limit_acts=axis.limit_acts or None,
+        rate_limit_beside=_take_interval(axis.rate_limit_beside),
+        jerk_time_s=_take_interval(axis.jerk_time_s),
         bound=_take_interval(axis.bound),
         bound_acts=axis.bound_acts or None,
         bound_beside=_take_interval(axis.bound_beside),

@@ -4,6 +4,7 @@ import math
 import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
@@ -159,10 +160,7 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         f" {axis.steps} steps between poses.{_describe_residual(axis)}"
     )
     yield from _describe_second_order(axis)
-    if axis.rate_limit is not None:
-        limit = axis.rate_limit
-        where = "within its velocity loop" if axis.limit_acts == "within_lag" else "before the lag"
-        yield f"{name} changes by at most {_show_limit(limit)}, {where}."
+    yield from _describe_acceleration(axis)
     if axis.bound_beside is not None:
         yield from _describe_wheels(axis, axis.bound_beside)
     elif axis.bound is not None:
@@ -174,6 +172,33 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     if axis.reverse_gain is not None:
         gain = tl.identify.format_gain(axis.reverse_gain)
         yield f"{name}: commands below 0 have a gain of {gain}."
+
+
+def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
+    """Yield the limits of how fast the rate changes, in sentences."""
+    name = tl.identify.NAMES[axis.axis].capitalize()
+    other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+    if axis.rate_limit is not None:
+        where = _WHERE[axis.limit_acts]
+        yield f"{name} changes by at most {_show_limit(axis.rate_limit)}, {where}."
+    if axis.jerk_time_s is not None:
+        time_s = _show_limit(axis.jerk_time_s)
+        yield f"{name}: its jerk is limited, so the acceleration reaches its limit within {time_s}."
+    if axis.rate_limit_beside is not None:
+        yield (
+            f"The wheels limit the acceleration of both axes together: a {other} that changes by"
+            f" {_show_limit(axis.rate_limit_beside)} reaches this limit alone."
+        )
+
+
+_WHERE: Final = MappingProxyType(
+    {
+        "before_lag": "before the lag",
+        "within_lag": "within its velocity loop",
+        "at_wheels": "alone",
+    }
+)
+"""Where a limit of the acceleration acts, in words."""
 
 
 def _describe_wheels(axis: "AxisModel", beside: "Estimate") -> Iterator[str]:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
-from turtlelog.identify.held_response import FIRST_ORDER, LaggedResponse, Structure, Values
-from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, estimate_noise
+from turtlelog.identify.held_response import Response, Values
+from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, fit_noise
+from turtlelog.identify.robot_structure import FIRST_ORDER, Structure
 
 _GRID_S: Final = 0.04
 """Distance of the dead times in the first search [s]: a quarter of a usual delay."""
@@ -25,9 +26,8 @@ _SPIKE_STEPS: Final = 2
 """Number of steps on either side that show whether a step is a jump, in the first search: one wrong
 heading gives two wrong steps, there and back."""
 
-_SOFT: Final = 3.0
-"""Size of a residual, in standard deviations, from which it counts less than its square (soft
-L1)."""
+SOFT: Final = 3.0
+"""Standard deviations from which a residual counts less than its square (soft L1)."""
 
 _OUTLIER: Final = 8.0
 """Size of an outlier in robust standard deviations; outliers do not count. Normal noise exceeds
@@ -49,13 +49,21 @@ _MOST_ROUNDS: Final = 40
 _ROUND_ENDS: Final = 1e-9
 """Share of the cost that another round must save to continue."""
 
+_MOST_LESSONS: Final = 6
+"""Largest number of times that the noise is learnt from the residual of the fit with the noise
+before; three or four are usual."""
+
+_LEARNT: Final = 0.5
+"""Decrease of twice the negative log-likelihood below which the noise is learnt: any further
+parameter must decrease it by thirty times as much."""
+
 _SCORE_LAGS: Final = 12
 """Number of steps over which the covariance includes correlations left by whitening."""
 
-_UNSEEN: Final = 1e-12
+UNSEEN: Final = 1e-12
 """Smallest effect of a parameter's unit on all steps, in standard deviations of the noise."""
 
-_ROUNDED: Final = 1e-14
+ROUNDED: Final = 1e-14
 """Share of joint changes of parameters that is only rounding."""
 
 GAIN, DEAD_TIME, LAG, EXTRA = range(4)
@@ -77,18 +85,16 @@ class StepModel:
         self.motions = [motion for motion in motions if len(motion.moved)]
         self.moved = np.concatenate([motion.moved for motion in self.motions])
         self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
-        self.follows = np.concatenate([motion.follows for motion in self.motions])
+        self.shared = np.concatenate([motion.shared for motion in self.motions])
 
-    def prepare(self, lag_s: float, *extras: float) -> list[LaggedResponse]:
-        """Return the responses to each run's commands for a time constant and other parameters."""
+    def prepare(self, lag_s: float, *extras: float) -> list[Response]:
+        """Return the response of each run's commands for a time constant and further parameters."""
         return [
             self.structure.respond(motion.commands, lag_s, extras, motion.beside)
             for motion in self.motions
         ]
 
-    def predict(
-        self, dead_time_s: float, *lags: Sequence[LaggedResponse]
-    ) -> list[tuple[Values, Values]]:
+    def predict(self, dead_time_s: float, *lags: Sequence[Response]) -> list[tuple[Values, Values]]:
         """Return displacement and rate of each step for each response, with a gain of 1."""
         found: list[list[tuple[Values, Values]]] = [[] for _ in lags]
         for row, motion in enumerate(self.motions):
@@ -155,8 +161,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         NoGainError: If no gain above 0 explains any of the motion.
     """
     model = StepModel(motions)
-    whitening, _ = _learn_noise(model, start := _search_start(motions))
-    return _finish(model, _descend(model, start, whitening.apply)[0])
+    return finish_fit(model, _search_start(motions))
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
@@ -178,7 +183,7 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
     """
     model = StepModel(fit.model.motions, structure)
     tried = [_descend(model, _fit_gain(fit, model, start), fit.whitening.apply) for start in starts]
-    return _finish(model, min(tried, key=lambda found: found[1])[0])
+    return finish_fit(model, min(tried, key=lambda found: found[1])[0])
 
 
 def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values:
@@ -198,62 +203,19 @@ def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values
 def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
     """Return the best fit of the same structure from other start parameters, with its own noise."""
     near = np.append(start[: LAG + 1], fit.parameters[EXTRA:])
-    return _finish(fit.model, _descend(fit.model, near, fit.whitening.apply)[0])
+    return finish_fit(fit.model, _descend(fit.model, near, fit.whitening.apply)[0])
 
 
-def _finish(model: StepModel, parameters: Values) -> AxisFit:
+def finish_fit(model: StepModel, parameters: Values) -> AxisFit:
     """Return the best fit near the given parameters, with its own noise."""
-    whitening, is_outlier = _learn_noise(model, parameters)
-    parameters, cost = _descend(model, parameters, whitening.apply)
+    least = np.inf
+    for _ in range(_MOST_LESSONS):
+        whitening, is_outlier = _learn_noise(model, parameters)
+        parameters, cost = _descend(model, parameters, whitening.apply)
+        gained, least = least - (cost + whitening.log_size), cost + whitening.log_size
+        if gained < _LEARNT:
+            break
     return _conclude(model, parameters, cost, whitening, is_outlier)
-
-
-def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
-    """Return the misfit of a prediction of the rest of the steps by a fit to the first part.
-
-    The misfit is twice the negative log-likelihood, with the noise of the first part.
-    """
-    model = StepModel(first, fit.model.structure)
-    whitening, _ = _learn_noise(model, fit.parameters)
-    parameters, _ = _descend(model, fit.parameters, whitening.apply)
-    noise = _learn_noise(model, parameters)[0].noise
-    ahead = StepModel(rest, fit.model.structure)
-    residual = ahead.moved - ahead.linearise(parameters)[0]
-    outlier = find_outlying_steps(residual)
-    whitening = Whitening(noise, ahead.duration_s, ahead.follows, outlier)
-    return _sum_softly(whitening.apply(residual)) + whitening.log_size
-
-
-def measure_badness(fit: AxisFit) -> float:
-    """Return the misfit of a fit to its own steps: twice the negative log-likelihood."""
-    return fit.cost + fit.whitening.log_size
-
-
-def measure_reductions(
-    fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
-) -> list[float]:
-    """Return how much further parameters could reduce the sum of squares, to first order."""
-    modelled, slopes = fit.model.linearise(fit.parameters)
-    gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
-    other = StepModel(fit.model.motions, structure)
-    bent = [
-        gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
-        for extras in starts
-    ]
-    slopes = fit.whitening.apply(slopes)
-    white = np.clip(fit.white, -_SOFT, _SOFT)
-    columns = np.column_stack([white, fit.whitening.apply(np.column_stack(bent))])
-    white, *bent = (columns - slopes @ np.linalg.lstsq(slopes, columns)[0]).T
-    return [float(white @ one) ** 2 / max(float(one @ one), LEAST_STEP) for one in bent]
-
-
-def measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
-    """Return the cost of another structure near the parameters of a fit, after one linear step."""
-    other = StepModel(fit.model.motions, structure)
-    near = np.append(fit.parameters[: LAG + 1], extras)
-    modelled, slopes = other.linearise(near)
-    white, slopes = (fit.whitening.apply(one) for one in (other.moved - modelled, slopes))
-    return _sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
 
 
 def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
@@ -265,7 +227,7 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
     slopes[:, LAG] -= slopes[:, DEAD_TIME]
     white, slopes = fit.white[part], fit.whitening.apply(slopes)[part]
     covariance, _ = _estimate_covariance(white, slopes)
-    bent = 1.0 + (white / _SOFT) ** 2
+    bent = 1.0 + (white / SOFT) ** 2
     inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     return inverse @ (slopes.T @ (white / np.sqrt(bent))), covariance
 
@@ -273,8 +235,7 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
 def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:
     residual = model.moved - model.linearise(parameters)[0]
     is_outlier = find_outlying_steps(residual)
-    noise = estimate_noise(residual, model.follows, is_outlier)
-    return Whitening(noise, model.duration_s, model.follows, is_outlier), is_outlier
+    return fit_noise(residual, model.duration_s, model.shared, is_outlier), is_outlier
 
 
 def _conclude(
@@ -373,9 +334,9 @@ def _descend(
     highest[DEAD_TIME] = LARGEST_DEAD_TIME_S
     modelled, slopes = model.linearise(parameters)
     white, slopes = whiten(model.moved - modelled), whiten(slopes)
-    cost, damping = _sum_softly(white), 1e-3
+    cost, damping = sum_softly(white), 1e-3
     for _ in range(_MOST_ROUNDS):
-        weights = 1.0 / np.sqrt(1.0 + (white / _SOFT) ** 2)
+        weights = 1.0 / np.sqrt(1.0 + (white / SOFT) ** 2)
         downhill = slopes.T @ (weights * white)
         curvature = slopes.T @ (weights[:, None] * slopes)
         stuck = ((parameters <= lowest) & (downhill < 0.0)) | (
@@ -390,7 +351,7 @@ def _descend(
         tried = np.clip(tried, lowest, highest)
         modelled, new_slopes = model.linearise(tried)
         new_white = whiten(model.moved - modelled)
-        new_cost = _sum_softly(new_white)
+        new_cost = sum_softly(new_white)
         if new_cost >= cost:
             damping *= 10.0
             if damping > 1e6:
@@ -404,8 +365,9 @@ def _descend(
     return parameters, cost
 
 
-def _sum_softly(white: Values) -> float:
-    return float(2.0 * _SOFT**2 * (np.sqrt(1.0 + (white / _SOFT) ** 2) - 1.0).sum())
+def sum_softly(white: Values) -> float:
+    """Return the sum of robust squares: large residuals count less."""
+    return float(2.0 * SOFT**2 * (np.sqrt(1.0 + (white / SOFT) ** 2) - 1.0).sum())
 
 
 def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
@@ -417,7 +379,7 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
     The robust estimate allows for correlated neighbours. If a few steps carry all information, the
     robust estimate is too small, but the model covariance is not.
     """
-    bent = 1.0 + (white / _SOFT) ** 2
+    bent = 1.0 + (white / SOFT) ** 2
     scores = slopes * (white / np.sqrt(bent))[:, None]
     inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     meat = scores.T @ scores
@@ -440,7 +402,7 @@ def _invert(matrix: Values) -> Values:
 
     In a direction without information, the inverse is large instead of 0.
     """
-    size = np.maximum(np.sqrt(np.diag(matrix)), _UNSEEN)
+    size = np.maximum(np.sqrt(np.diag(matrix)), UNSEEN)
     scale = np.outer(size, size)
     power, direction = np.linalg.eigh(matrix / scale)
-    return np.asarray((direction / np.maximum(power, _ROUNDED)) @ direction.T / scale)
+    return np.asarray((direction / np.maximum(power, ROUNDED)) @ direction.T / scale)

@@ -70,6 +70,8 @@ class AxisMotion:
         first: Row of the pose at the beginning of each step, shape (n,); the step ends at the next
             pose.
         moved: Displacement or turn in each step [m or rad], shape (n,).
+        direction_rad: Direction in which each displacement is measured [rad], shape (n,); 0 for
+            turns.
         commands: Commands of this axis, with a 0 if the robot stops by itself.
         stops: Stops of the robot without a command.
         beside: Commands of the other axis; None if they are unknown.
@@ -78,6 +80,7 @@ class AxisMotion:
     time_s: Values
     first: NDArray[np.int64]
     moved: Values
+    direction_rad: Values
     commands: HeldInput
     stops: tuple[SilentStop, ...] = ()
     beside: HeldInput | None = None
@@ -92,10 +95,23 @@ class AxisMotion:
         """Whether each step begins where the previous one ended."""
         return np.asarray(np.diff(self.first, prepend=-2) == 1)
 
+    @property
+    def shared(self) -> Values:
+        """Share of the error of the pose before each step by which the step before it is longer.
+
+        1 for turns; less if the robot turns, because the two steps are measured in two directions.
+        """
+        bends_rad = np.diff(self.direction_rad, prepend=0.0)
+        return np.asarray(np.where(self.follows, np.cos(bends_rad), 0.0))
+
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""
-        first, moved = self.first[steps], self.moved[steps]
-        taken = _select(self.time_s, first, moved, self.commands, self.stops)
+        first, moved, direction_rad = (
+            self.first[steps],
+            self.moved[steps],
+            self.direction_rad[steps],
+        )
+        taken = _select(self.time_s, first, moved, direction_rad, self.commands, self.stops)
         return replace(taken, beside=self.beside)
 
 
@@ -106,7 +122,8 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     command_s = run.commands.time_ns / 1e9
     first = np.arange(len(moved))
     if not len(command):
-        return _select(time_s, first[:0], moved[:0], hold_commands(command_s, command, 0.0))
+        none, held = moved[:0], hold_commands(command_s, command, 0.0)
+        return _select(time_s, first[:0], none, none, held)
     begins_s, ends_s = time_s[:-1], time_s[1:]
     stops = find_silent_stops(command_s, command, time_s, moved)
     commands = hold_commands(*_insert_stops(command_s, command, stops), 0.0)
@@ -116,7 +133,11 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
     other = get_commands(run, "turn_rate" if axis == "speed" else "speed")
-    motion = _select(time_s, first[used], moved[used], commands, tuple(stops))
+    direction_rad = 0.0 * moved
+    if axis == "speed":
+        heading_rad = np.unwrap(run.poses.heading_rad)
+        direction_rad = np.interp(0.5 * (begins_s + ends_s), run.poses.time_ns / 1e9, heading_rad)
+    motion = _select(time_s, first[used], moved[used], direction_rad[used], commands, tuple(stops))
     return replace(motion, beside=hold_commands(command_s, other, 0.0))
 
 
@@ -168,6 +189,7 @@ def _select(
     time_s: Values,
     first: NDArray[np.int64],
     moved: Values,
+    direction_rad: Values,
     commands: HeldInput,
     stops: tuple[SilentStop, ...] = (),
 ) -> AxisMotion:
@@ -176,7 +198,12 @@ def _select(
     is_used[first], is_used[first + 1] = True, True
     place = np.cumsum(is_used) - 1
     return AxisMotion(
-        time_s=time_s[is_used], first=place[first], moved=moved, commands=commands, stops=stops
+        time_s=time_s[is_used],
+        first=place[first],
+        moved=moved,
+        direction_rad=direction_rad,
+        commands=commands,
+        stops=stops,
     )
 
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, TOTAL, AxisFit, fit_without_lag
 from turtlelog.identify.axis_motion import UNITS, Axis
-from turtlelog.identify.held_response import FIRST_ORDER, Values
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_structure import FIRST_ORDER
 
 NORMAL_95: Final = 1.96
 """Standard deviations on either side that contain 95 % of normal noise."""
@@ -21,8 +22,13 @@ _FINEST: Final = 1e-4
 """Smallest standard error of a limit, as a share of the limit: the change over which its effect on
 the motion is measured. For smaller changes the effect may be different."""
 
-_ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag"]](
-    {"limited_before": "before_lag", "limited_within": "within_lag"}
+_ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag", "at_wheels"]](
+    {
+        "limited_before": "before_lag",
+        "limited_softly": "before_lag",
+        "limited_within": "within_lag",
+        "limited_wheels": "at_wheels",
+    }
 )
 
 
@@ -57,6 +63,12 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         lag_product_s2=_take(fit, names.get("product"), "s^2"),
         limit_acts=_ACTS.get(structure.order, ""),
         rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
+        rate_limit_beside=_invert_parameter(
+            fit,
+            names.get("slowness_beside"),
+            f"{UNITS['turn_rate' if axis == 'speed' else 'speed']}^2",
+        ),
+        jerk_time_s=_take(fit, names.get("jerk_time"), "s"),
         bound=_divide(fit, names.get("tightness"), UNITS[axis]),
         bound_acts=structure.bound,
         bound_beside=_invert_parameter(

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from turtlelog.display import join_words
 from turtlelog.identify.axis_fit import DEAD_TIME, GAIN, LAG, TOTAL, AxisFit, solve_part
 from turtlelog.identify.axis_motion import NAMES, Axis, AxisMotion
-from turtlelog.identify.held_response import Structure, Values
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.refused_axes import find_repetition
 from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
+from turtlelog.identify.robot_structure import Structure
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _LIMITS: Final = (
-    *("rate_limit", "bound", "bound_beside"),
+    *("rate_limit", "rate_limit_beside", "jerk_time_s", "bound", "bound_beside"),
     *("deadband", "reverse_gain", "friction"),
 )
 """Further parameters of structures; their values may differ between two structures."""
@@ -96,7 +97,9 @@ def _list_parts(structure: Structure) -> list[str]:
     parts = {
         "second_order": "a second time constant",
         "limited_before": "a limit of the acceleration before the time constant",
+        "limited_softly": "limits of the acceleration and the jerk before the time constant",
         "limited_within": "a limit of the acceleration within the velocity loop",
+        "limited_wheels": "a limit of the acceleration of each wheel",
     }
     said = [parts[structure.order]] if structure.order in parts else []
     bounds = {

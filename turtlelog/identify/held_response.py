@@ -7,10 +7,9 @@ time grid is needed, however irregular commands and poses are.
 
 import cmath
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +22,6 @@ _FADED: Final = 1e-18
 _LEAST_LAG_S: Final = 1e-9
 """Time constant that represents no time constant [s]: it decays within the resolution of any
 clock."""
-
-_LEAST_TIGHTNESS: Final = 1e-6
-"""Reciprocal of a limit that represents no limit of an axis without the other [s/m or s/rad]."""
 
 _APART: Final = 1e-3
 """Smallest relative difference of two time constants; smaller differences are enlarged to it,
@@ -92,18 +88,19 @@ def hold_commands(time_s: Values, value: Values, before: float) -> HeldInput:
     first_s = time_s[0] - 1.0 if len(time_s) else 0.0
     value = np.concatenate([[before], value[changes]])
     time_s = np.concatenate([[first_s], time_s[changes]])
-    return _integrate_commands(time_s, value, np.zeros(len(value)))
+    return integrate_commands(time_s, value, np.zeros(len(value)))
 
 
-def _integrate_commands(time_s: Values, value: Values, slope: Values) -> HeldInput:
+def integrate_commands(time_s: Values, value: Values, slope: Values) -> HeldInput:
+    """Return commands with their integral."""
     held_s = np.diff(time_s)
     steps = (value[:-1] + 0.5 * slope[:-1] * held_s) * held_s
     way = np.concatenate([[0.0], np.cumsum(steps)])
     return HeldInput(time_s=time_s, value=value, slope=slope, way=way)
 
 
-def _limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
-    """Return commands with limited slope: a ramp to each command, followed by its final value.
+def limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
+    """Return commands with limited slope: a ramp for each, followed by its final value.
 
     Args:
         commands: Commands to follow.
@@ -124,7 +121,7 @@ def _limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
     time_s = np.column_stack([commands.time_s, commands.time_s + ramp_s])
     value = np.column_stack([begins, begins + slope * ramp_s])
     slopes = np.column_stack([slope, np.zeros(len(slope))])
-    return _integrate_commands(time_s.ravel(), value.ravel(), slopes.ravel())
+    return integrate_commands(time_s.ravel(), value.ravel(), slopes.ravel())
 
 
 def limit_within(
@@ -167,57 +164,17 @@ def limit_within(
         if left_s > 0.0:
             rows.append((now_s, end, 0.0))
             rate = end
-    return _integrate_commands(*np.array(rows).T)
+    return integrate_commands(*np.array(rows).T)
 
 
-def _shape_commands(
-    commands: HeldInput,
-    structure: "Structure",
-    values: Mapping[str, float],
-    beside: HeldInput | None,
-) -> HeldInput:
-    """Return commands after the static nonlinearities of a robot.
+class Response(Protocol):
+    """The displacement of a robot with a gain of 1."""
 
-    Args:
-        commands: Commands to follow.
-        structure: Nonlinearities of the robot.
-        values: Further parameters of the structure by name.
-        beside: Commands of the other axis; None if they are 0.
-    """
-    coupling: Any = 0.0
-    if beside is not None and "coupling" in values:
-        commands = _join_times(commands, beside)
-        coupling = values["coupling"] * np.abs(beside.place(commands.time_s).value)
-    size = np.maximum(np.abs(commands.value) - values.get("friction", 0.0), 0.0)
-    value = np.where(commands.value < 0.0, -values.get("reverse", 1.0), 1.0) * size
-    value[np.abs(commands.value) <= structure.deadband] = 0.0
-    tightness = values.get("tightness", 0.0)
-    if structure.bound in COUPLED:
-        # The gain is that of the smallest command, so without the other axis none is smaller.
-        smallest = np.abs(value[value != 0.0]).min(initial=math.inf)
-        tightness = min(max(tightness, _LEAST_TIGHTNESS), 1.0 / smallest)
-    if structure.bound != "rate" and tightness > 0.0:
-        value = _bound_wheels(structure.bound, tightness * value, coupling) / tightness
-    return _integrate_commands(commands.time_s, value, commands.slope)
+    def place(self, time_s: Values) -> Any:
+        """Return the command that is held at each time minus the dead time [s]."""
 
-
-def _bound_wheels(bound: "Bound", value: Values, beside: Any) -> Values:
-    """Return bounded commands, each divided by the largest command without the other axis."""
-    if bound in {"scaled", "reduced"}:
-        return np.asarray(value / np.maximum(np.abs(value) + beside, 1.0))
-    if bound == "clipped":
-        return np.asarray(
-            0.5 * (np.clip(value + beside, -1.0, 1.0) + np.clip(value - beside, -1.0, 1.0))
-        )
-    most = np.maximum(1.0 - beside, 0.0) if bound == "yielding" else 1.0
-    return np.asarray(np.clip(value, -most, most))
-
-
-def _join_times(commands: HeldInput, beside: HeldInput) -> HeldInput:
-    """Return commands of one axis, with repeated values wherever the other axis changes."""
-    time_s = np.union1d(commands.time_s, beside.time_s)
-    value = commands.place(time_s).value
-    return _integrate_commands(time_s, value, np.zeros(len(value)))
+    def evaluate(self, places: Any) -> tuple[Values, Values]:
+        """Return the integral of the rate, up to a constant, and the rate itself."""
 
 
 class LaggedResponse:
@@ -286,124 +243,25 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
     return left
 
 
-Order = Literal["first_order", "second_order", "limited_before", "limited_within"]
-"""Order of a robot model.
+class MeanResponse:
+    """The weighted mean of responses, each some time later.
 
-`first_order`: one time constant. `second_order`: two time constants, with their product as a
-further parameter [s^2]. `limited_before` and `limited_within`: one time constant and an
-acceleration limit. The limit acts before the lag (the command becomes a ramp), or within its loop
-(the rate becomes a ramp). The further parameter is then the time per unit of the command [s^2/m] or
-[s^2/rad]."""
-
-Bound = Literal["", "command", "rate", "scaled", "clipped", "yielding", "reduced"]
-
-COUPLED: Final[tuple[Bound, ...]] = ("reduced", "scaled", "clipped", "yielding")
-"""Bounds of the wheels, which both axes share. A command beyond the bound scales both axes, clips
-each wheel, or leaves this axis the rest that the other axis does not need. For commands of one
-size, the other axis alone may decide how much this axis is reduced."""
-
-_STEPS: Final = MappingProxyType(
-    {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}
-    | {"friction": 1e-5}
-)
-"""Differences for derivatives with respect to the further parameters, in their units."""
-
-_OF_ORDER: Final = MappingProxyType(
-    {
-        "first_order": (),
-        "second_order": ("product",),
-        "limited_before": ("slowness",),
-        "limited_within": ("slowness",),
-    }
-)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Structure:
-    """The further parameters of a model.
-
-    Attributes:
-        order: Order of the lag, and place of the acceleration limit.
-        bound: Limited quantity: the command, the wheels, or the rate. With a limited rate, the
-            robot follows larger commands as without the limit until it reaches the limit. The
-            parameter is the reciprocal of the command that leads to the limit [s/m or s/rad]; the
-            wheels have one more for the other axis.
-        has_reverse: Whether negative commands have another gain; the parameter is the ratio of the
-            gains.
-        has_friction: Whether the magnitude of every command is reduced; the parameter is the
-            reduction [m/s or rad/s].
-        deadband: Magnitude up to which commands cause no motion [m/s or rad/s].
+    Two wheels have a mean speed. A limit of the jerk makes each ramp the mean of later ramps.
     """
 
-    order: Order = "first_order"
-    bound: Bound = ""
-    has_reverse: bool = False
-    has_friction: bool = False
-    deadband: float = 0.0
+    def __init__(self, parts: Sequence[tuple[float, LaggedResponse, float]]) -> None:
+        """Take the weight of each response, and its delay [s]."""
+        self._parts = parts
 
-    @property
-    def is_slow(self) -> bool:
-        """Whether commands must be evaluated one by one."""
-        return self.order.startswith("limited") or self.bound == "rate"
+    def place(self, time_s: Values) -> list[Places]:
+        """Return the commands that are held at each time minus the dead time [s]."""
+        return [response.place(time_s - later_s) for _, response, later_s in self._parts]
 
-    @property
-    def is_possible(self) -> bool:
-        """Whether the parts are compatible: a rate limit needs a first-order lag without ramps."""
-        return self.bound != "rate" or self.order in {"first_order", "limited_within"}
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the further parameters, in order."""
-        has = {
-            "tightness": bool(self.bound) and self.bound != "reduced",
-            "coupling": self.bound in COUPLED,
-            "reverse": self.has_reverse,
-            "friction": self.has_friction,
-        }
-        return (*_OF_ORDER[self.order], *(name for name, is_there in has.items() if is_there))
-
-    @property
-    def size(self) -> int:
-        """Number of parameters in addition to gain, dead time and time constant."""
-        return len(self.names) + (self.deadband > 0.0)
-
-    @property
-    def steps(self) -> list[float]:
-        """Differences for derivatives with respect to the further parameters."""
-        return [_STEPS[name] for name in self.names]
-
-    @property
-    def bends(self) -> bool:
-        """Whether the effective commands depend on the further parameters."""
-        return self not in {FIRST_ORDER, SECOND_ORDER}
-
-    def respond(
-        self,
-        commands: HeldInput,
-        lag_s: float,
-        extras: Sequence[float],
-        beside: HeldInput | None = None,
-    ) -> LaggedResponse:
-        """Return the response to commands for a time constant and the further parameters.
-
-        Args:
-            commands: Commands to follow.
-            lag_s: Time constant [s].
-            extras: Values of the further parameters.
-            beside: Commands of the other axis; None if they are 0.
-        """
-        values = dict(zip(self.names, extras, strict=True))
-        if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
-            commands = _shape_commands(commands, self, values, beside)
-        if self.order == "limited_before":
-            commands = _limit_changes(commands, values["slowness"])
-        elif self.order == "limited_within" or self.bound == "rate":
-            tightness = values.get("tightness", 0.0) if self.bound == "rate" else 0.0
-            most = 1.0 / tightness if tightness > 0.0 else math.inf
-            commands = limit_within(commands, values.get("slowness", 0.0), lag_s, most)
-        return LaggedResponse(commands, lag_s, values.get("product", 0.0))
-
-
-SECOND_ORDER: Final = Structure(order="second_order")
-
-FIRST_ORDER: Final = Structure()
+    def evaluate(self, places: list[Places]) -> tuple[Values, Values]:
+        """Return the integral of the rate, up to a constant, and the rate itself."""
+        both = [
+            weight * np.stack(response.evaluate(place))
+            for (weight, response, _), place in zip(self._parts, places, strict=True)
+        ]
+        way, rate = np.sum(both, axis=0)
+        return way, rate

@@ -13,7 +13,6 @@ from turtlelog.identify.axis_fit import (
     AxisFit,
     NoGainError,
     fit_axis,
-    measure_badness,
 )
 from turtlelog.identify.axis_motion import (
     LARGEST_DEAD_TIME_S,
@@ -24,6 +23,7 @@ from turtlelog.identify.axis_motion import (
     get_commands,
 )
 from turtlelog.identify.axis_values import describe_fit
+from turtlelog.identify.fit_misfit import measure_badness
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run

@@ -1,15 +1,16 @@
 """Values of a robot's dynamics with intervals and in words, or the reason why they are unknown."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
+from types import MappingProxyType
 from typing import Any, Final, Literal, SupportsFloat
 
 from turtlelog.display import fit_line, format_answer, format_html, join_words
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
-from turtlelog.identify.held_response import Bound, Order, Structure
+from turtlelog.identify.robot_structure import Bound, Order, Structure
 from turtlelog.run import Clock
 from turtlelog.theory.process import Process, build_delayed
 
@@ -87,9 +88,13 @@ class AxisModel:
         total_delay_s: Sum of dead time and time constant, which is known better than either [s].
         lag_product_s2: Product of both time constants for second order [s^2].
         rate_limit: Largest acceleration [m/s^2] or [rad/s^2], if the motion shows a limit.
-        limit_acts: Place of the acceleration limit: before the low-pass, which then follows a ramp,
-            or within the loop of the low-pass, so that the rate itself is a ramp. Empty without a
-            limit.
+        limit_acts: Place of the limit: before the low-pass, which then follows a ramp; within its
+            loop, so that the rate itself is a ramp; or at each of the wheels, which both axes
+            share. Empty if there is none.
+        rate_limit_beside: Change of the other axis's command that alone reaches the limit of the
+            wheels [m/s^2] or [rad/s^2]; `rate_limit` then is that without the other axis.
+        jerk_time_s: Time in which the acceleration reaches its limit before the low-pass [s], if
+            the motion shows a limit of the jerk as well.
         bound: Largest rate [m/s] or [rad/s], if commands exceed it.
         bound_acts: Limited quantity. `command`: the low-pass follows the limited command. `rate`:
             the robot follows larger commands until the rate reaches the limit. The wheels, which
@@ -132,7 +137,9 @@ class AxisModel:
     total_delay_s: Estimate | None = None
     lag_product_s2: Estimate | None = None
     rate_limit: Estimate | None = None
-    limit_acts: Literal["", "before_lag", "within_lag"] = ""
+    limit_acts: Literal["", "before_lag", "within_lag", "at_wheels"] = ""
+    rate_limit_beside: Estimate | None = None
+    jerk_time_s: Estimate | None = None
     bound: Estimate | None = None
     bound_acts: Bound = ""
     bound_beside: Estimate | None = None
@@ -228,7 +235,9 @@ class AxisModel:
         """Names of the axis's further parameters."""
         order: Order = "second_order" if self.model == "second_order" else "first_order"
         if self.limit_acts:
-            order = "limited_before" if self.limit_acts == "before_lag" else "limited_within"
+            order = _ORDERS[self.limit_acts]
+        if self.jerk_time_s is not None:
+            order = "limited_softly"
         return Structure(
             order=order,
             bound=self.bound_acts,
@@ -244,6 +253,8 @@ class AxisModel:
         values = {
             "product": self.lag_product_s2,
             "slowness": self.rate_limit,
+            "jerk_time": self.jerk_time_s,
+            "slowness_beside": self.rate_limit_beside,
             "tightness": self.bound,
             "coupling": self.bound_beside,
             "reverse": self.reverse_gain,
@@ -263,9 +274,19 @@ class AxisModel:
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
 
 
+_ORDERS: Final[Mapping[str, Order]] = MappingProxyType(
+    {
+        "before_lag": "limited_before",
+        "within_lag": "limited_within",
+        "at_wheels": "limited_wheels",
+    }
+)
+"""Order of a model by the place of its limit."""
+
+
 def _divide(name: str, value: float, gain: float) -> float:
     """Return a further parameter of a structure with a gain of 1."""
-    if name == "coupling":
+    if name in {"coupling", "slowness_beside"}:
         return 1.0 / value
     if name in {"slowness", "tightness"}:
         return gain / value

@@ -5,10 +5,11 @@ displacement in a time t is `still` + noise^2 t. The noise of poses is measured 
 at rest, because in motion errors of time stamps look the same.
 
 An error of a pose makes one step too long and the next too short. Slip, in contrast, remains.
-Therefore the variance of a step is `slip` + 2 `sensing`, and the covariance of neighbours is
--`sensing`.
+Therefore the variance of a step is `slip` + 2 `sensing`, and the covariance of neighbours is -`sensing`, times
+the cosine of the angle between them.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -241,12 +242,13 @@ def _measure_growth(stretches: Sequence[Stretch]) -> tuple[Values, Values, Value
     return columns[0], np.maximum(columns[1], np.finfo(float).tiny), columns[2], columns[3]
 
 
-_LEAST_SLIP: Final = 1e-5
-"""Smallest slip, as a share of the poses' error: steps more than 30 poses apart are not compared,
-and every odometry drifts."""
+_RATIOS: Final = tuple(range(-5, 5))
+"""Powers of ten of the slip in a step by the variance of a pose that are tried: below the least,
+steps more than 300 poses apart are compared, and every odometry drifts; above the largest, none of
+the noise is that of poses."""
 
-_LONGEST: Final = 32
-"""Largest number of steps over which slip is separated from the noise of poses."""
+_FINE: Final = 0.05
+"""Error of that power of ten: noise that is 12 % off costs less than 1 % of the accuracy."""
 
 LEAST_STEP: Final = 1e-12
 """Smallest deviation of a step [m] or [rad]: the resolution of doubles some kilometres from the
@@ -272,31 +274,6 @@ class StepNoise:
     sensing: float
 
 
-def estimate_noise(
-    residual: Values, follows: NDArray[np.bool_], is_outlier: NDArray[np.bool_]
-) -> StepNoise:
-    """Return the noise in a residual.
-
-    The contribution of pose noise does not grow with distance; that of slip does.
-    """
-    kept = np.where(is_outlier, 0.0, residual)
-    total = np.concatenate([[0.0], np.cumsum(kept)])
-    stretch = np.cumsum(~follows)
-    lengths, variances = [], []
-    length = 1
-    while length <= min(_LONGEST, len(kept) // 4):
-        whole = stretch[length - 1 :] == stretch[: len(stretch) - length + 1]
-        ways = (total[length:] - total[:-length])[whole]
-        if len(ways) > 1:
-            lengths.append(length)
-            variances.append(float(np.mean(ways**2)))
-        length *= 2
-    measured = np.maximum(variances, LEAST_STEP**2)
-    terms = np.column_stack([lengths, np.full(len(lengths), 2.0)]) / measured[:, None]
-    slip, sensing = scipy.optimize.nnls(terms, np.ones(len(lengths)))[0].tolist()
-    return StepNoise(slip=max(slip, _LEAST_SLIP * sensing), sensing=sensing)
-
-
 class Whitening:
     """A transform of the residuals of steps into independent values with a variance of 1.
 
@@ -309,15 +286,15 @@ class Whitening:
         self,
         noise: StepNoise,
         duration_s: Values,
-        follows: NDArray[np.bool_],
+        shared: Values,
         is_outlier: NDArray[np.bool_],
     ) -> None:
-        """Prepare the whitening for steps of given durations [s]."""
+        """Prepare the whitening for steps of given durations [s]; `shared` as of a motion."""
         self.noise = noise
         usual_s = float(np.median(duration_s))
         variance = noise.slip * duration_s / usual_s + 2.0 * noise.sensing
         variance = variance * np.where(is_outlier, _EXCLUDED, 1.0)
-        beside = np.where(follows[1:], -noise.sensing, 0.0)
+        beside = -noise.sensing * shared[1:]
         bands = np.stack([variance, np.append(beside, 0.0)])
         self._factor = scipy.linalg.cholesky_banded(bands, lower=True, check_finite=False)
         self.log_size = 2.0 * float(np.log(self._factor[0]).sum())
@@ -326,3 +303,32 @@ class Whitening:
         """Whiten the values of each step and return them, shape (n,) or (n, k)."""
         solve = scipy.linalg.solve_banded
         return np.asarray(solve((1, 0), self._factor, values, check_finite=False))
+
+
+def fit_noise(
+    residual: Values,
+    duration_s: Values,
+    shared: Values,
+    is_outlier: NDArray[np.bool_],
+) -> Whitening:
+    """Return the whitening by the likeliest noise of a residual, for steps of given durations."""
+    kept = ~is_outlier
+    count = max(int(np.count_nonzero(kept)), 1)
+
+    def scale(power: float) -> tuple[float, float, Whitening]:
+        """Return the misfit of a ratio, and the variance by which its noise must be scaled."""
+        noise = StepNoise(slip=10.0**power, sensing=1.0)
+        whitening = Whitening(noise, duration_s, shared, is_outlier)
+        variance = float(np.sum(whitening.apply(residual)[kept] ** 2)) / count
+        variance = max(variance, LEAST_STEP**2)
+        return count * math.log(variance) + whitening.log_size, variance, whitening
+
+    near = min(_RATIOS, key=lambda power: scale(power)[0])
+    ends = max(near - 1, _RATIOS[0]), min(near + 1, _RATIOS[-1])
+    power = scipy.optimize.minimize_scalar(
+        lambda power: scale(power)[0], bounds=ends, method="bounded", options={"xatol": _FINE}
+    ).x
+    power = min((float(power), *ends), key=lambda power: scale(power)[0])
+    variance = scale(power)[1]
+    noise = StepNoise(slip=variance * 10.0**power, sensing=variance)
+    return Whitening(noise, duration_s, shared, is_outlier)

@@ -2,8 +2,9 @@
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -12,15 +13,13 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
+from turtlelog.identify.robot_goal import DIGITS, Part, choose_tolerances, list_places
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
 from turtlelog.plants import LAGGED
 from turtlelog.run import Run
 from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.scenario import Scenario, format_scenario, get_preset, override_scenario
-
-_DIGITS: Final = 6
-"""Number of significant digits of written numbers: a hundredth of the narrowest interval."""
 
 _REGULAR: Final = 0.2
 """Largest relative difference of a timer's intervals from their median. A busy computer shifts a
@@ -48,24 +47,13 @@ may be two steps of one drive."""
 _EXACT: Final = 1e-6
 """Relative difference of equal commands: single precision, or sums of steps."""
 
-_TOLERANCE: Final = 0.01
-"""Tolerance of the goal [m] and [rad], usual for wheeled robots."""
-
-_ABOVE_NOISE: Final = 5.0
-"""Smallest tolerance in standard deviations of the poses' noise; a smaller tolerance is never
-met."""
-
-_DRIVE_S: Final = 5.0
-"""Duration of a drive towards the goal, in which the heading drifts [s]."""
-
-_ABOVE_DRIFT: Final = 2.0
-"""Number of standard deviations of this drift within the tolerance: 1 drive of 20 drifts
-further."""
-
-_PLACE: Final = ("x_m", "y_m")
-
-_AHEAD_M: Final = 1.0
-"""Distance of the goal ahead and to the left, if the bag has no goal [m]."""
+_RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = MappingProxyType(
+    {
+        "speed": ("limits.acceleration_m_s2", "limits.jerk_m_s3"),
+        "turn_rate": ("limits.turn_acceleration_rad_s2", "limits.turn_jerk_rad_s3"),
+    }
+)
+"""Keys of the limits before the time constant."""
 
 _LONGEST_PERIOD_S: Final = 1.0
 _SHORTEST_PERIOD_S: Final = 0.001
@@ -136,7 +124,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         _list_periods(runs),
         _list_limits(model, runs),
         _list_noise(model, runs),
-        _list_places(runs[0]),
+        list_places(runs[0]),
     )
     values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]
@@ -145,7 +133,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     for keys, sentences in parts:
         values |= keys
         notes += sentences
-    keys, sentences = _choose_tolerances(values)
+    keys, sentences = choose_tolerances(values)
     values |= keys
     notes += sentences
     notes.append(
@@ -159,10 +147,6 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     except ScenarioError as err:
         raise IdentifyError(str(err)) from err
     return RobotScenario(scenario=scenario, notes=tuple(notes))
-
-
-Part = tuple[dict[str, Any], list[str]]
-"""Keys of the scenario, and sentences on them."""
 
 
 def _require_robot(model: RobotModel) -> None:
@@ -220,7 +204,7 @@ def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
     """Yield the limits of an axis that the plant supports, by the end of their keys."""
     if axis.bound is not None:
         yield "bound", axis.bound.value
-    if axis.rate_limit is not None and axis.limit_acts == "within_lag":
+    if axis.rate_limit is not None and axis.limit_acts != "before_lag":
         yield "acceleration", axis.rate_limit.value
     if axis.deadband is not None:
         yield "deadband", axis.deadband.value
@@ -233,8 +217,15 @@ def _tell_plant(axis: AxisModel) -> Iterator[str]:
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
+    other: Axis = "turn_rate" if axis.axis == "speed" else "speed"
+    if axis.rate_limit_beside is not None:
+        yield (
+            f"{_NOTE}The wheels limit the acceleration of both axes together. A {NAMES[other]} that"
+            f" changes by {axis.rate_limit_beside.value:.3g} {axis.rate_limit_beside.unit} reaches"
+            f" their limit alone, so the {name} beside it changes more slowly. The plant has no"
+            " such limit."
+        )
     if axis.bound_beside is not None:
-        other: Axis = "turn_rate" if axis.axis == "speed" else "speed"
         yield (
             f"{_NOTE}The wheels limit both axes together. A {NAMES[other]} of"
             f" {axis.bound_beside.value:.3g} {axis.bound_beside.unit} reaches their limit alone, so"
@@ -338,12 +329,16 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
                 f" Where the robot has one, set {key}."
             )
         if axis.rate_limit is not None and axis.gain and axis.limit_acts == "before_lag":
-            key = "limits.acceleration_m_s2"
-            key = key if axis.axis == "speed" else "limits.turn_acceleration_rad_s2"
-            values[key] = _round(axis.rate_limit.value / abs(axis.gain.value))
+            keys = _RAMP_KEYS[axis.axis]
+            acceleration = axis.rate_limit.value / abs(axis.gain.value)
+            values[keys[0]] = _round(acceleration)
+            jerk = ""
+            if axis.jerk_time_s is not None and axis.jerk_time_s.value > 0.0:
+                values[keys[1]] = _round(acceleration / axis.jerk_time_s.value)
+                jerk = " So does the limit of the jerk."
             notes.append(
                 f"The limit of how fast the {name} changes acts before its time constant. It clips"
-                f" commands, so it is that of the motion by the gain."
+                f" commands, so it is that of the motion by the gain.{jerk}"
             )
     return values, notes
 
@@ -418,48 +413,5 @@ def _tell_rate_noise(axis: Axis, noise: Noise | None) -> Iterator[str]:
         )
 
 
-def _list_places(run: Run) -> Part:
-    x_m, y_m = run.poses.xy_m[0].tolist()
-    heading_rad = float(run.poses.heading_rad[0])
-    values: dict[str, Any] = {
-        "start.x_m": round(x_m, _DIGITS),
-        "start.y_m": round(y_m, _DIGITS),
-        "start.heading_rad": round(heading_rad, _DIGITS),
-    }
-    if run.goal_xy_m is not None:
-        goal_m = run.goal_xy_m
-        note = "It starts at the first pose of the log, and has the log's goal."
-    else:
-        ahead, left = _AHEAD_M * math.cos(heading_rad), _AHEAD_M * math.sin(heading_rad)
-        goal_m = x_m + ahead - left, y_m + left + ahead
-        note = (
-            "It starts at the first pose of the log. The log has no goal: one is set"
-            f" {_AHEAD_M:g} m ahead and {_AHEAD_M:g} m to the left."
-        )
-    goals = zip(("goal.x_m", "goal.y_m"), goal_m, strict=True)
-    values |= {key: round(value, _DIGITS) for key, value in goals}
-    return values, [note]
-
-
-def _choose_tolerances(values: dict[str, Any]) -> Part:
-    """Return tolerances of the goal that a robot with this noise can meet."""
-    noise_m, noise_rad = (
-        values.get(f"sensing.noise_{name}", 0.0) for name in ("position_m", "heading_rad")
-    )
-    heading_rad = max(_TOLERANCE, _ABOVE_NOISE * noise_rad)
-    way_m = math.hypot(*(values[f"goal.{axis}"] - values[f"start.{axis}"] for axis in _PLACE))
-    drift_rad = _ABOVE_DRIFT * math.sqrt(_DRIVE_S) * values["disturbance.noise_turn_rate"]
-    position_m = max(_TOLERANCE, _ABOVE_NOISE * noise_m, way_m * (heading_rad + drift_rad))
-    keys = {
-        "law.heading_tolerance_rad": float(f"{heading_rad:.2g}"),
-        "law.position_tolerance_m": float(f"{position_m:.2g}"),
-    }
-    told = f"{1e3 * position_m:.2g} mm and {1e3 * heading_rad:.2g} mrad"
-    return keys, [
-        f"The tolerance of the goal is {told}: what a robot with such noise keeps that turns first"
-        " and then drives."
-    ]
-
-
 def _round(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+    return float(f"{value:.{DIGITS}g}")

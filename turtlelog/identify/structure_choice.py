@@ -18,16 +18,19 @@ from turtlelog.identify.axis_fit import (
     GAIN,
     LAG,
     AxisFit,
-    measure_badness,
-    measure_near,
-    measure_reductions,
-    predict_badness,
     refit_axis,
     restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.held_response import COUPLED, Order, Structure, Values
+from turtlelog.identify.fit_misfit import (
+    compare_predictions,
+    measure_badness,
+    measure_near,
+    measure_reductions,
+)
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_noise import LEAST_STEP
+from turtlelog.identify.robot_structure import COUPLED, Order, Structure
 
 _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest of the log is predicted."""
@@ -48,12 +51,19 @@ _SEEN: Final = 1.96
 """Number of standard deviations by which a further parameter must differ from 0, so that its 95 %
 interval excludes 0."""
 
-_PREDICTED: Final = 2.0
-"""Required decrease of the same measure for the rest of the log; noise alone increases this measure
-on average."""
+_PREDICTED: Final = 1.0
+"""Required decrease of the same for the rest of the log, with the uncertainty of the first part:
+noise alone increases it on average, and decreases it so much in 1 of 13 robots."""
 
 _STARTS_S: Final = (0.1, 0.5)
 """Durations of the largest change of the command at which the search for a limit starts [s]."""
+
+_JERK_TIMES_S: Final = (0.05, 0.2)
+"""Times in which a slope builds up, from which the search for a limit of the jerk starts [s]."""
+
+_TRACKS: Final = (0.2, 0.6, 1.5)
+"""Change of a wheel by the largest change of the other axis, as a share of that by the largest one
+of its own, at which the search for a limit of the wheels' acceleration starts."""
 
 _BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
 """Shares of the largest command at which the search for a bound starts."""
@@ -78,9 +88,6 @@ _DEADBANDS: Final = 12
 """Magnitudes of commands that are tried as deadband, up to half of the largest. As many are then
 tried between the neighbours of the best magnitude, until they are adjacent."""
 
-_REFINED: Final = 2
-"""Number of the most promising starts that are refined."""
-
 _RIVAL: Final = 10.0
 """Difference of twice the negative log-likelihood up to which a log cannot decide between two
 structures with equally many parameters: odds of 150 to 1."""
@@ -88,6 +95,11 @@ structures with equally many parameters: odds of 150 to 1."""
 _DOUBTFUL: Final = 6.0
 """Decrease from which a rejected structure with a further parameter is still a rival; chance
 reaches it in 1.5 % of robots."""
+
+_SOFTENS: Final = 4.0
+"""The same decrease for a limit of the jerk, which then has an interval that excludes 0. It is
+asked for sooner, because it moves the dead time by half the time in which the slope builds up: by
+chance in 2.5 % of robots with a limit of the acceleration before the time constant."""
 
 _MOST_CHANGES: Final = 20_000
 """Largest number of changes of the command for the search of a limit, which processes the changes
@@ -135,8 +147,7 @@ def _is_better(
     """Return whether a structure with a better score is chosen."""
     if other.model.structure.size <= fit.model.structure.size:
         return True
-    gained = predict_badness(fit, first, rest) - predict_badness(other, first, rest)
-    return is_distinct(fit, other) and gained > _PREDICTED
+    return is_distinct(fit, other) and compare_predictions(fit, other, first, rest) > _PREDICTED
 
 
 def measure_score(fit: AxisFit) -> float:
@@ -150,7 +161,8 @@ def is_rival(fit: AxisFit, other: AxisFit) -> bool:
     worse = measure_badness(other) - measure_badness(fit)
     if other is fit or more < 0:
         return False
-    return worse <= (-_DOUBTFUL if more else _RIVAL)
+    least = _SOFTENS if is_soft(fit.model.structure, other.model.structure) else _DOUBTFUL
+    return worse <= (-least if more else _RIVAL)
 
 
 def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
@@ -162,7 +174,16 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
         if name not in fit.model.structure.names and off <= _SEEN * float(errors[place]):
             return False
     is_clear = measure_badness(fit) - measure_badness(other) >= _CLEARLY
-    return is_clear and other.parameters[GAIN] > 0.0 and measure_effect(fit, other) >= _MATTERS
+    if not is_clear or other.parameters[GAIN] <= 0.0:
+        return False
+    return is_soft(fit.model.structure, other.model.structure) or (
+        measure_effect(fit, other) >= _MATTERS
+    )
+
+
+def is_soft(structure: Structure, other: Structure) -> bool:
+    """Return whether another structure only adds a limit of the jerk, which moves the dead time."""
+    return {*other.names} - {*structure.names} == {"jerk_time"}
 
 
 def shows_gain(fit: AxisFit) -> bool:
@@ -204,22 +225,9 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     def start(other: Structure, **value: float) -> tuple[float, ...]:
         return tuple((known | value)[name] for name in other.names)
 
-    lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
-    span = max(float(np.ptp(commands)), LEAST_STEP)
-    for order in get_args(Order):
-        other = replace(structure, order=order)
-        if other == structure or not _is_open(other, commands):
-            continue
-        slowness = [known["slowness"]] if "slowness" in known else []
-        tries = {
-            "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
-            "slowness": [*slowness, *(start_s / span for start_s in _STARTS_S)],
-        }
-        name = next(iter({*other.names} & {*tries}), None)
-        yield (
-            other,
-            [start(other, **{name: value}) for value in tries[name]] if name else [start(other)],
-        )
+    yield from _list_orders(fit, known, commands)
+    if structure.order == "limited_wheels":
+        return
     bounded, stopped, reverse, rubbing = (
         replace(structure, bound="command"),
         replace(structure, bound="rate"),
@@ -242,6 +250,45 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
+
+
+def _list_orders(
+    fit: AxisFit, known: dict[str, float], commands: Values
+) -> Iterator[tuple[Structure, Starts]]:
+    """Yield structures of another order."""
+    structure = fit.model.structure
+    lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
+    span = max(float(np.ptp(commands)), LEAST_STEP)
+    slowness = [known["slowness"]] if "slowness" in known else []
+    tries = {
+        "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
+        "slowness": [*slowness, *(start_s / span for start_s in _STARTS_S)],
+        "jerk_time": [*_JERK_TIMES_S],
+    }
+    for order in get_args(Order):
+        other = replace(structure, order=order)
+        if other == structure or not _is_open(other, commands):
+            continue
+        if order == "limited_softly" and structure.order != "limited_before":
+            continue
+        if order == "limited_wheels":
+            yield from _list_wheels(fit, other, known, span)
+            continue
+        name = next((name for name in reversed(other.names) if name in tries), "")
+        values = [known | {name: value} for value in tries.get(name, [0.0])]
+        yield other, [tuple(one[name] for name in other.names) for one in values]
+
+
+def _list_wheels(
+    fit: AxisFit, other: Structure, known: dict[str, float], span: float
+) -> Iterator[tuple[Structure, Starts]]:
+    """Yield a limit of the wheels' acceleration; nothing if the other axis rests."""
+    beside = max(
+        (float(np.ptp(one.beside.value)) for one in fit.model.motions if one.beside), default=0.0
+    )
+    if beside:
+        slow = [known["slowness"]] if "slowness" in known else [one / span for one in _STARTS_S]
+        yield other, [(one, one * share * span / beside) for one in slow for share in _TRACKS]
 
 
 def _list_coupled(
@@ -304,9 +351,10 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
         )
         for extras in starts
     ]
-    gains = [*zip(measure_reductions(fit, structure, moved), starts, strict=True)]
-    gains.sort(reverse=True)
-    return [extras for gain, extras in gains[:_REFINED] if gain >= _ASKS]
+    gains = measure_reductions(fit, structure, moved)
+    rows = {max(range(len(gains)), key=lambda row: gains[row][by]) for by in (0, 1)}
+    asks_for = _SOFTENS if is_soft(fit.model.structure, structure) else _ASKS
+    return [starts[row] for row in sorted(rows) if gains[row][0] >= asks_for]
 
 
 def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:

@@ -38,7 +38,10 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "gain": ("gain", "reverse_gain"),
         "dead time": ("dead_time_s",),
         "time constant": ("lag_s", "lag_product_s2", "model"),
-        "limits": ("bound", "bound_acts", "bound_beside", "rate_limit", "limit_acts"),
+        "limits": (
+            *("bound", "bound_acts", "bound_beside"),
+            *("rate_limit", "limit_acts", "rate_limit_beside", "jerk_time_s"),
+        ),
         "friction": ("friction", "deadband"),
     }
 )

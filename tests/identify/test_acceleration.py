@@ -1,0 +1,137 @@
+"""Limits of the jerk and of the wheels' acceleration: what is found, said and simulated of them."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.identify.limited_robots import Limited, turn_as_advised, turn_on_the_spot
+from tests.identify.robots import Log
+from tests.identify.strange_robots import Strange
+from tests.identify.wheel_robots import Wheeled, drive_wheels
+from tests.known import known
+from turtlelog.cli.identify_answer import format_robot
+from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
+from turtlelog.identify.axis_fit import fit_axis
+from turtlelog.identify.axis_motion import read_axis_motion
+from turtlelog.identify.robot_noise import StepNoise, Whitening, fit_noise
+from turtlelog.identify.robot_structure import Structure
+from turtlelog.identify.structure_choice import is_rival
+from turtlelog.run import Run
+
+LOG = Log(duration_s=25.0, poses_hz=25.0)
+SOFT = Strange(ramp=3.0, jerk=20.0)
+WHEELED = Wheeled(wheel=Limited(gain=0.95, acceleration=0.9), turn_gain=0.9, track_m=0.3)
+
+
+@cache
+def identify_soft() -> tuple[Run, tl.RobotModel]:
+    run = turn_on_the_spot(SOFT, LOG, 2)
+    return run, tl.identify_robot(run)
+
+
+@cache
+def identify_wheels() -> tuple[Run, tl.RobotModel]:
+    run = drive_wheels(WHEELED, LOG, 2)
+    return run, tl.identify_robot(run)
+
+
+def test_a_limit_of_the_jerk_is_no_dead_time() -> None:
+    """A robot is simulated in steps of 1 ms and identified once for four tests."""
+    found = identify_soft()[1].turn_rate
+    assert (found.limit_acts, found.doubts) == ("before_lag", ())
+    assert known(found.jerk_time_s).value == pytest.approx(3.0 / 20.0, rel=0.2)
+    for name in ("gain", "dead_time_s", "lag_s", "total_delay_s"):
+        one = known(getattr(found, name))
+        assert one.low <= SOFT.list_truth()[name] <= one.high
+
+
+def test_the_scenario_limits_the_jerk_of_commands() -> None:
+    run, model = identify_soft()
+    found, limits = model.turn_rate, build_robot_scenario(model, run).scenario.limits
+    gain, acceleration = known(found.gain).value, known(found.rate_limit).value
+    expected = acceleration / gain / known(found.jerk_time_s).value
+    assert limits.turn_jerk_rad_s3 == pytest.approx(expected, rel=1e-4)
+    assert max(turn_as_advised(model, run, SOFT)) <= 6.0
+
+
+def test_the_model_predicts_turns_with_a_limited_jerk() -> None:
+    run, model = identify_soft()
+    way, _ = predict_axis(model.turn_rate, run, run.poses.time_ns / 1e9)
+    assert float(np.std(np.unwrap(run.poses.heading_rad) - way)) < 0.01  # of turns by 10 rad
+
+
+@pytest.mark.parametrize(("less", "is_one"), [(3.9, False), (4.1, True)])
+def test_a_limit_of_the_jerk_is_a_rival_from_two_deviations_on(
+    less: float, *, is_one: bool
+) -> None:
+    fit = fit_axis([read_axis_motion(identify_soft()[0], "turn_rate")])
+    before, soft = (
+        replace(fit, model=replace_structure(fit.model, order), cost=fit.cost - by)
+        for order, by in (("limited_before", 0.0), ("limited_softly", less))
+    )
+    assert is_rival(before, soft) is is_one
+    assert not is_rival(fit, replace(before, cost=fit.cost - 5.9))
+
+
+def replace_structure(model: Any, order: Any) -> Any:
+    return type(model)(model.motions, Structure(order=order))
+
+
+@pytest.mark.parametrize("axis", ["speed", "turn_rate"])
+def test_the_limit_of_the_wheels_acceleration_is_found_on_each_axis(axis: str) -> None:
+    """A robot with two wheels is simulated and identified once for four tests."""
+    found = getattr(identify_wheels()[1], axis)
+    true = WHEELED.list_truth(found)
+    assert (found.limit_acts, found.doubts) == ("at_wheels", ())
+    for name in ("gain", "total_delay_s", "rate_limit", "rate_limit_beside"):
+        one = known(getattr(found, name))
+        assert one.low <= true[name] <= one.high
+        assert one.value == pytest.approx(true[name], rel=0.03)
+
+
+def test_answer_and_scenario_name_the_limit_of_the_wheels_acceleration() -> None:
+    run, model = identify_wheels()
+    said = " ".join(format_robot(model, [Path("robot.mcap")]).split())
+    assert "The wheels limit the acceleration of both axes together: a turn rate that" in said
+    robot = build_robot_scenario(model, run)
+    plant: Any = robot.scenario.plant
+    assert plant.speed_acceleration == pytest.approx(0.9, rel=0.03)
+    assert any("The plant has no such limit" in note for note in read_robot_notes(robot.text))
+
+
+def test_the_model_predicts_turns_of_wheels_with_a_limited_acceleration() -> None:
+    run, model = identify_wheels()
+    way, _ = predict_axis(model.turn_rate, run, run.poses.time_ns / 1e9)
+    assert float(np.std(np.unwrap(run.poses.heading_rad) - way)) < 0.01  # of turns by 10 rad
+
+
+@pytest.mark.parametrize("slip", [1e-4, 3e-2, 1.0])
+def test_the_likeliest_noise_is_that_of_the_steps(slip: float) -> None:
+    rng = np.random.default_rng(5)
+    count, sensing = 4000, 1e-6
+    poses = rng.normal(0.0, np.sqrt(sensing), count + 1)
+    moved = np.diff(poses) + rng.normal(0.0, np.sqrt(slip * sensing), count)
+    steps, never = np.ones(count), np.zeros(count, dtype=bool)
+    noise = fit_noise(moved, steps, steps, never).noise
+    assert noise.sensing == pytest.approx(sensing, rel=0.15)
+    assert noise.slip == pytest.approx(slip * sensing, rel=0.5)
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.3])
+def test_the_error_of_a_pose_adds_up_on_the_way_that_bends(turn_rad: float) -> None:
+    """The steps before and after a pose are measured in two directions."""
+    rng = np.random.default_rng(6)
+    errors_m = rng.normal(0.0, 1.0, (20_001, 2))
+    along_rad = turn_rad * np.arange(20_000)
+    direction = np.column_stack([np.cos(along_rad), np.sin(along_rad)])
+    moved = np.sum(np.diff(errors_m, axis=0) * direction, axis=1)
+    steps, never = np.ones(20_000), np.zeros(20_000, dtype=bool)
+    noise = StepNoise(slip=1e-5, sensing=1.0)
+    white = Whitening(noise, steps, np.cos(turn_rad) * steps, never).apply(moved)
+    assert float(np.mean(white**2)) == pytest.approx(1.0, abs=0.05)
+    assert abs(float(np.mean(white[1:] * white[:-1]))) < 0.03
