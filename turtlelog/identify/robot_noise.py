@@ -5,8 +5,8 @@ displacement in a time t is `still` + noise^2 t. The noise of poses is measured 
 at rest, because in motion errors of time stamps look the same.
 
 An error of a pose makes one step too long and the next too short. Slip, in contrast, remains.
-Therefore the variance of a step is `slip` + 2 `sensing`, and the covariance of neighbours is -`sensing`, times
-the cosine of the angle between them.
+Therefore the variance of a step is `slip` + 2 `sensing`, and the covariance of neighbours is
+-`sensing`, times the cosine of the angle between them.
 """
 
 import math
