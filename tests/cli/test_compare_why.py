@@ -45,7 +45,7 @@ def test_the_first_line_is_the_answer_and_each_change_has_a_line(
         *("0.0078", "m"),
     ]
     assert "depends on single samples" in answer.flat
-    assert "in the second run (turtlelog explain): queue" in answer.flat
+    assert "By cause (turtlelog explain), the second run has " in answer.flat
     assert f"turtlelog compare --reference {kp4} {kp10}" in answer.flat
     assert max(len(line) for line in lines if str(kp4.parent.parent) not in line) <= 80
 
