@@ -134,7 +134,7 @@ def test_every_save_runs_again_and_says_what_changed(law: Path, tmp_path: Path) 
         watch.wait_for("watching own.py: every save runs again, Ctrl-C ends")
         assert watch.out.startswith("textbook: ended ")
         assert "\nChanged: law=own.py:Own law.gain=0.5\n100 samples. " in watch.out
-        assert re.search(r"^run\.duration +s +1\.584 *$", watch.out, re.M)
+        assert re.search(r"^duration +1\.58 s *$", watch.out, re.M)
         law.write_text(format_law(200), encoding="utf-8")
         watch.wait_for("200 samples. The run ended: done.", "run.path_length")
         watch.wait_for("final.position_error")
@@ -177,7 +177,7 @@ def test_a_law_that_is_wrong_at_first_is_waited_for(law: Path, tmp_path: Path) -
     with start(tmp_path, "--law", "own.py:Own") as watch:
         watch.wait_for("own.py has no class Own", "watching own.py")
         law.write_text(format_law(60), encoding="utf-8")
-        watch.wait_for("\n60 samples.", "run.duration")
+        watch.wait_for("\n60 samples.", "duration  ")
     assert "before" not in watch.out
 
 
@@ -387,7 +387,7 @@ def test_each_run_of_a_watch_has_the_notes_on_its_scenario(tmp_path: Path) -> No
     path = tmp_path / "mine.toml"
     path.write_text("[law]\nkp_angular = 150.0\n", encoding="utf-8")
     with start(tmp_path, "mine.toml", "--set", "max_duration_s=0.5") as watch:
-        watch.wait_for("rotate: law.kp_angular = 150 is above 125 1/s", "final.position_error")
+        watch.wait_for("rotate: law.kp_angular = 150 is above 125 1/s", "Final heading error")
         path.write_text("[law]\nkp_angular = 140.0\n", encoding="utf-8")
         watch.wait_for("rotate: law.kp_angular = 140 is above 125 1/s")
         assert watch.interrupt() == 130

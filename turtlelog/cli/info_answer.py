@@ -113,6 +113,7 @@ def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alon
     rows += _describe_durations(answer)
     width = max((len(key) for key, _ in rows), default=0)
     lines = [_fill(f"{name}: ", _write_head(answer))]
+    lines += _list_possible(answer) if is_alone else []
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
         lines += ["", fit_table(_tabulate(answer))]
@@ -296,6 +297,16 @@ def _write_gains(known: Mapping[str, Any]) -> str:
     return "".join(f", Kp = {gain:g} 1/s {axis}" for gain, axis in gains)
 
 
+def _list_possible(answer: InfoAnswer) -> list[str]:
+    """Return the commands that can use a third-party file, in a line."""
+    if not answer.complete or answer.format_version is not None or answer.run is None:
+        return []
+    can = ["metrics", "check", "compare", "view", "plot"]
+    can[1:1] = ["identify"] if answer.run.has_commands else []
+    can[1:1] = ["explain"] if answer.run.has_samples else []
+    return [f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"]
+
+
 def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:
     """Yield the commands that can use a file, and the options that show more of it."""
     file = shlex.quote(answer.file)
@@ -310,11 +321,6 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
     elif answer.format_version is not None:
         yield f"Next: turtlelog metrics {file}"
         yield f"      turtlelog explain {file}"
-    elif answer.run is not None:
-        can = ["metrics", "check", "compare", "view", "plot"]
-        can[1:1] = ["identify"] if answer.run.has_commands else []
-        can[1:1] = ["explain"] if answer.run.has_samples else []
-        yield f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

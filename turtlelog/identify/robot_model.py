@@ -380,7 +380,7 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
     """
     axes = [*axes]
     said = [
-        f"{NAMES[axis.axis]} {{}}{_write_gain(axis.gain)}total delay"
+        f"{NAMES[axis.axis]} {{}}{_write_bound(axis.bound)}with {_write_gain(axis.gain)}total delay"
         f" {_write_delay(axis.total_delay_s)}"
         for axis in axes
         if axis.total_delay_s is not None
@@ -393,9 +393,14 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
     if doubted:
         rest += f" In doubt: {join_words(doubted)}."
     words = ", ".join(
-        [said[0].format("follows its commands with "), *(one.format("with ") for one in said[1:])]
+        [said[0].format("follows its commands "), *(one.format("") for one in said[1:])]
     )
     return f"{name}: {words}.{rest}"
+
+
+def _write_bound(found: Estimate | None) -> str:
+    """Return the rate up to which an axis follows its commands; empty without a bound."""
+    return "" if found is None else f"up to {found.value:.3g} {found.unit} "
 
 
 def _write_doubted(axis: AxisModel) -> str:
