@@ -122,7 +122,7 @@ def test_the_answer_begins_with_the_value_and_its_causes(call: Call, kp10: Path)
     assert lines[:3] == [
         "kp10.mcap: final.position_error is 0.1067 m: queue +0.05108 m, pause +0.05057 m",
         "",
-        "Two effects of the implementation cause it, in about equal parts in this run:",
+        "Two effects of the implementation cause it together in this run:",
     ]
     assert lines[3].startswith("  queue  +0.05108 m  commands wait: dead time 4 ticks rotating")
     assert lines[4].startswith("  pause  +0.05057 m  the controller is silent for 0.528 s")

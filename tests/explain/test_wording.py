@@ -61,8 +61,8 @@ def take_out(name: str, alone: float | None, ending: str = "") -> dict[str, Any]
 def test_the_gain_of_ten_in_words() -> None:
     assert write_sentences(attribute_scenario(get_preset("paper-kp10"))) == (
         "final.position_error is 0.1067 m.",
-        "Two effects of the implementation cause it, in about equal parts in this run:"
-        " queue +0.05108 m and pause +0.05057 m.",
+        "Two effects of the implementation cause it together in this run: queue +0.05108 m and"
+        " pause +0.05057 m.",
         "Without queue it would be 0.02684 m, without pause 0.02735 m, without both 0.005077 m;"
         " the tolerances alone allow 0.006693 m.",
         "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
@@ -202,6 +202,16 @@ def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_to
         f"Queue and pause need each other: {size} m of their contributions arises only if both act"
     )
     assert any(one.startswith(told) for one in sentences) == is_told
+
+
+@pytest.mark.parametrize(("size", "is_joint"), [(0.0499, False), (0.0501, True)])
+def test_causes_act_together_if_more_than_half_arises_jointly(
+    size: float, *, is_joint: bool
+) -> None:
+    case = Together(causes=("queue", "pause"), value=size)
+    cause = write_sentences(describe(queue=0.05, pause=0.05, together=(case,)))[1]
+    assert ("cause it together: " in cause or "change it together: " in cause) is is_joint
+    assert ("in about equal parts" in cause) is not is_joint
 
 
 def test_what_makes_less_together_is_told_too() -> None:

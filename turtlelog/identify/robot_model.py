@@ -400,7 +400,7 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
 
 def _write_bound(found: Estimate | None) -> str:
     """Return the rate up to which an axis follows its commands; empty without a bound."""
-    return "" if found is None else f"up to {found.value:.3g} {found.unit} "
+    return "" if found is None else f"up to its limit of {found.value:.3g} {found.unit} "
 
 
 def _write_doubted(axis: AxisModel) -> str:

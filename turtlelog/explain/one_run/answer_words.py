@@ -85,11 +85,22 @@ def write_cause_head(found: Attribution) -> str:
     head += "s it" if len(named) == 1 else " it"
     if found.seeds is not None:
         return f"{head} in the mean over seeds"
-    is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
-    if not is_alike:
-        return head
     # Other start headings divide the value otherwise.
-    return f"{head}, in about equal parts{' in this run' if _is_wide(found) else ''}"
+    here = " in this run" if _is_wide(found) else ""
+    if _need_each_other(found, named):
+        return f"{head} together{here}"
+    is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
+    return f"{head}, in about equal parts{here}" if is_alike else head
+
+
+def _need_each_other(found: Attribution, named: list[Contribution]) -> bool:
+    """Return whether more than half of what the named causes add arises only if all act.
+
+    This half is divided equally by definition, so equal parts say nothing about the causes.
+    """
+    names = {one.cause for one in named}
+    joint = sum(case.value for case in found.together if {*case.causes} == names)
+    return len(names) > 1 and joint > 0.5 * abs(sum(one.contribution or 0.0 for one in named))
 
 
 def _is_wide(found: Attribution) -> bool:
