@@ -95,3 +95,31 @@ def test_without_a_goal_there_is_no_end_at_it() -> None:
     assert find_goal_end(replace(RUN, goal_xy_m=None)) is None
     free = replace(RUN.declaration, uses_goal=False)
     assert find_goal_end(replace(RUN, declaration=free)) is None
+
+
+@pytest.mark.parametrize(("away_m", "has_line"), [(0.0009, False), (0.0011, True)])
+def test_a_run_that_starts_at_its_goal_has_no_line_to_it(away_m: float, *, has_line: bool) -> None:
+    """The tolerances allow 1 mm and a thousandth of the distance."""
+    assert RUN.goal_xy_m is not None
+    xy_m = RUN.poses.xy_m.copy()
+    xy_m[0] = RUN.goal_xy_m + np.array([0.0, -away_m])
+    xy_m[-1] = RUN.goal_xy_m + np.array([0.2, 0.0])
+    run = replace(RUN, poses=replace(RUN.poses, xy_m=xy_m), stop_reason="timeout")
+    end = find_goal_end(run)
+    assert end is not None
+    assert (end.verdict, bool(end.describe_place())) == ("missed", has_line)
+
+
+@pytest.mark.parametrize(("off_rad", "is_reached"), [(0.00099, True), (0.00101, False)])
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_a_goal_with_a_heading_is_reached_in_this_heading(
+    off_rad: float, way: float, *, is_reached: bool
+) -> None:
+    heading_rad = float(RUN.poses.heading_rad[-1]) + way * off_rad
+    end = find_goal_end(
+        replace(end_at(1e-4, stop_reason="max_duration"), goal_heading_rad=heading_rad)
+    )
+    assert end is not None
+    assert (end.verdict == "reached") is is_reached
+    told = "ended 0.1 mm from the goal and 0.0579 deg off its heading after 20.5 s"
+    assert (end.describe() == told) is not is_reached

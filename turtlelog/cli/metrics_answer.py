@@ -242,8 +242,9 @@ def _has_value(summary: "RunSummary", loop: str) -> bool:
 
 def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
     """Yield remarks: place of the end, clipping, oscillation, loops that do not settle."""
-    if summary.goal_end is not None and summary.goal_end.verdict == "missed":
-        yield summary.goal_end.describe_place()
+    end = summary.goal_end
+    if end is not None and end.verdict == "missed" and (place := end.describe_place()):
+        yield place
     heading = summary.metrics.get("final.heading_error")
     if heading is not None and heading.value is not None and summary.goal_end is not None:
         yield f"Final heading error: {_show(heading)}."

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 from turtlelog.display import format_short
+from turtlelog.run.angles import wrap_angle
 
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
@@ -26,10 +27,13 @@ class GoalEnd:
         verdict: `reached`, `missed`, or `ended` if the run has no tolerances to judge the error by.
         error_m: Metric `final.position_error` [m].
         allowed_m: Final position error that the tolerances of the law allow [m]; 0 without them.
-        left_m: Distance of the end to the left of the line from start to goal [m].
+        left_m: Distance of the end to the left of the line from start to goal [m]; 0 without a
+            line, because the run starts within `allowed_m` of its goal.
         short_m: Distance by which the end is short of the goal along this line [m]; negative
-            beyond.
+            beyond; 0 without a line.
         duration_s: Metric `run.duration` [s].
+        turned_rad: Difference from the heading of the goal [rad], if the position is within the
+            tolerances but the heading is not; otherwise None.
     """
 
     verdict: Literal["reached", "missed", "ended"]
@@ -38,6 +42,7 @@ class GoalEnd:
     left_m: float
     short_m: float
     duration_s: float
+    turned_rad: float | None = None
 
     def describe(self) -> str:
         """Return a sentence without a subject: verdict, distance to the goal and duration."""
@@ -46,14 +51,19 @@ class GoalEnd:
         if self.verdict == "reached":
             return f"reached the goal within {size} {after}"
         if self.verdict == "ended":
-            return f"ended {size} from the goal {after}"
+            turned = self.turned_rad
+            off = "" if turned is None else f" and {format_short(turned, 'rad')} off its heading"
+            return f"ended {size} from the goal{off} {after}"
         # In the same unit as the error, so that both compare at a glance.
         unit = size.rpartition(" ")[2]
         allowed = f"{self.allowed_m * (1e3 if unit == 'mm' else 1.0):.3g} {unit}"
         return f"missed the goal by {size} (allowed: {allowed}) {after}"
 
     def describe_place(self) -> str:
-        """Return a sentence on the place of the end: across and along the line to the goal."""
+        """Return a sentence on the place of the end: across and along the line to the goal.
+
+        It is empty for a run that starts at its goal, because there is no line.
+        """
         parts = []
         if abs(self.left_m) > _SMALL * self.error_m:
             side = "left" if self.left_m > 0.0 else "right"
@@ -62,7 +72,7 @@ class GoalEnd:
         if abs(self.short_m) > _SMALL * self.error_m:
             side = "short of" if self.short_m > 0.0 else "beyond"
             parts.append(f"{format_short(abs(self.short_m), 'm')} {side} the goal")
-        return f"The end is {' and '.join(parts)}."
+        return f"The end is {' and '.join(parts)}." if parts else ""
 
 
 def find_goal_end(run: "Run") -> GoalEnd | None:
@@ -72,24 +82,47 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
     error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), _allow(run)
     # A law that reads other poses than the robot's stops where it believes the goal to be.
     is_seen = run.poses.sensed_xy_m is None
+    is_own_end = run.stop_reason == _REACHED and is_seen
+    turned_rad = None if is_own_end or error_m > allowed_m else _find_turned(run)
     verdict: Literal["reached", "missed", "ended"] = "ended"
-    if (run.stop_reason == _REACHED and is_seen) or error_m <= allowed_m:
+    if is_own_end or (error_m <= allowed_m and turned_rad is None):
         verdict = "reached"
-    elif run.stop_reason in _MISSED and allowed_m:
+    elif error_m > allowed_m and run.stop_reason in _MISSED and allowed_m:
         verdict = "missed"
-    (x_m, y_m), (goal_x_m, goal_y_m) = run.poses.xy_m[0].tolist(), run.goal_xy_m
-    bearing_rad = math.atan2(goal_y_m - y_m, goal_x_m - x_m)
-    cos, sin = math.cos(bearing_rad), math.sin(bearing_rad)
-    end_x_m, end_y_m = run.poses.xy_m[-1].tolist()
-    to_x_m, to_y_m = goal_x_m - end_x_m, goal_y_m - end_y_m
+    left_m, short_m = _find_place(run, run.goal_xy_m, allowed_m)
     return GoalEnd(
         verdict=verdict,
         error_m=error_m,
         allowed_m=allowed_m,
-        left_m=sin * to_x_m - cos * to_y_m,
-        short_m=cos * to_x_m + sin * to_y_m,
+        left_m=left_m,
+        short_m=short_m,
         duration_s=run.duration_s,
+        turned_rad=turned_rad,
     )
+
+
+def _find_turned(run: "Run") -> float | None:
+    """Return the difference from the goal's heading [rad] if it is beyond the law's tolerance."""
+    if run.goal_heading_rad is None:
+        return None
+    turned_rad = abs(wrap_angle(float(run.poses.heading_rad[-1]) - run.goal_heading_rad))
+    tolerance_rad = run.parameters.get("law.heading_tolerance_rad")
+    is_within = isinstance(tolerance_rad, float | int) and turned_rad <= tolerance_rad
+    return None if is_within else turned_rad
+
+
+def _find_place(
+    run: "Run", goal_xy_m: tuple[float, float], allowed_m: float
+) -> tuple[float, float]:
+    """Return how far the end is left of the line from start to goal, and short of the goal [m]."""
+    (x_m, y_m), (end_x_m, end_y_m) = run.poses.xy_m[0].tolist(), run.poses.xy_m[-1].tolist()
+    goal_x_m, goal_y_m = goal_xy_m
+    if math.hypot(goal_x_m - x_m, goal_y_m - y_m) <= allowed_m:
+        return 0.0, 0.0
+    bearing_rad = math.atan2(goal_y_m - y_m, goal_x_m - x_m)
+    cos, sin = math.cos(bearing_rad), math.sin(bearing_rad)
+    to_x_m, to_y_m = goal_x_m - end_x_m, goal_y_m - end_y_m
+    return sin * to_x_m - cos * to_y_m, cos * to_x_m + sin * to_y_m
 
 
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
