@@ -140,7 +140,7 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
     count = describe_count(len(chosen), "metric")
     if len(summaries) == 1:
         if {"final.position_error", "run.duration"} <= {*chosen}:
-            return fill_lines([f"{who}: {_describe_end(summaries[0])}."])
+            return fill_lines([f"{who}: {describe_end(summaries[0])}."])
         known = sum(_find_value(summaries[0], name) is not None for name in chosen)
         return f"{who}: {count}, {known} with a value."
     first = next((name for name in _FIRST if name in chosen), chosen[0])
@@ -176,7 +176,7 @@ def _find_value(summary: "RunSummary", name: str) -> float | None:
     return None if metric is None else metric.value
 
 
-def _describe_end(summary: "RunSummary") -> str:
+def describe_end(summary: "RunSummary") -> str:
     """Return place and time of a run's end; without a goal, the length of its path."""
 
     def show(name: str) -> str | None:
@@ -210,7 +210,7 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
         facts: Sentences after the first line.
     """
     essential = _drop_words(summary).metrics
-    head = [f"{who}: {_describe_end(summary)}.", *facts]
+    head = [f"{who}: {describe_end(summary)}.", *facts]
     loops = [loop.name for loop in summary.declaration.loops]
     shown = [loop for loop in loops if _has_value(summary, loop)]
     remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
