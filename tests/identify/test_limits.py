@@ -15,7 +15,7 @@ from tests.identify.limited_robots import (
     turn_as_advised,
     turn_on_the_spot,
 )
-from tests.identify.robots import Log, make_run
+from tests.identify.robots import Log, build_run, make_run, wrap
 from tests.known import known
 from turtlelog.identify import (
     AxisModel,
@@ -262,3 +262,36 @@ def test_commands_of_one_size_leave_the_gain_of_others_unknown(
     run = make_run(replace(LOG, duration_s=15.0), 2, speed=(time_s, 0.0 * time_s), turn=turns)
     notes = " ".join(tl.identify_robot(run).notes)
     assert ("All commands of the turn rate have one size" in notes) is is_told
+
+
+@pytest.mark.parametrize(("small", "is_known"), [(0.5, True), (0.7, False)])
+def test_a_gain_of_commands_that_all_reach_the_bound_is_unknown(
+    small: float, *, is_known: bool
+) -> None:
+    """Two robots with many limits to try are identified; forward, 0.63 rad/s reaches the bound."""
+    found, _ = identify_sizes([1.0, -0.3, small, -0.6, 1.3, -0.5, 0.0, -1.2])
+    assert found.is_known is is_known
+    assert is_known or "every positive command reaches the limit of 0.6 rad/s" in found.reason
+    assert is_known or f"also to less than {small} rad/s" in found.advice
+    assert not is_known or known(found.gain).low < 0.95 < known(found.gain).high
+
+
+@pytest.mark.parametrize(("small", "is_told"), [(0.5, False), (0.7, True)])
+def test_a_gain_of_negative_commands_that_all_reach_the_bound_is_a_note(
+    small: float, *, is_told: bool
+) -> None:
+    found, notes = identify_sizes([-1.0, 0.3, -small, 0.6, -1.3, 0.5, 0.0, 1.2], reverse=1.0)
+    assert known(found.gain).low < 0.95 < known(found.gain).high
+    assert ("Every negative command of the turn rate reaches the limit" in notes) is is_told
+
+
+def identify_sizes(sizes: list[float], reverse: float = 0.8) -> tuple[AxisModel, str]:
+    """Return what is found of a robot with a bound, driven by commands of some sizes in turn."""
+    rng, time_s = np.random.default_rng(3), np.arange(0.5, 24.0, 0.05)
+    turns = np.array(sizes)[(time_s / 0.73).astype(int) % len(sizes)]
+    at_s = np.arange(0.0, 25.0, 0.04)
+    heading = find_headings(Limited(bound=0.6, reverse=reverse), time_s, turns, at_s)
+    seen = wrap(heading + rng.normal(0.0, 5e-4, len(at_s)))
+    run = build_run(at_s, np.zeros((len(at_s), 2)), seen, (time_s, 0.0 * turns, turns))
+    model = tl.identify_robot(run)
+    return model.turn_rate, " ".join(model.notes)

@@ -30,7 +30,7 @@ from turtlelog.identify.refused_axes import (
     refuse_fit,
 )
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
-from turtlelog.identify.structure_choice import choose_structure
+from turtlelog.identify.structure_choice import LEAST_BELOW, choose_structure
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.plant_ticks import find_breaks, read_motion
@@ -82,6 +82,7 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     notes += [note for model, _ in found for note in _compare_runs(runs, model)]
     notes += [_note_one_size(model) for model, _ in found if _has_one_size(runs, model)]
     notes += [note for model, _ in found for note in _note_one_beside(runs, model)]
+    notes += [_note_backward(model) for model, _ in found if not _shows_gain(runs, model, -1.0)]
     notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
     notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
@@ -123,6 +124,8 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     )
     found = cover_parts(found, fit)
     refused = refuse_fit(axis, motions, fit, found)
+    if refused is None and not _shows_gain(runs, found, 1.0):
+        refused = _refuse_forward(runs, found)
     if refused is not None:
         return refused, []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
@@ -149,6 +152,52 @@ def _note_one_size(model: AxisModel) -> str:
     return (
         f"All commands of the {NAMES[model.axis]} have one size. The log does not show whether"
         f" the gain holds for smaller ones, nor the largest {NAMES[model.axis]}."
+    )
+
+
+def _shows_gain(runs: Sequence[Run], model: AxisModel, sign: float) -> bool:
+    """Return whether enough commands of one sign stay below the bound to show their gain.
+
+    A command that reaches the bound within its interval fits any larger gain as well. The way to a
+    bound of the rate shows the gain anyway.
+    """
+    if model.gain is None or model.bound is None or model.bound_acts == "rate":
+        return True
+    sizes = _list_moving(runs, model, sign)
+    gain = model.reverse_gain if sign < 0.0 and model.reverse_gain else model.gain
+    friction = 0.0 if model.friction is None else model.friction.value
+    below = gain.high * (sizes - friction) < model.bound.low
+    return not len(sizes) or float(np.mean(below)) >= LEAST_BELOW
+
+
+def _list_moving(runs: Sequence[Run], model: AxisModel, sign: float) -> Values:
+    """Return the magnitudes of the commands of one sign that move an axis."""
+    sizes = sign * np.concatenate([get_commands(run, model.axis) for run in runs])
+    return np.asarray(sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)])
+
+
+def _refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel:
+    """Return an axis without values, because the motion shows only the gain of negative commands.
+
+    The gain of positive ones may have any value above the bound divided by the smallest of them.
+    """
+    name, unit = NAMES[model.axis], UNITS[model.axis]
+    smallest = float(_list_moving(runs, model, 1.0).min())
+    bound, delay = (0.0 if one is None else one.value for one in (model.bound, model.total_delay_s))
+    reason = (
+        f"every positive command reaches the limit of {bound:.3g} {unit}, so that the gain of"
+        f" smaller ones is only known to be at least {bound / smallest:.3g}; the total delay is"
+        f" {delay:.3f} s"
+    )
+    advice = f"step the {name} ten times for 2 s, also to less than {smallest:.2g} {unit}"
+    return replace(refuse_axis(model.axis, reason), advice=advice)
+
+
+def _note_backward(model: AxisModel) -> str:
+    bound = 0.0 if model.bound is None else model.bound.value
+    return (
+        f"Every negative command of the {NAMES[model.axis]} reaches the limit of {bound:.3g}"
+        f" {UNITS[model.axis]}. The log does not show whether the gain holds for smaller ones."
     )
 
 

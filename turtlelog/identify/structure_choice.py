@@ -76,7 +76,7 @@ _BESIDE: Final = (0.25, 0.4, 0.6, 0.8, 0.95)
 """Shares of the largest command of the other axis at which the search for the limit of the wheels
 starts."""
 
-_BELOW: Final = 0.02
+LEAST_BELOW: Final = 0.02
 """Share of the time with commands in which commands must stay below a bound. A robot that otherwise
 drives at its bound gets a gain of four from two messages. Of random steps, more than a tenth stay
 below."""
@@ -195,10 +195,11 @@ def shows_gain(fit: AxisFit) -> bool:
     below_s = moving_s = 0.0
     for motion in fit.model.motions:
         held_s = np.diff(motion.commands.time_s, append=motion.time_s[-1])
-        size = tightness * np.abs(motion.commands.value)
-        moving_s += float(held_s[size > 0.0].sum())
-        below_s += float(held_s[(size > 0.0) & (size < 1.0)].sum())
-    return below_s >= _BELOW * moving_s
+        size = np.abs(motion.commands.value)
+        moves = size > fit.model.structure.deadband
+        moving_s += float(held_s[moves].sum())
+        below_s += float(held_s[moves & (tightness * size < 1.0)].sum())
+    return below_s >= LEAST_BELOW * moving_s
 
 
 def measure_effect(fit: AxisFit, other: AxisFit) -> float:
