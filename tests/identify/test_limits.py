@@ -15,7 +15,7 @@ from tests.identify.limited_robots import (
     turn_as_advised,
     turn_on_the_spot,
 )
-from tests.identify.robots import Log, build_run, make_run, wrap
+from tests.identify.robots import Log, build_run, draw_steps, make_run, wrap
 from tests.known import known
 from turtlelog.identify import (
     AxisModel,
@@ -24,9 +24,12 @@ from turtlelog.identify import (
     predict_axis,
     read_robot_notes,
 )
+from turtlelog.identify.axis_fit import fit_axis
+from turtlelog.identify.axis_motion import read_axis_motion
 from turtlelog.identify.doubts import cover_rivals
 from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
 from turtlelog.identify.robot_structure import Structure
+from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.run import Run
 
 LOG = Log(duration_s=25.0, poses_hz=25.0)
@@ -295,3 +298,28 @@ def identify_sizes(sizes: list[float], reverse: float = 0.8) -> tuple[AxisModel,
     run = build_run(at_s, np.zeros((len(at_s), 2)), seen, (time_s, 0.0 * turns, turns))
     model = tl.identify_robot(run)
     return model.turn_rate, " ".join(model.notes)
+
+
+@pytest.mark.parametrize(
+    ("truth", "seed"),
+    [
+        (Limited(gain=0.88, lag_s=0.23, acceleration=1.9, bound=0.5), 4),
+        (Limited(gain=1.08, lag_s=0.127, acceleration=3.65, bound=1.2), 5),
+    ],
+    ids=["low bound", "wheels"],
+)
+def test_a_search_does_not_end_at_another_structure(truth: Limited, seed: int) -> None:
+    """Two limits of the turn rate are searched, which takes 2 s.
+
+    A low bound leaves changes so small that a search that begins with a weak limit of the
+    acceleration finds none; a limit of the wheels explains more than any other first part.
+    """
+    rng = np.random.default_rng(seed)
+    (time_s, speeds), (_, turns) = (draw_steps(rng, LOG, 1.5) for _ in range(2))
+    at_s = np.arange(0.0, LOG.duration_s, 1.0 / LOG.poses_hz)
+    heading = find_headings(truth, time_s, turns, at_s)
+    seen = wrap(heading + rng.normal(0.0, LOG.noise_rad, len(at_s)))
+    run = build_run(at_s, np.zeros((len(at_s), 2)), seen, (time_s, speeds, turns))
+    fit, _ = choose_structure(fit_axis([read_axis_motion(run, "turn_rate")]))
+    assert fit.model.structure == Structure(order="limited_within", bound="command")
+    assert fit.parameters[:3] == pytest.approx([truth.gain, 0.07, truth.lag_s], rel=0.02)

@@ -6,7 +6,7 @@ it must also predict the rest better than the simpler structure. Structures that
 distinguish are called rivals.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Final, get_args
@@ -30,7 +30,7 @@ from turtlelog.identify.fit_misfit import (
 )
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_noise import LEAST_STEP
-from turtlelog.identify.robot_structure import COUPLED, Order, Structure
+from turtlelog.identify.robot_structure import COUPLED, LIMITED_WHEELS, Order, Structure
 
 _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest of the log is predicted."""
@@ -110,25 +110,31 @@ _LEAST_LAG_S: Final = 0.02
 
 
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
-    """Return the fit of the best structure for the motion, and the fits of its rivals."""
+    """Return the fit of the best structure for the motion, and the fits of its rivals.
+
+    A limit of the wheels' acceleration has no further parts. Therefore it is tried last; a search
+    that begins with it finds nothing else.
+    """
     first, rest = _split(fit.model.motions)
     if not first or not rest:
         return fit, []
     tried: dict[Structure, AxisFit] = {}
-    while True:
-        fit = _try_neighbours(fit, tried)
-        for other in sorted(tried.values(), key=measure_score):
-            if other is fit:
-                return fit, [rival for rival in tried.values() if is_rival(fit, rival)]
-            if _is_better(fit, other, first, rest):
-                fit = other
-                break
+    for list_neighbours in (_list_neighbours, _list_wheels):
+        better: AxisFit | None = fit
+        while better is not None:
+            fit = _try_neighbours(better, tried, list_neighbours(better))
+            better = next(_list_better(fit, tried, first, rest), None)
+    return fit, [rival for rival in tried.values() if is_rival(fit, rival)]
 
 
-def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
+def _try_neighbours(
+    fit: AxisFit,
+    tried: dict[Structure, AxisFit],
+    neighbours: Iterable[tuple[Structure, "Starts"]],
+) -> AxisFit:
     """Fit the neighbouring structures of a structure; return its own fit, possibly improved."""
     tried[fit.model.structure] = fit
-    for structure, starts in _list_neighbours(fit):
+    for structure, starts in neighbours:
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
             other = refit_axis(fit, structure, chosen)
             if shows_gain(other):
@@ -139,6 +145,20 @@ def _try_neighbours(fit: AxisFit, tried: dict[Structure, AxisFit]) -> AxisFit:
         fit = min(fit, restart_axis(fit, near.parameters), key=measure_badness)
         tried[fit.model.structure] = fit
     return fit
+
+
+def _list_better(
+    fit: AxisFit,
+    tried: dict[Structure, AxisFit],
+    first: Sequence[AxisMotion],
+    rest: Sequence[AxisMotion],
+) -> Iterator[AxisFit]:
+    """Yield the fits that are chosen instead of a fit, the best one first."""
+    for other in sorted(tried.values(), key=measure_score):
+        if other is fit:
+            return
+        if _is_better(fit, other, first, rest):
+            yield other
 
 
 def _is_better(
@@ -227,8 +247,6 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         return tuple((known | value)[name] for name in other.names)
 
     yield from _list_orders(fit, known, commands)
-    if structure.order == "limited_wheels":
-        return
     bounded, stopped, reverse, rubbing = (
         replace(structure, bound="command"),
         replace(structure, bound="rate"),
@@ -260,6 +278,8 @@ def _list_orders(
     structure = fit.model.structure
     lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
     span = max(float(np.ptp(commands)), LEAST_STEP)
+    if known.get("tightness", 0.0) > 0.0:  # commands beyond the bound change no more than it
+        span = min(span, 2.0 / known["tightness"])
     slowness = [known["slowness"]] if "slowness" in known else []
     tries = {
         "product": [share * lag_s**2 for share in (0.1, 0.25, 1.0)],
@@ -268,28 +288,27 @@ def _list_orders(
     }
     for order in get_args(Order):
         other = replace(structure, order=order)
-        if other == structure or not _is_open(other, commands):
+        if other == structure or order == "limited_wheels" or not _is_open(other, commands):
             continue
         if order == "limited_softly" and structure.order != "limited_before":
-            continue
-        if order == "limited_wheels":
-            yield from _list_wheels(fit, other, known, span)
             continue
         name = next((name for name in reversed(other.names) if name in tries), "")
         values = [known | {name: value} for value in tries.get(name, [0.0])]
         yield other, [tuple(one[name] for name in other.names) for one in values]
 
 
-def _list_wheels(
-    fit: AxisFit, other: Structure, known: dict[str, float], span: float
-) -> Iterator[tuple[Structure, Starts]]:
+def _list_wheels(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     """Yield a limit of the wheels' acceleration; nothing if the other axis rests."""
+    known = dict(zip(fit.model.structure.names, fit.parameters[EXTRA:].tolist(), strict=True))
+    commands = np.concatenate([motion.commands.value for motion in fit.model.motions])
+    span = max(float(np.ptp(commands)), LEAST_STEP)
     beside = max(
         (float(np.ptp(one.beside.value)) for one in fit.model.motions if one.beside), default=0.0
     )
-    if beside:
+    if beside and _is_open(LIMITED_WHEELS, commands):
         slow = [known["slowness"]] if "slowness" in known else [one / span for one in _STARTS_S]
-        yield other, [(one, one * share * span / beside) for one in slow for share in _TRACKS]
+        starts = [(one, one * share * span / beside) for one in slow for share in _TRACKS]
+        yield LIMITED_WHEELS, starts
 
 
 def _list_coupled(
