@@ -307,7 +307,7 @@ def _list_wheels(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     )
     if beside and _is_open(LIMITED_WHEELS, commands):
         slow = [known["slowness"]] if "slowness" in known else [one / span for one in _STARTS_S]
-        starts = [(one, one * share * span / beside) for one in slow for share in _TRACKS]
+        starts: Starts = [(one, one * share * span / beside) for one in slow for share in _TRACKS]
         yield LIMITED_WHEELS, starts
 
 
