@@ -15,6 +15,9 @@ from tests.identify.robots import Log, Values
 _STEP_S: Final = 1e-3
 """Longest step in time [s]: headings are off by less than 1e-5 rad."""
 
+_PLANNED: Final = 3
+"""Parts of a step for a plan that brakes, which is then as exact."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Strange(Limited):
@@ -117,13 +120,21 @@ class StrangeRobot(LimitedRobot):
         self.rate = rate if rate * way > 0.0 else 0.0
 
     def _plan(self, step_s: float) -> float:
-        """Return the next planned rate: no change of acceleration is larger than the jerk."""
-        off, most = self.asked - self.ramped, self.of.jerk
-        wanted = math.copysign(min(self.of.ramp, math.sqrt(2.0 * most * abs(off))), off)
-        change = min(max(wanted - self.slope, -most * step_s), most * step_s)
-        self.slope += change
-        self.ramped += step_s * self.slope
-        return self.ramped
+        """Return the mean planned rate in a step: no change of acceleration exceeds the jerk."""
+        before, part_s, most = self.ramped, step_s / _PLANNED, self.of.jerk
+        sums = 0.0
+        for _ in range(_PLANNED):
+            off = self.asked - self.ramped
+            if abs(off) <= most * part_s**2 and abs(self.slope) <= 2.0 * most * part_s:
+                self.ramped, self.slope = self.asked, 0.0
+            half, slope = 0.5 * most * part_s, self.slope
+            left = max(abs(off) - 0.5 * part_s * slope * math.copysign(1.0, off), 0.0)
+            stopping = math.sqrt(half**2 + 2.0 * most * left) - half
+            wanted = math.copysign(min(self.of.ramp, stopping), off)
+            self.slope += min(max(wanted - slope, -2.0 * half), 2.0 * half)
+            self.ramped += 0.5 * part_s * (slope + self.slope)
+            sums += self.ramped
+        return (sums + 0.5 * (before - self.ramped)) / _PLANNED
 
 
 def _draw(rng: np.random.Generator, low: float, high: float) -> float:

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from tests.identify.limited_robots import Limited, turn_as_advised, turn_on_the_spot
+from tests.identify.limited_robots import (
+    Limited,
+    find_headings,
+    turn_as_advised,
+    turn_on_the_spot,
+)
 from tests.identify.robots import Log
 from tests.identify.strange_robots import Strange
 from tests.identify.wheel_robots import Wheeled, drive_wheels
@@ -18,6 +23,7 @@ from turtlelog.cli.identify_answer import format_robot
 from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
 from turtlelog.identify.axis_fit import fit_axis
 from turtlelog.identify.axis_motion import read_axis_motion
+from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_softly
 from turtlelog.identify.robot_noise import StepNoise, Whitening, fit_noise
 from turtlelog.identify.robot_structure import Structure
 from turtlelog.identify.structure_choice import is_rival
@@ -44,7 +50,9 @@ def test_a_limit_of_the_jerk_is_no_dead_time() -> None:
     """A robot is simulated in steps of 1 ms and identified once for four tests."""
     found = identify_soft()[1].turn_rate
     assert (found.limit_acts, found.doubts) == ("before_lag", ())
-    assert known(found.jerk_time_s).value == pytest.approx(3.0 / 20.0, rel=0.2)
+    jerk_time_s = known(found.jerk_time_s)
+    assert jerk_time_s.low <= 3.0 / 20.0 <= jerk_time_s.high
+    assert jerk_time_s.value == pytest.approx(3.0 / 20.0, rel=0.05)
     for name in ("gain", "dead_time_s", "lag_s", "total_delay_s"):
         one = known(getattr(found, name))
         assert one.low <= SOFT.list_truth()[name] <= one.high
@@ -63,6 +71,21 @@ def test_the_model_predicts_turns_with_a_limited_jerk() -> None:
     run, model = identify_soft()
     way, _ = predict_axis(model.turn_rate, run, run.poses.time_ns / 1e9)
     assert float(np.std(np.unwrap(run.poses.heading_rad) - way)) < 0.01  # of turns by 10 rad
+
+
+@pytest.mark.parametrize("jerk_time_s", [0.05, 0.2])
+def test_commands_follow_the_s_curves_of_a_plan_in_small_steps(jerk_time_s: float) -> None:
+    """Some commands arrive before the curve to the one before has ended."""
+    command_s = np.array([0.3, 0.9, 1.0, 2.0, 2.6, 3.3, 4.5])
+    turns = np.array([1.2, -0.7, 0.1, 0.25, 0.2, 1.4, 0.0])
+    at_s, truth = np.arange(0.0, 6.0, 0.05), Strange(ramp=3.0, jerk=3.0 / jerk_time_s)
+    wanted = find_headings(truth, command_s, turns, at_s)
+    commands = limit_softly(
+        hold_commands(command_s, truth.gain * turns, 0.0), 1.0 / 3.0, jerk_time_s
+    )
+    response = LaggedResponse(commands, truth.lag_s)
+    way, _ = response.evaluate(response.place(at_s - truth.dead_time_s))
+    np.testing.assert_allclose(way - way[0], wanted, atol=2e-5)
 
 
 @pytest.mark.parametrize(("less", "is_one"), [(3.9, False), (4.1, True)])

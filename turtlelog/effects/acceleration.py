@@ -94,20 +94,11 @@ def follow_with_jerk(
 
 
 def _follow_curve(state: Any, rates: tuple[float, float], wanted: float, dt_s: float) -> None:
-    largest, jerk = rates
-    # Where the command would come to rest if the acceleration were taken back from now on.
-    rest = state.value + state.rate * abs(state.rate) / (2.0 * jerk)
-    side = math.copysign(1.0, wanted - rest)
-    way, now = side * (wanted - state.value), side * state.rate
-    top = least(math.sqrt(most(jerk * way + 0.5 * now * now, 0.0)), largest)
-    top = most(top, now)
-    held_s = 0.0
-    if top > 0.0:
-        held_s = most(way - (2.0 * top * top - now * now) / (2.0 * jerk), 0.0) / top
+    jerk, begin_s, held_s, end_s = plan_curve(state.value, state.rate, rates, wanted)
     left_s = dt_s
     for part in range(3):
-        part_jerk = side * jerk if part == 0 else 0.0 if part == 1 else -side * jerk
-        duration_s = (top - now) / jerk if part == 0 else held_s if part == 1 else top / jerk
+        part_jerk = jerk if part == 0 else 0.0 if part == 1 else -jerk
+        duration_s = begin_s if part == 0 else held_s if part == 1 else end_s
         part_s = least(duration_s, left_s)
         state.value += (state.rate + 0.5 * part_jerk * part_s) * part_s
         state.rate += part_jerk * part_s
@@ -115,6 +106,26 @@ def _follow_curve(state: Any, rates: tuple[float, float], wanted: float, dt_s: f
         if left_s <= 0.0:
             return
     state.value, state.rate = wanted, 0.0
+
+
+def plan_curve(
+    value: float, rate: float, rates: tuple[float, float], wanted: float
+) -> tuple[float, float, float, float]:
+    """Return the S-curve to a wanted command: its first jerk, and the durations of its parts [s].
+
+    The jerk of the middle part is 0, that of the last part is opposite to the first.
+    """
+    largest, jerk = rates
+    # Where the command would come to rest if the acceleration were taken back from now on.
+    rest = value + rate * abs(rate) / (2.0 * jerk)
+    side = math.copysign(1.0, wanted - rest)
+    way, now = side * (wanted - value), side * rate
+    top = least(math.sqrt(most(jerk * way + 0.5 * now * now, 0.0)), largest)
+    top = most(top, now)
+    held_s = 0.0
+    if top > 0.0:
+        held_s = most(way - (2.0 * top * top - now * now) / (2.0 * jerk), 0.0) / top
+    return side * jerk, (top - now) / jerk, held_s, top / jerk
 
 
 PART = Effect(

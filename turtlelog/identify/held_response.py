@@ -14,6 +14,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.effects.acceleration import plan_curve
+
 Values = NDArray[np.float64]
 
 _FADED: Final = 1e-18
@@ -22,6 +24,10 @@ _FADED: Final = 1e-18
 _LEAST_LAG_S: Final = 1e-9
 """Time constant that represents no time constant [s]: it decays within the resolution of any
 clock."""
+
+_CURVE_LINES: Final = 4
+"""Number of lines for a part of an S-curve; the rate is off by less than 1 % of the change that the
+part makes."""
 
 _APART: Final = 1e-3
 """Smallest relative difference of two time constants; smaller differences are enlarged to it,
@@ -122,6 +128,42 @@ def limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
     value = np.column_stack([begins, begins + slope * ramp_s])
     slopes = np.column_stack([slope, np.zeros(len(slope))])
     return integrate_commands(time_s.ravel(), value.ravel(), slopes.ravel())
+
+
+def limit_softly(commands: HeldInput, slowness: float, jerk_time_s: float) -> HeldInput:
+    """Return commands with limited slope and jerk: an S-curve for each, then its final value.
+
+    Parts with a constant jerk are lines with the same integral.
+
+    Args:
+        commands: Commands to follow.
+        slowness: Time for a unit change at the largest slope [s^2/m or s^2/rad].
+        jerk_time_s: Time in which the slope builds up [s]; 0 for no limit of the jerk.
+    """
+    if min(slowness, jerk_time_s) <= 0.0:
+        return limit_changes(commands, slowness)
+    rates = 1.0 / slowness, 1.0 / (slowness * jerk_time_s)
+    value, slope, rows = float(commands.value[0]), 0.0, []
+    ends_s = np.append(commands.time_s[1:], np.inf)
+    for now_s, end_s, wanted in zip(
+        commands.time_s.tolist(), ends_s.tolist(), commands.value.tolist(), strict=True
+    ):
+        jerk, *durations_s = plan_curve(value, slope, rates, wanted)
+        for bend, duration_s in zip((jerk, 0.0, -jerk), durations_s, strict=True):
+            part_s = max(min(duration_s, end_s - now_s), 0.0)
+            count = _CURVE_LINES if bend else 1
+            for line in range(count):
+                line_s = part_s / count
+                mean = slope + 0.5 * bend * line_s
+                rows.append((now_s + line * line_s, value - bend * line_s**2 / 12.0, mean))
+                value, slope = value + mean * line_s, slope + bend * line_s
+            if part_s < duration_s:
+                break
+            now_s += part_s
+        else:
+            rows.append((now_s, wanted, 0.0))
+            value, slope = wanted, 0.0
+    return integrate_commands(*np.array(rows).T)
 
 
 def limit_within(
@@ -244,24 +286,21 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
 
 
 class MeanResponse:
-    """The weighted mean of responses, each some time later.
+    """The mean of responses: the speed of two wheels."""
 
-    Two wheels have a mean speed. A limit of the jerk makes each ramp the mean of later ramps.
-    """
-
-    def __init__(self, parts: Sequence[tuple[float, LaggedResponse, float]]) -> None:
-        """Take the weight of each response, and its delay [s]."""
+    def __init__(self, parts: Sequence[LaggedResponse]) -> None:
+        """Take the responses."""
         self._parts = parts
 
     def place(self, time_s: Values) -> list[Places]:
         """Return the commands that are held at each time minus the dead time [s]."""
-        return [response.place(time_s - later_s) for _, response, later_s in self._parts]
+        return [response.place(time_s) for response in self._parts]
 
     def evaluate(self, places: list[Places]) -> tuple[Values, Values]:
         """Return the integral of the rate, up to a constant, and the rate itself."""
         both = [
-            weight * np.stack(response.evaluate(place))
-            for (weight, response, _), place in zip(self._parts, places, strict=True)
+            np.stack(response.evaluate(place))
+            for response, place in zip(self._parts, places, strict=True)
         ]
-        way, rate = np.sum(both, axis=0)
+        way, rate = np.mean(both, axis=0)
         return way, rate

@@ -16,6 +16,7 @@ from turtlelog.identify.held_response import (
     Values,
     integrate_commands,
     limit_changes,
+    limit_softly,
     limit_within,
 )
 
@@ -24,14 +25,6 @@ _LEAST_TIGHTNESS: Final = 1e-6
 
 _LEAST_SLOWNESS: Final = 1e-9
 """Time for a unit change that stands for none [s^2/m] or [s^2/rad]."""
-
-_GAUSS: Final = (
-    (0.06943184420297371, 0.17392742256872693),
-    (0.33000947820757187, 0.32607257743127307),
-    (0.6699905217924281, 0.32607257743127307),
-    (0.9305681557970263, 0.17392742256872693),
-)
-"""Nodes and weights of Gauss and Legendre on [0, 1]."""
 
 Order = Literal[
     "first_order",
@@ -47,7 +40,7 @@ Order = Literal[
 [s^2]. `limited_before` and `limited_within`: one time constant and a limit of the change of rate,
 before the lag (the command becomes a ramp) or within its loop (the rate does). Their further
 parameter is the time per unit of the command [s^2/m] or [s^2/rad]. `limited_softly`: before the
-lag, by ramps with a limited jerk; the parameter is the time in which the slope builds up [s].
+lag, by S-curves with a limited jerk; the parameter is the time in which the slope builds up [s].
 `limited_wheels`: within the loop of each wheel; the parameter is the time per unit of the other
 axis's command, which the same limit of the wheels sets."""
 
@@ -158,17 +151,15 @@ class Structure:
             return self._respond_wheels(commands, lag_s, values, beside)
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
             commands = _shape_commands(commands, self, values, beside)
-        if self.order in {"limited_before", "limited_softly"}:
+        if self.order == "limited_before":
             commands = limit_changes(commands, values["slowness"])
+        elif self.order == "limited_softly":
+            commands = limit_softly(commands, values["slowness"], values["jerk_time"])
         elif self.order in {"limited_within", "limited_wheels"} or self.bound == "rate":
             tightness = values.get("tightness", 0.0) if self.bound == "rate" else 0.0
             most = 1.0 / tightness if tightness > 0.0 else math.inf
             commands = limit_within(commands, values.get("slowness", 0.0), lag_s, most)
-        response = LaggedResponse(commands, lag_s, values.get("product", 0.0))
-        if "jerk_time" in values:
-            longest_s = values["jerk_time"]
-            return MeanResponse([(part, response, longest_s * node) for node, part in _GAUSS])
-        return response
+        return LaggedResponse(commands, lag_s, values.get("product", 0.0))
 
     def _respond_wheels(
         self, commands: HeldInput, lag_s: float, values: Mapping[str, float], beside: HeldInput
@@ -182,7 +173,7 @@ class Structure:
             for way in (-1.0, 1.0)
         ]
         limited = [limit_within(wheel, slowness, lag_s) for wheel in wheels]
-        return MeanResponse([(0.5, LaggedResponse(wheel, lag_s), 0.0) for wheel in limited])
+        return MeanResponse([LaggedResponse(wheel, lag_s) for wheel in limited])
 
 
 SECOND_ORDER: Final = Structure(order="second_order")

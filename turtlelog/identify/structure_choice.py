@@ -98,8 +98,9 @@ reaches it in 1.5 % of robots."""
 
 _SOFTENS: Final = 4.0
 """The same decrease for a limit of the jerk, which then has an interval that excludes 0. It is
-asked for sooner, because it moves the dead time by half the time in which the slope builds up: by
-chance in 2.5 % of robots with a limit of the acceleration before the time constant."""
+always tried, because it moves the dead time by half the time in which the slope builds up: by
+chance it is a rival of 2.5 % of robots with a limit of the acceleration before the time constant.
+Of 100 robots with such a jerk, 4 were rivals and 2 were missed."""
 
 _MOST_CHANGES: Final = 20_000
 """Largest number of changes of the command for the search of a limit, which processes the changes
@@ -361,7 +362,7 @@ def _is_open(structure: Structure, commands: Values) -> bool:
 
 def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts:
     """Return the most promising start values; empty if no further parameter is worth trying."""
-    if structure.size <= fit.model.structure.size:
+    if structure.size <= fit.model.structure.size or is_soft(fit.model.structure, structure):
         return starts
     asks = {"reverse": 1.1}
     moved = [
@@ -373,8 +374,7 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
     ]
     gains = measure_reductions(fit, structure, moved)
     rows = {max(range(len(gains)), key=lambda row: gains[row][by]) for by in (0, 1)}
-    asks_for = _SOFTENS if is_soft(fit.model.structure, structure) else _ASKS
-    return [starts[row] for row in sorted(rows) if gains[row][0] >= asks_for]
+    return [starts[row] for row in sorted(rows) if gains[row][0] >= _ASKS]
 
 
 def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:
