@@ -6,7 +6,7 @@ it must also predict the rest better than the simpler structure. Structures that
 distinguish are called rivals.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Final, get_args
@@ -113,19 +113,40 @@ _LEAST_LAG_S: Final = 0.02
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
     """Return the fit of the best structure for the motion, and the fits of its rivals.
 
-    A limit of the wheels' acceleration has no further parts. Therefore it is tried last; a search
-    that begins with it finds nothing else.
+    Friction with a steep gain looks like a deadband if few commands are small, and a search that
+    begins with friction never leaves it. Therefore such a search is repeated without friction.
     """
-    first, rest = _split(fit.model.motions)
-    if not first or not rest:
+    parts = _split(fit.model.motions)
+    if not all(parts):
         return fit, []
     tried: dict[Structure, AxisFit] = {}
-    for list_neighbours in (_list_neighbours, _list_wheels):
-        better: AxisFit | None = fit
-        while better is not None:
-            fit = _try_neighbours(better, tried, list_neighbours(better))
-            better = next(_list_better(fit, tried, first, rest), None)
-    return fit, [rival for rival in tried.values() if is_rival(fit, rival)]
+    found = _search(fit, tried, parts, _list_neighbours)
+    if found.model.structure.has_friction:
+        smooth = {one: other for one, other in tried.items() if not one.has_friction}
+        other = _search(fit, smooth, parts, _list_smooth_neighbours)
+        tried |= smooth
+        if measure_score(other) < measure_score(found) and _is_better(found, other, *parts):
+            found = other
+    # A limit of the wheels' acceleration has no further parts: a search ends there.
+    found = _search(found, tried, parts, _list_wheels)
+    return found, [rival for rival in tried.values() if is_rival(found, rival)]
+
+
+def _search(
+    fit: AxisFit,
+    tried: dict[Structure, AxisFit],
+    parts: tuple[list[AxisMotion], list[AxisMotion]],
+    list_neighbours: Callable[[AxisFit], Iterable[tuple[Structure, "Starts"]]],
+) -> AxisFit:
+    """Return the best fit that neighbours lead to from a fit."""
+    while True:
+        fit = _try_neighbours(fit, tried, list_neighbours(fit))
+        for other in sorted(tried.values(), key=measure_score):
+            if other is fit:
+                return fit
+            if _is_better(fit, other, *parts):
+                fit = other
+                break
 
 
 def _try_neighbours(
@@ -146,20 +167,6 @@ def _try_neighbours(
         fit = min(fit, restart_axis(fit, near.parameters), key=measure_badness)
         tried[fit.model.structure] = fit
     return fit
-
-
-def _list_better(
-    fit: AxisFit,
-    tried: dict[Structure, AxisFit],
-    first: Sequence[AxisMotion],
-    rest: Sequence[AxisMotion],
-) -> Iterator[AxisFit]:
-    """Yield the fits that are chosen instead of a fit, the best one first."""
-    for other in sorted(tried.values(), key=measure_score):
-        if other is fit:
-            return
-        if _is_better(fit, other, first, rest):
-            yield other
 
 
 def _is_better(
@@ -270,6 +277,11 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
+
+
+def _list_smooth_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
+    """Yield the neighbouring structures without friction."""
+    yield from (pair for pair in _list_neighbours(fit) if not pair[0].has_friction)
 
 
 def _list_orders(
