@@ -108,7 +108,7 @@ def _measure_ahead(one: _Prediction, whitening: Whitening) -> float:
     before, after = (
         matrix / np.outer(size, size) + ROUNDED * np.eye(len(size)) for matrix in (before, after)
     )
-    pull = slopes.T @ np.clip(white, -SOFT, SOFT) / size
-    learnt = float(pull @ np.linalg.solve(before + after, pull))
+    slopes = slopes / size
+    step = np.linalg.solve(before + after, slopes.T @ np.clip(white, -SOFT, SOFT))
     spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]
-    return sum_softly(white) - learnt + float(spread)
+    return sum_softly(white - slopes @ step) + float(step @ before @ step + spread)
