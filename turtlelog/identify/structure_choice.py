@@ -33,7 +33,8 @@ from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.identify.robot_structure import COUPLED, LIMITED_WHEELS, Order, Structure
 
 _FITTED: Final = 2 / 3
-"""Share of each log that is fitted; the rest of the log is predicted."""
+"""Share of each log that is fitted; the rest of the log is predicted, once its end, once its
+beginning."""
 
 _ASKS: Final = 8.0
 """Possible decrease of the sum of squares from which a further parameter is tried, in variances;
@@ -110,32 +111,36 @@ _LEAST_LAG_S: Final = 0.02
 """Time constant at which the search for a second one starts, if the first is nearly 0 [s]."""
 
 
+Parts = tuple[list[AxisMotion], list[AxisMotion]]
+"""Some steps of each run, which are fitted, and its other steps, which are predicted."""
+
+
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
     """Return the fit of the best structure for the motion, and the fits of its rivals.
 
     Friction with a steep gain looks like a deadband if few commands are small, and a search that
     begins with friction never leaves it. Therefore such a search is repeated without friction.
     """
-    parts = _split(fit.model.motions)
-    if not all(parts):
+    splits = _split(fit.model.motions)
+    if not all(known for known, _ in splits):
         return fit, []
     tried: dict[Structure, AxisFit] = {}
-    found = _search(fit, tried, parts, _list_neighbours)
+    found = _search(fit, tried, splits, _list_neighbours)
     if found.model.structure.has_friction:
         smooth = {one: other for one, other in tried.items() if not one.has_friction}
-        other = _search(fit, smooth, parts, _list_smooth_neighbours)
+        other = _search(fit, smooth, splits, _list_smooth_neighbours)
         tried |= smooth
-        if measure_score(other) < measure_score(found) and _is_better(found, other, *parts):
+        if measure_score(other) < measure_score(found) and _is_better(found, other, splits):
             found = other
     # A limit of the wheels' acceleration has no further parts: a search ends there.
-    found = _search(found, tried, parts, _list_wheels)
+    found = _search(found, tried, splits, _list_wheels)
     return found, [rival for rival in tried.values() if is_rival(found, rival)]
 
 
 def _search(
     fit: AxisFit,
     tried: dict[Structure, AxisFit],
-    parts: tuple[list[AxisMotion], list[AxisMotion]],
+    splits: Sequence[Parts],
     list_neighbours: Callable[[AxisFit], Iterable[tuple[Structure, "Starts"]]],
 ) -> AxisFit:
     """Return the best fit that neighbours lead to from a fit."""
@@ -144,7 +149,7 @@ def _search(
         for other in sorted(tried.values(), key=measure_score):
             if other is fit:
                 return fit
-            if _is_better(fit, other, *parts):
+            if _is_better(fit, other, splits):
                 fit = other
                 break
 
@@ -169,13 +174,13 @@ def _try_neighbours(
     return fit
 
 
-def _is_better(
-    fit: AxisFit, other: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]
-) -> bool:
+def _is_better(fit: AxisFit, other: AxisFit, splits: Sequence[Parts]) -> bool:
     """Return whether a structure with a better score is chosen."""
     if other.model.structure.size <= fit.model.structure.size:
         return True
-    return is_distinct(fit, other) and compare_predictions(fit, other, first, rest) > _PREDICTED
+    return is_distinct(fit, other) and (
+        sum(compare_predictions(fit, other, *parts) for parts in splits) > _PREDICTED
+    )
 
 
 def measure_score(fit: AxisFit) -> float:
@@ -389,12 +394,19 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
     return [starts[row] for row in sorted(rows) if gains[row][0] >= _ASKS]
 
 
-def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:
-    """Return the first part of the steps of each run, and the remaining steps."""
-    cuts = [int(_FITTED * len(motion.moved)) for motion in motions]
-    parts = [
-        (motion.take(slice(cut)), motion.take(slice(cut, None)))
-        for motion, cut in zip(motions, cuts, strict=True)
-    ]
-    kept = [(first, rest) for first, rest in parts if len(first.moved) and len(rest.moved)]
-    return [first for first, _ in kept], [rest for _, rest in kept]
+def _split(motions: Sequence[AxisMotion]) -> list[Parts]:
+    """Return the steps of each run that are fitted, and those predicted: the last, then the first.
+
+    A part without small commands cannot confirm a deadband, but it can be fitted.
+    """
+    splits = []
+    for is_first in (True, False):
+        pairs = []
+        for motion in motions:
+            count = len(motion.moved)
+            cut = int((_FITTED if is_first else 1.0 - _FITTED) * count)
+            sides = motion.take(slice(cut)), motion.take(slice(cut, None))
+            if 0 < cut < count:
+                pairs.append(sides if is_first else sides[::-1])
+        splits.append(([known for known, _ in pairs], [ahead for _, ahead in pairs]))
+    return splits
