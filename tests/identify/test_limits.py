@@ -23,6 +23,7 @@ from turtlelog.identify import (
     build_robot_scenario,
     predict_axis,
     read_robot_notes,
+    structure_choice,
 )
 from turtlelog.identify.axis_fit import fit_axis
 from turtlelog.identify.axis_motion import read_axis_motion
@@ -105,15 +106,32 @@ def test_a_limit_is_found_where_there_is_one(kind: str, field: str, value: float
     assert found.low < value < found.high
 
 
-@pytest.mark.parametrize(("reverse", "is_found"), [(0.92, True), (0.94, False)])
+@pytest.mark.parametrize(("reverse", "is_found"), [(0.945, True), (0.95, False)])
 def test_noise_hides_a_gain_backwards_that_differs_little(
     reverse: float, *, is_found: bool
 ) -> None:
-    """Two robots are identified; the gain of the first lowers the sum of squares by 15 to 60."""
+    """Two robots are identified; the gain of the first lowers the sum of squares by 15 to 20."""
     run = turn_on_the_spot(Limited(reverse=reverse), replace(LOG, noise_rad=0.2), 2)
     found = tl.identify_robot(run).turn_rate.reverse_gain
     assert (found is not None) is is_found
     assert found is None or found.low < 0.95 * reverse < found.high
+
+
+@pytest.mark.parametrize(("each", "is_found"), [(0.45, False), (0.55, True)])
+def test_a_limit_must_predict_steps_that_were_not_fitted(
+    each: float, *, is_found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(structure_choice, "compare_predictions", lambda *_: each)
+    found = tl.identify_robot(turn_on_the_spot(TRUTHS["direction"], LOG, 2)).turn_rate
+    assert (found.reverse_gain is not None) is is_found
+
+
+def test_a_deadband_is_found_if_only_the_beginning_shows_it() -> None:
+    """The last third has no small command."""
+    truth, log = draw_robot("deadband", 9306)
+    log = replace(log, noise_rad=4.0 * log.noise_rad, duration_s=25.0)
+    found = known(tl.identify_robot(turn_on_the_spot(truth, log, 9306)).turn_rate.deadband)
+    assert found.low < truth.deadband <= found.high
 
 
 @pytest.mark.parametrize("kind", TRUTHS)

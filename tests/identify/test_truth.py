@@ -108,16 +108,18 @@ def test_a_fit_of_the_whole_way_agrees_on_all_robots() -> None:
     )
     assert apart["turn_rate"].shape == apart["speed"].shape == (ROBOTS, 4)
     assert apart["turn_rate"].max() <= 1.0
-    # Headings that are off bend the whole way of the speed, but not its steps, which are nearer.
+    # Headings that are off bend the whole way of the speed, but not its steps: intervals of the way
+    # hold for 86 % of these values, intervals of the steps for 97 %.
     assert np.mean((apart["speed"] <= 1.0) | is_nearer["speed"]) >= 0.99
-    assert apart["speed"].max() <= 2.1
+    assert apart["speed"].max() <= 1.6
 
 
 @cache
 def compare_with_whole_way(axis: Axis) -> list[tuple[list[float], list[bool]]]:
     """Return how far both fits are apart, as shares of what their intervals allow.
 
-    The second of each pair is whether the fit of steps is nearer to the truth.
+    The second of each pair is whether the fit of steps is nearer to the truth, and its interval
+    holds it.
     """
     compared = []
     for log, run, model in identify_all():
@@ -131,7 +133,7 @@ def compare_with_whole_way(axis: Axis) -> list[tuple[list[float], list[bool]]]:
             for one, value, half in zip(found, values, halves, strict=True)
         ]
         is_nearer = [
-            abs(one.value - its) < abs(value - its)
+            abs(one.value - its) < abs(value - its) and one.low <= its <= one.high
             for one, value, its in zip(found, values, true, strict=True)
         ]
         compared.append((apart, is_nearer))
