@@ -387,8 +387,8 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
         beside = scores[lag:].T @ scores[:-lag]
         meat += (1.0 - lag / (_SCORE_LAGS + 1)) * (beside + beside.T)
     sandwich = inverse @ meat @ inverse
-    squares = float(np.mean(white**2 / bent))
-    plain = inverse * squares
+    # Large residuals count less in both, so that normal noise has its own variance.
+    plain = inverse * float(np.mean(white**2 / bent) / np.mean(bent**-1.5))
     ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-100), 1.0))
     covariance = np.asarray(sandwich * np.outer(ratio, ratio))
     # A parameter without any effect has no scores, but is unknown nevertheless.
