@@ -17,6 +17,7 @@ from turtlelog.cli.identify_answer import format_robot
 from turtlelog.compare import compare_robot
 from turtlelog.errors import TurtlelogError
 from turtlelog.identify import build_robot_scenario
+from turtlelog.identify.axis_fit import _estimate_covariance
 from turtlelog.identify.axis_motion import find_silent_stops
 from turtlelog.identify.robot_noise import fit_noise
 
@@ -175,3 +176,13 @@ def test_a_robot_at_one_speed_follows_no_commands_whatever_poses_are_lost(lost: 
     )
     found = tl.identify_robot(replace(run, poses=poses)).speed
     assert found.status == "not_identifiable"
+
+
+def test_a_few_steps_with_all_information_have_the_variance_of_the_noise() -> None:
+    """Each is off by a usual residual, to either side in turn, so that their sums show nothing."""
+    white, slopes = np.random.default_rng(1).normal(size=20_000), np.zeros((20_000, 3))
+    for column in range(3):
+        rows = np.arange(20) + 100 * column
+        slopes[rows, column], white[rows] = 1.0, 0.905 * (-1.0) ** rows
+    covariance, _ = _estimate_covariance(white, slopes)
+    assert 20.0 * np.diag(covariance) == pytest.approx(1.0, rel=0.03)
