@@ -306,10 +306,22 @@ def test_a_gain_of_negative_commands_that_all_reach_the_bound_is_a_note(
     assert ("Every negative command of the turn rate reaches the limit" in notes) is is_told
 
 
-def identify_sizes(sizes: list[float], reverse: float = 0.8) -> tuple[AxisModel, str]:
-    """Return what is found of a robot with a bound, driven by commands of some sizes in turn."""
+def test_a_command_that_is_below_the_bound_for_a_moment_is_not_enough() -> None:
+    found, _ = identify_sizes([1.0, -0.3, 0.7, -0.6, 1.3, -0.5, 0.0, -1.2], once=0.4)
+    assert "nearly every positive command reaches the limit of 0.6 rad/s" in found.reason
+    assert "at least 0.857;" in found.reason
+
+
+def identify_sizes(
+    sizes: list[float], reverse: float = 0.8, once: float = 0.0
+) -> tuple[AxisModel, str]:
+    """Return what is found of a robot with a bound, driven by commands of some sizes in turn.
+
+    One message is another one.
+    """
     rng, time_s = np.random.default_rng(3), np.arange(0.5, 24.0, 0.05)
     turns = np.array(sizes)[(time_s / 0.73).astype(int) % len(sizes)]
+    turns[250] = once or turns[250]
     at_s = np.arange(0.0, 25.0, 0.04)
     heading = find_headings(Limited(bound=0.6, reverse=reverse), time_s, turns, at_s)
     seen = wrap(heading + rng.normal(0.0, 5e-4, len(at_s)))

@@ -82,7 +82,9 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     notes += [note for model, _ in found for note in _compare_runs(runs, model)]
     notes += [_note_one_size(model) for model, _ in found if _has_one_size(runs, model)]
     notes += [note for model, _ in found for note in _note_one_beside(runs, model)]
-    notes += [_note_backward(model) for model, _ in found if not _shows_gain(runs, model, -1.0)]
+    notes += [
+        _note_backward(runs, model) for model, _ in found if not _shows_gain(runs, model, -1.0)
+    ]
     notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
     notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
@@ -156,24 +158,26 @@ def _note_one_size(model: AxisModel) -> str:
 
 
 def _shows_gain(runs: Sequence[Run], model: AxisModel, sign: float) -> bool:
-    """Return whether enough commands of one sign stay below the bound to show their gain.
+    """Return whether enough commands of one sign stay below the bound to show their gain."""
+    sizes, reaches = _list_moving(runs, model, sign)
+    return not len(sizes) or float(np.mean(~reaches)) >= LEAST_BELOW
+
+
+def _list_moving(
+    runs: Sequence[Run], model: AxisModel, sign: float
+) -> tuple[Values, NDArray[np.bool_]]:
+    """Return the magnitudes of moving commands of one sign, and whether they reach the bound.
 
     A command that reaches the bound within its interval fits any larger gain as well. The way to a
     bound of the rate shows the gain anyway.
     """
+    sizes = sign * np.concatenate([get_commands(run, model.axis) for run in runs])
+    sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
     if model.gain is None or model.bound is None or model.bound_acts == "rate":
-        return True
-    sizes = _list_moving(runs, model, sign)
+        return sizes, np.zeros(len(sizes), dtype=bool)
     gain = model.reverse_gain if sign < 0.0 and model.reverse_gain else model.gain
     friction = 0.0 if model.friction is None else model.friction.value
-    below = gain.high * (sizes - friction) < model.bound.low
-    return not len(sizes) or float(np.mean(below)) >= LEAST_BELOW
-
-
-def _list_moving(runs: Sequence[Run], model: AxisModel, sign: float) -> Values:
-    """Return the magnitudes of the commands of one sign that move an axis."""
-    sizes = sign * np.concatenate([get_commands(run, model.axis) for run in runs])
-    return np.asarray(sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)])
+    return sizes, np.asarray(gain.high * (sizes - friction) >= model.bound.low)
 
 
 def _refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel:
@@ -182,23 +186,29 @@ def _refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel:
     The gain of positive ones may have any value above the bound divided by the smallest of them.
     """
     name, unit = NAMES[model.axis], UNITS[model.axis]
-    smallest = float(_list_moving(runs, model, 1.0).min())
+    sizes, reaches = _list_moving(runs, model, 1.0)
+    smallest = float(sizes[reaches].min())
     bound, delay = (0.0 if one is None else one.value for one in (model.bound, model.total_delay_s))
     reason = (
-        f"every positive command reaches the limit of {bound:.3g} {unit}, so that the gain of"
-        f" smaller ones is only known to be at least {bound / smallest:.3g}; the total delay is"
-        f" {delay:.3f} s"
+        f"{_count_reaching(reaches)} positive command reaches the limit of {bound:.3g} {unit}, so"
+        f" that the gain of smaller ones is only known to be at least {bound / smallest:.3g}; the"
+        f" total delay is {delay:.3f} s"
     )
     advice = f"step the {name} ten times for 2 s, also to less than {smallest:.2g} {unit}"
     return replace(refuse_axis(model.axis, reason), advice=advice)
 
 
-def _note_backward(model: AxisModel) -> str:
+def _note_backward(runs: Sequence[Run], model: AxisModel) -> str:
     bound = 0.0 if model.bound is None else model.bound.value
+    every = _count_reaching(_list_moving(runs, model, -1.0)[1]).capitalize()
     return (
-        f"Every negative command of the {NAMES[model.axis]} reaches the limit of {bound:.3g}"
+        f"{every} negative command of the {NAMES[model.axis]} reaches the limit of {bound:.3g}"
         f" {UNITS[model.axis]}. The log does not show whether the gain holds for smaller ones."
     )
+
+
+def _count_reaching(reaches: NDArray[np.bool_]) -> str:
+    return "every" if reaches.all() else "nearly every"
 
 
 def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
