@@ -63,6 +63,14 @@ def format_short(number: float, unit: str = "") -> str:
     return text + (f" {unit}" if unit not in {"", "1"} else "")
 
 
+def format_range(low: float, high: float, unit: str) -> tuple[str, str]:
+    """Return both ends of a range in one unit, the one that `format_short` gives the larger."""
+    least, most = format_short(low, unit), format_short(high, unit)
+    if unit == "m" and least.endswith(" mm") != most.endswith(" mm"):
+        least, most = (f"{text:.3g} m" for text in (low, high))
+    return least, most
+
+
 _SHORT_M: Final = 0.01
 _WHOLE: Final = 1e3
 _LONG: Final = 1e6

@@ -321,7 +321,7 @@ def test_a_failure_says_why_the_run_differs_from_the_reference(
     answer = call("check", spec, kp10, "--junit", report, *words)
     assert answer.code == 1
     told = "final.position_error rose from 0.0085 m to 0.1067 m: the gains add 0.1499 m,"
-    assert (f"WHY {kp10}: {told}" in answer.flat) is (not words)
+    assert (f"WHY {kp10} against its reference: {told}" in answer.flat) is (not words)
     assert (told in report.read_text("utf-8")) is (not words)
 
 

@@ -22,7 +22,11 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80
     assert ["overshoot", "1.01", "%", "0.945", "%"] in [line.split() for line in lines]
-    assert lines[-1] == "To explain, plot or compare this run, record it: -o FILE.mcap"
+    why = "Why? Record the run with -o FILE.mcap, then: turtlelog explain FILE.mcap"
+    assert why in lines[:6]
+    reached = call("run", "textbook").out.splitlines()
+    assert reached[-1] == "To explain, plot or compare this run, record it: -o FILE.mcap"
+    assert "Why?" not in " ".join(reached)
     assert list(tmp_path.iterdir()) == []
 
 

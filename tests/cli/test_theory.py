@@ -437,3 +437,12 @@ def test_a_loop_that_theory_does_not_know_has_no_recommended_gains(call: Call) -
         [],
         [],
     ]
+
+
+def test_the_largest_step_without_clipping_is_told_for_recommended_gains(call: Call) -> None:
+    words = " ".join(call("theory", "paper-kp10").out.split())
+    # The limit by the recommended gain: 1 rad/s / 4.946 1/s, and 1 m/s / 4.946 1/s.
+    told = "Commands are clipped for errors above 11.6 deg (rotate) and 0.202 m (translate):"
+    assert f"{told} overshoot and settling time hold for smaller steps." in words
+    unlimited = ("--set", "limits.turn_rate_rad_s=inf", "--set", "limits.speed_m_s=inf")
+    assert "are clipped for errors" not in call("theory", "paper-kp10", *unlimited).out

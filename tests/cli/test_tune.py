@@ -262,7 +262,16 @@ def test_keys_that_change_nothing_are_told(call: Call) -> None:
     first = " ".join(done.out.split("\n\n")[0].split())
     assert first.startswith("rotate.stable is 1 for all ")
     assert first.endswith(" candidates that can be compared: no key changes it.")
-    assert "beyond, it may be better" not in done.out
+    assert "at its bound" not in done.out
+
+
+def test_a_best_value_at_a_bound_is_told_before_the_table(call: Call) -> None:
+    words = ("tune", "textbook", "--grid", "kp=1:4", *SETTLING, "--evaluations", "12")
+    assert call(*words).out.splitlines()[1] == "kp is at its bound: beyond 4 it may be better."
+    inner = ("tune", "textbook", "--grid", "kp=0.5:12", *SETTLING, "--evaluations", "40")
+    best = call(*inner, "--json").json
+    assert best["at_bounds"] == []
+    assert "at its bound" not in call(*inner).out
 
 
 @pytest.mark.parametrize(

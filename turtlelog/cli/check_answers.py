@@ -273,7 +273,7 @@ def _list_facts(counted: "CountedResults", spec: "Spec | None", files: int) -> I
     if worst is not None:
         place = f" in {escape_controls(worst.file)}" if files > 1 else ""
         check = escape_controls(worst.check)
-        yield f"Furthest beyond its limit: {check}{place}, {_tell_value(worst)}."
+        yield f"Furthest beyond its limit, as a share of it: {check}{place}, {_tell_value(worst)}."
     if observed := _count_observed(counted, spec):
         were = "1 failed limit was" if observed == 1 else f"{observed} failed limits were"
         source = "" if spec is None else spec.source
@@ -329,7 +329,9 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
         return
     measured = next((one for one in counted.failures if one.value is not None), None)
     if measured is not None:
-        yield f"Why? {_advise(measured, spec)}"
+        has_cause = any(one.why for one in counted.failures)
+        question = "Causes within the run itself:" if has_cause else "Why?"
+        yield f"{question} {_advise(measured, spec)}"
     if not shows_all and counted.verdicts.total() > 1:
         yield "All checks with their margins: --all"
 

@@ -219,7 +219,7 @@ def list_causes(results: "Sequence[CheckResult]") -> Iterator[str]:
     """Yield why runs differ from their reference, as far as it was determined."""
     for result in results:
         if result.why:
-            yield f"WHY {result.file}: {result.why[0]}"
+            yield f"WHY {result.file} against its reference: {result.why[0]}"
             yield from (f"  {line}" for line in result.why[1:])
 
 

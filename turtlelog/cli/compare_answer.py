@@ -82,10 +82,11 @@ def format_across(
     table = replace(table, notes=(*_list_reasons(table, summaries), *changes, *told))
     above = [*notes, *conditions]
     reached = tl.compare.describe_reached(summaries) if ranking.is_fair else ""
-    best = f"{_name_best(table)}{table.title}{_describe_alike(table, summaries, ranking)}."
+    title = f"{table.title}{_describe_alike(table, summaries, ranking)}."
+    best = [*_name_best(table), title]
     return "\n".join(
         [
-            fill_lines([best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
+            fill_lines([*best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
             _format(cut_rows(table)),
@@ -145,13 +146,13 @@ def _rank(name: str) -> int:
     return next((place for place, key in enumerate(_LABELS) if key in keys), len(_LABELS))
 
 
-def _name_best(table: "Table") -> str:
+def _name_best(table: "Table") -> list[str]:
     """Return the best run by the most important metric, with its value; empty without one."""
     rows = _rank_best(table)
     if not rows:
-        return ""
+        return []
     label, who, name, value, _ = rows[0]
-    return f"{label.capitalize()}{_name_loop(name)}: {who}, {value}. "
+    return [f"{label.capitalize()}{_name_loop(name)}: {who}, {value}."]
 
 
 def _list_best(table: "Table") -> list[str]:

@@ -56,7 +56,7 @@ def format_robot(
             numbers.
     """
     known = [axis for axis in model.axes if axis.is_known]
-    parts = [fill_lines([tl.identify.write_robot_headline(model.axes, _name_robot(files))])]
+    parts = [fill_lines(tl.identify.write_robot_headline(model.axes, _name_robot(files)))]
     if known:
         brackets = model.brackets
         if any(axis.doubts for axis in known):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, find_width, print_tables, print_text
-from turtlelog.display import describe_count, format_short, join_words
+from turtlelog.display import describe_count, format_range, format_short, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
     (low, lowest), (high, highest) = min(values), max(values)
     lacking = len(found) - len(values)
     rest = f" ({lacking} without a value)" if lacking else ""
-    least, most = format_short(low, units[0]), format_short(high, units[0])
+    least, most = format_range(low, high, units[0])
     # Two values that are printed alike are no range: the reader sees no difference.
     if least == most:
         return f"{least} (all){rest}" if len(found) > 1 and not lacking else f"{least}{rest}"
@@ -210,7 +210,7 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
         facts: Sentences after the first line.
     """
     essential = _drop_words(summary).metrics
-    head = [f"{who}: {describe_end(summary)}.", *facts]
+    head = [f"{who}: {describe_end(summary)}.", *facts, *_list_place(summary)]
     loops = [loop.name for loop in summary.declaration.loops]
     shown = [loop for loop in loops if _has_value(summary, loop)]
     remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
@@ -223,7 +223,7 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
     notes = [*said, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
     return "\n".join(
         [
-            fill_lines([*head, *remarks]),
+            fill_lines([*head, *remarks, *_list_why(summary)]),
             _format(table),
             "",
             *([fill_lines(notes, indent=2)] if notes else []),
@@ -240,19 +240,27 @@ def _has_value(summary: "RunSummary", loop: str) -> bool:
     )
 
 
-def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield remarks: place of the end, clipping, oscillation, loops that do not settle."""
+def _list_place(summary: "RunSummary") -> Iterator[str]:
+    """Yield the place of a missed end, and the final heading error."""
     end = summary.goal_end
     if end is not None and end.verdict == "missed" and (place := end.describe_place()):
         yield place
     heading = summary.metrics.get("final.heading_error")
-    if heading is not None and heading.value is not None and summary.goal_end is not None:
+    if heading is not None and heading.value is not None and end is not None:
         yield f"Final heading error: {_show(heading)}."
-    clipped = {loop: _find_value(summary, f"{loop}.saturated_share") or 0.0 for loop in loops}
-    said = [f"{loop} {100.0 * share:.0f} %" for loop, share in clipped.items() if share >= _SEEN]
-    if said:
-        who = "Both loops saturate" if len(said) == 2 == len(loops) else "Saturation"
-        yield f"{who}: {', '.join(said)} of {'its' if len(said) == 1 else 'their'} samples."
+
+
+def _list_why(summary: "RunSummary") -> Iterator[str]:
+    """Yield the command that explains why a run missed its goal."""
+    if summary.goal_end is not None and summary.goal_end.verdict == "missed":
+        if summary.file:
+            yield f"Why? turtlelog explain {escape_controls(shlex.quote(summary.file))}"
+        else:
+            yield "Why? Record the run with -o FILE.mcap, then: turtlelog explain FILE.mcap"
+
+
+def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
+    """Yield remarks on loops that oscillate or do not settle."""
     restless = [loop for loop in loops if _find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
@@ -260,13 +268,6 @@ def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
         metric = summary.metrics.get(f"{loop}.settling_time")
         if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:
             yield f"{loop} does not settle: {metric.reason}."
-    gap, usual = (_find_value(summary, f"run.{one}") for one in ("largest_gap", _OF_WORDS[1]))
-    if gap is not None and usual and gap > _SILENT * usual and not summary.is_lawless:
-        yield f"Longest silence of the controller: {format_short(gap, 's')}."
-
-
-_SEEN: Final = 0.005
-"""Share of the samples from which more than 0 % is printed [1]."""
 
 
 def _list_missing(
@@ -292,7 +293,7 @@ def _show(metric: "Metric | None") -> str:
     if metric is None:
         return "-"
     if metric.value is None:
-        return metric.status.value
+        return metric.status.value.replace("_", " ")
     if metric.id.endswith("_share"):
         return f"{100.0 * metric.value:.0f} %"
     return format_short(metric.value, metric.unit)
@@ -324,6 +325,9 @@ def _describe_rest(summary: "RunSummary") -> list[str]:
         for name in names
         if _find_value(summary, name) is not None
     ]
+    gap, usual = (_find_value(summary, f"run.{one}") for one in ("largest_gap", _OF_WORDS[1]))
+    if gap is not None and usual and gap > _SILENT * usual and not summary.is_lawless:
+        said.append(f"longest silence of the controller {format_short(gap, 's')}")
     return [f"{', '.join(said).capitalize()}."] if said else []
 
 
@@ -351,10 +355,13 @@ def _is_of_run(name: str) -> bool:
 
 def _list_next(summary: "RunSummary", count: int) -> list[str]:
     """Return the next commands to type."""
+    is_told = any(_list_why(summary))
     if not summary.file:
-        return ["To explain, plot or compare this run, record it: -o FILE.mcap"]
+        return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
     file = escape_controls(shlex.quote(summary.file))
     more = f"All {count} metrics with their ids: turtlelog metrics {file} --all"
+    if is_told:
+        return [more]
     if not summary.is_lawless:
         return [f"Why? turtlelog explain {file}", more]
     if "poses" in summary.lacks:

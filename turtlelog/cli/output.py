@@ -235,8 +235,13 @@ def print_note(text: str) -> None:
         _drop(sys.stderr)
 
 
+_HELD: Final[list[str]] = []
+_MOST_HELD: Final = 100
+"""Largest number of notes that wait for the answer; a user of more files sees them one by one."""
+
+
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
-    """Print notes on the reading of third-party files, and on losses."""
+    """Print notes on the reading of third-party files, and on losses, after the answer."""
     # Notes on other files are in recordings that were converted from them.
     told = _OF_SOURCE if "chosen" in notes else ()
     for name in ("preset", *told, "unused", "recovered", "partial"):
@@ -246,7 +251,16 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
                 if name in {"preset", "chosen", "plane", "unused"}
                 else f"{name.replace('_', ' ')}: "
             )
-            print_note(f"{path}: {label}{notes[name]}")
+            _HELD.append(f"{path}: {label}{notes[name]}")
+    if len(_HELD) > _MOST_HELD:
+        print_held_notes()
+
+
+def print_held_notes() -> None:
+    """Print the notes that waited for the answer."""
+    for text in _HELD:
+        print_note(text)
+    _HELD.clear()
 
 
 _OF_SOURCE: Final = (

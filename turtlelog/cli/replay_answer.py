@@ -337,12 +337,14 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
             lines = [f"{name}: {change}, the replay {departs}"]
             if result:
                 lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
-    lines += [*_list_counts(run, found), *_format_declaration(found)]
+    lines += _format_declaration(found)
     lines += [] if first is None or changes else _describe_software(run, found)
+    counts = [*_list_counts(run, found)]
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"
-    parts = [fill_lines(lines)]
+    parts = [fill_lines(lines if changes else [*lines, *counts])]
     parts += [] if first is None else [f"\n{format_changes(run, found.run)}"]
+    parts += [fill_lines(counts)] if changes and counts else []
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
 
 

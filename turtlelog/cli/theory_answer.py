@@ -1,5 +1,6 @@
 """Text of `turtlelog theory`: recommended gains and limits first, then the loops."""
 
+import math
 import shlex
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -23,7 +24,7 @@ from turtlelog.cli.theory_loops import (
     tell_motion,
 )
 from turtlelog.cli.theory_tables import describe_sampling, summarise_gains, tabulate_theory
-from turtlelog.display import join_words
+from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
@@ -130,7 +131,6 @@ def format_file(
     ]
     rest = [
         *list_sources(answers, shows_all=shows_all),
-        _UNLIMITED,
         *_list_run(word, answers, advice),
         *(
             []
@@ -144,7 +144,9 @@ def format_file(
     for one in known:  # loops that are alike share a sentence
         said.setdefault(_describe_loop(one, advice), []).append(one.title)
     head = [f"{join_words(names)}: {text}" for text, names in said.items()]
-    return _join([_conclude(name, advice, wishes), *head], tables, rest)
+    return _join(
+        [_conclude(name, advice, wishes), *head, _describe_clipping(known, advice)], tables, rest
+    )
 
 
 class _Advice(NamedTuple):
@@ -189,6 +191,30 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
     return f"{said}; stable for Kp {_show_late_range(answer)}."
+
+
+def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> str:
+    """Return the errors up to which commands are not clipped, at the recommended gains.
+
+    The command of a P controller is largest at the first sample of a step: Kp times the step.
+    """
+    sizes = []
+    for one in known:
+        chosen = next(
+            (of.given if of.is_kept else of.best for of in advice if of.loop == one.title), None
+        )
+        gains = None if chosen is None else chosen.gains
+        if one.model is None or gains is None or gains.ki or gains.kd:
+            return _UNLIMITED
+        if math.isfinite(one.model.limit):
+            unit = "rad" if one.model.loop.command == "turn_rate" else "m"
+            sizes.append(f"{format_short(one.model.limit / gains.kp, unit)} ({one.title})")
+    if not sizes:
+        return _UNLIMITED
+    return (
+        f"Commands are clipped for errors above {join_words(sizes)}: overshoot and settling time"
+        " hold for smaller steps."
+    )
 
 
 def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:

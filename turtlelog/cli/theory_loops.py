@@ -237,8 +237,14 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
             notes.append(
                 f"{of}: the dead time is the least; {model.growth} may let it grow to {most}."
             )
-        if model.left_out:
-            notes.append(f"{of}: theory's linear loop leaves out {', '.join(model.left_out)}.")
+        # A sentence on clipped commands covers the limit.
+        left_out = [
+            one
+            for one in model.left_out
+            if shows_all or one.partition(" = ")[0] != model.loop.limit_key
+        ]
+        if left_out:
+            notes.append(f"{of}: theory's linear loop leaves out {', '.join(left_out)}.")
     return notes
 
 

@@ -215,17 +215,24 @@ def _conclude(answer: Answer) -> str:
 
 
 def _describe_room(answer: Answer) -> list[str]:
-    """Return how far the keys can go without a much worse objective."""
-    around = answer.around
-    if around is None or not around.ranges or answer.tuned.is_flat:
+    """Return which best values are at a bound, and the ranges in which the loss stays small."""
+    around, tuned = answer.around, answer.tuned
+    if tuned.is_flat:
         return []
+    told = [
+        f"{key.key} is at its bound: beyond {format_number(number)} it may be better."
+        for key, number in zip(answer.keys, tuned.best.point, strict=True)
+        if key.key in tuned.at_bounds
+    ]
+    if around is None or not around.ranges:
+        return told
     slack = format_short(around.slack, answer.unit)
     ways = [
         f"{one.key} = {format_number(one.low)} to {format_number(one.high)}"
         for one in around.ranges
     ]
-    alone = "is" if len(ways) == 1 else "(each changed alone) are"
-    return [f"As far as tried, {join_words(ways)} {alone} worse by {slack} at most."]
+    alone = "" if len(ways) == 1 else " (each changed alone)"
+    return [*told, f"At most {slack} worse: {join_words(ways)}{alone}, as far as tried."]
 
 
 def _tabulate_best(answer: Answer) -> "Table":
@@ -258,13 +265,6 @@ def _list_notes(answer: Answer) -> list[str]:
             "From and to: as far as this key alone can go, in the steps of the search, until the"
             f" objective is worse by {slack}, or a constraint breaks."
         )
-    if not tuned.is_flat:
-        notes += [
-            f"{key.key} is at the bound that was given, {format_number(number)}: beyond, it may be"
-            " better."
-            for key, number in zip(answer.keys, best.point, strict=True)
-            if key.key in tuned.at_bounds
-        ]
     notes += _tell_sign(answer.goal, best.objective)
     if tuned.failed:
         notes.append(
