@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import align_rows, cut_rows, fill_lines, find_width
-from turtlelog.display import describe_count, format_number, format_short, join_words
+from turtlelog.display import (
+    describe_count,
+    format_number,
+    format_range,
+    format_short,
+    join_words,
+)
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -194,8 +200,9 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
     kind = tl.measure.find_metric_kind(name)
     # A robot that stays short of its target has no overshoot, however far it stays short.
     is_none = kind is not None and kind.floor == 0.0 and least <= 0.0
-    value = "none" if is_none else format_short(least, unit)
-    return label, best, name, value, f"worst: {worst}, {format_short(most, unit)}"
+    least_text, most_text = format_range(least, most, unit)
+    value = "none" if is_none else least_text
+    return label, best, name, value, f"worst: {worst}, {most_text}"
 
 
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:

@@ -27,7 +27,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
-from turtlelog.display import describe_count, format_short
+from turtlelog.display import describe_count, format_range
 from turtlelog.errors import SweepError, UsageError
 from turtlelog.files.urls import make_path
 
@@ -309,8 +309,8 @@ def _describe_best(output: Path) -> str:
             results = tl.sweep.read_swept_results(output, patterns)
             metric = next((one for one in results.metrics if np.isfinite(one.values).any()), None)
             if metric is not None:
-                ends = np.nanmin(metric.values), np.nanmax(metric.values)
-                low, high = (format_short(float(end), metric.unit) for end in ends)
+                ends = float(np.nanmin(metric.values)), float(np.nanmax(metric.values))
+                low, high = format_range(*ends, metric.unit)
                 if low == high:
                     all_have = np.isfinite(metric.values).all()
                     where = "every run" if all_have else "every run that has a value"
