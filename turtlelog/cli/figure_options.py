@@ -151,10 +151,6 @@ class AskedOptions:
         return None if self.metric is None else split_names(self.metric, "--metric")
 
 
-def _tell(names: Sequence[str]) -> str:
-    return f"--only {','.join(names)}" if names else "none"
-
-
 def _bind_attribution(
     asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]"
 ) -> "FigureKind":

@@ -95,7 +95,6 @@ class Session:
         return [found for name in self._used for found in self._list_metrics(name)]
 
     def _list_metrics(self, name: str) -> Iterator[tuple[str, object]]:
-        from turtlelog.errors import TurtlelogError
         from turtlelog.measure import measure_run
 
         try:
