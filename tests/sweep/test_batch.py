@@ -273,8 +273,8 @@ def test_settings_of_free_keys_are_those_of_their_scenarios() -> None:
     robot = {"law.kind": "sequential-pid", **EFFECTS["lagged"]}
     base = override_scenario(PAPER, robot)
     columns = {key: [value] for key, value in FREE_VALUES.items()}
-    joint = prepare_rows(override_scenario(base, FREE_VALUES), {"name": ["any"]}, [0], None)
-    free = prepare_rows(base, columns, [0], None)
+    joint = prepare_rows(override_scenario(base, FREE_VALUES), {"name": ["any"]}, [0])
+    free = prepare_rows(base, columns, [0])
     assert (free.others, joint.others) == ([], [])
     for name in ("settings", "starts", "states", "table", "lines"):
         # By their texts, which tell each number: between the numbers of a record is room for any.
@@ -299,7 +299,7 @@ def test_settings_of_free_keys_are_those_of_their_scenarios() -> None:
     ],
 )
 def test_every_value_of_a_column_is_judged(key: str, column: list[Any], others: list[int]) -> None:
-    found = prepare_rows(PAPER, {key: column}, range(3), None)
+    found = prepare_rows(PAPER, {key: column}, range(3))
     for row, value in enumerate(column):
         try:
             resolve_scenario(build_row_scenario(PAPER, [key], [value], row))

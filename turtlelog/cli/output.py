@@ -205,9 +205,9 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
-def fit_table(table: "Table", *, indent: int = 0) -> str:
+def fit_table(table: "Table") -> str:
     """Return a table that fits a line."""
-    return tl.draw.format_table(table, width=find_width() - indent)
+    return tl.draw.format_table(table, width=find_width())
 
 
 _MOST_ROWS: Final = 20

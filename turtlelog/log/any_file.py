@@ -148,22 +148,20 @@ _MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, ROS1_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
-def read_file_info(
-    path: str | Path, choice: ReadChoice | None = None, *, allow_partial: bool = False
-) -> RecordingInfo:
+def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> RecordingInfo:
     """Return the contents of any file that `read_run` reads.
 
     Args:
         path: Path of the file. Logs are read completely; other files as by `read_info` and
             `read_bag_info`.
-        choice: Selection as for `read_run`; only the columns of tables are used.
-        allow_partial: See `read_info`.
+        choice: Selection as for `read_run`; only the columns of tables and `allow_partial` are
+            used.
 
     Raises:
         LogError: If the file cannot be read; one line with the file and the place.
     """
     path, topic = split_topic(path)
-    choice = choice or ReadChoice(allow_partial=allow_partial)
+    choice = choice or ReadChoice()
     if topic is not None:
         return _require_topic(read_file_info(path, choice), topic)
     with name_file(path, expected="a recording, a bag or a log"):

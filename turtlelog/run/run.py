@@ -424,18 +424,18 @@ def require_run(run: object, name: str = "run") -> None:
     raise RunError(f"{name}: expected a Run, found {run!r:.60}{advice}")
 
 
-def list_runs(runs: object, name: str = "runs") -> list[Run]:
+def list_runs(runs: object) -> list[Run]:
     """Return one run, or the runs of any iterable, as a list.
 
     Raises:
         RunError: If an item is not a run.
     """
     if isinstance(runs, str | os.PathLike) or not isinstance(runs, Iterable):
-        require_run(runs, name)
+        require_run(runs, "runs")
         runs = [runs]
     listed = [*runs]
     for number, run in enumerate(listed):
-        require_run(run, f"{name}[{number}]")
+        require_run(run, f"runs[{number}]")
     return listed
 
 

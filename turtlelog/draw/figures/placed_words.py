@@ -345,8 +345,9 @@ def place_words(
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})
 
 
-def name_ring(axes: Axes, place: WordSpace, text: str, radius: float, points: float = 6.0) -> None:
+def name_ring(axes: Axes, place: WordSpace, text: str, radius: float) -> None:
     """Write the radius of a ring on the ring, where the text covers least."""
+    points = 6.0
     half = np.array([measure_text_mm(text, points), 1.3 * points * _MM_PER_POINT]) / 2.0
     half *= place.half / place.half_mm
     ring = place.center + radius * np.stack([np.cos(_RING_WAYS), np.sin(_RING_WAYS)], axis=1)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
-from turtlelog.parts import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
@@ -148,7 +147,6 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     columns: Mapping[str, Sequence[Any]],
     metrics: Sequence[str],
     *,
-    plant: Plant | None = None,
     threads: int | None = None,
     first: int = 0,
     ahead: int = 0,
@@ -160,7 +158,6 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
         base: Scenario that the rows vary; its law may run.
         columns: Values of each varied key, one per row.
         metrics: Metric ids, no patterns.
-        plant: Plant whose clock is used. Default: each row uses its own plant.
         threads: Number of threads. Default: one per core.
         first: Number of the first row; the name of the row's scenario contains it.
         ahead: Approximate number of rows still to be done by this process, which decides whether
@@ -174,7 +171,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
-    work = _Work(base, columns, metrics, plant, first, step_budget_s)
+    work = _Work(base, columns, metrics, first, step_budget_s)
     rest: Sequence[int] = range(work.count)
     batch = find_batch(base) if all(map(is_covered, metrics)) else None
     if batch is not None:
@@ -214,13 +211,12 @@ class _Work:
         base: Scenario,
         columns: Mapping[str, Sequence[Any]],
         metrics: Sequence[str],
-        plant: Plant | None,
         first: int,
         step_budget_s: float,
     ) -> None:
         self.count = count = len(next(iter(columns.values())))
         self._base, self._columns, self._metrics = base, columns, tuple(metrics)
-        self._plant, self._first, self._step_budget_s = plant, first, step_budget_s
+        self._first, self._step_budget_s = first, step_budget_s
         self._is_own = False
         self.notes: list[str] = []
         self._compiled = 0
@@ -252,7 +248,7 @@ class _Work:
         result = self.result
         try:
             scenario = self._build_scenario(row)
-            run = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+            run = simulate_run(scenario, step_budget_s=self._step_budget_s)
         except TurtlelogError as err:
             if isinstance(err, SimulationError) and err.run is not None:
                 result.samples[row] = len(err.run.samples)
@@ -287,12 +283,11 @@ class _Work:
         """Note how much a row of a user's law differs between compiled and ordinary code."""
         try:
             scenario = self._build_scenario(row)
-            plain = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+            plain = simulate_run(scenario, step_budget_s=self._step_budget_s)
         except TurtlelogError:  # the row has the reason
             return
-        plant = scenario.plant.facts if self._plant is None else self._plant
         runner = CompiledRunner(self._step_budget_s)
-        compiled = runner.simulate(kernel.loop, scenario, plant)
+        compiled = runner.simulate(kernel.loop, scenario, scenario.plant.facts)
         if compiled is not None:
             self.notes += describe_difference(scenario.law.kind, plain, compiled)
 
@@ -302,7 +297,7 @@ class _Work:
         assert coverage is not None
         self._declaration, self._coverage = declaration, coverage
         self._places = {name: find_column(name, declaration, coverage) for name in self._metrics}
-        prepared = prepare_rows(base, self._columns, rows, self._plant)
+        prepared = prepare_rows(base, self._columns, rows)
         cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known in advance, unless a disturbance moves the waiting
         # robot.
