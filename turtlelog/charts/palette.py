@@ -146,8 +146,15 @@ PAUSED: Final[Color] = _OKABE_ITO[3]
 ERROR: Final[Color] = _OKABE_ITO[4]
 """Colour of the arrow from the turtle to the goal."""
 
-VIOLATION: Final[Color] = (235, 50, 50)
-"""Colour of violations of a check. No run and no phase has this red."""
+VIOLATION: Final[Color] = (208, 52, 44)
+"""Colour of violations of a check, with a contrast of 5:1 to white and of 3.7:1 to dark. No run and
+no phase has this red."""
+
+FULFILLED: Final[Color] = (0, 103, 75)
+"""Colour of a check that holds, on white."""
+
+UNSTABLE: Final[Color] = (179, 38, 30)
+"""Colour of unstable settings and of missing values, on white."""
 
 ALLOWED: Final[Color] = (128, 128, 128)
 """Colour of the allowed band of a check, thin enough that curves on it are visible."""
@@ -216,6 +223,11 @@ def dim(color: Color) -> Color:
     """Return a colour halfway to the dark ground, for background items."""
     red, green, blue = ((part + ground) // 2 for part, ground in zip(color, GROUND, strict=True))
     return red, green, blue
+
+
+def to_hex(color: Color) -> str:
+    """Return a colour in the notation of HTML, which Matplotlib also reads."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
