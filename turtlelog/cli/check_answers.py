@@ -18,7 +18,14 @@ from turtlelog.cli.check_tables import (
     tabulate_matrix,
     tabulate_values,
 )
-from turtlelog.cli.output import fill_lines, fit_table, print_json, print_tables, print_verdicts
+from turtlelog.cli.output import (
+    copy_fields,
+    fill_lines,
+    fit_table,
+    print_json,
+    print_tables,
+    print_verdicts,
+)
 from turtlelog.display import describe_count, format_number, format_short
 from turtlelog.escapes import escape_controls
 
@@ -80,21 +87,15 @@ class CheckAnswer:
 def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
     """Return results as entries of the answer."""
     return [
-        ResultAnswer(
-            file=result.file,
-            check=result.check,
+        copy_fields(
+            ResultAnswer,
+            result,
             verdict=result.verdict.value,
             expected=result.expected or None,
-            value=result.value,
-            limit=result.limit,
-            margin=result.margin,
             unit=result.unit or None,
-            value_s=result.value_s,
             decided_by=result.decided_by or None,
-            first_violation_s=result.first_violation_s,
             reason=result.reason or None,
             decided=result.is_decided,
-            why=result.why,
         )
         for result in results
     ]

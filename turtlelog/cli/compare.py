@@ -41,6 +41,7 @@ from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     FormatOptions,
+    copy_fields,
     print_error,
     print_json,
     print_note,
@@ -440,10 +441,7 @@ def _build_ranking(ranking: "Ranking", names: Sequence[str]) -> _RankingAnswer:
         is_fair=ranking.is_fair,
         reason=ranking.describe() or None,
         varied=ranking.varied,
-        differences=[
-            _Difference(condition=found.condition, key=found.key, values=found.values)
-            for found in ranking.differences
-        ],
+        differences=[copy_fields(_Difference, found) for found in ranking.differences],
         unknown=[
             _Unknown(condition=condition, runs=[names[row] for row in rows])
             for condition, rows in ranking.unknown.items()

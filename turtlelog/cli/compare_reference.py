@@ -12,6 +12,7 @@ from turtlelog.cli.options import ReadingOptions, read_runs, watch_files
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
+    copy_fields,
     print_error,
     print_json,
     print_note,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from turtlelog import Metric, Run, Scenario
     from turtlelog.compare import (
-        ErrorBand,
         NoiseLevel,
         PathDeviation,
         RobotComparison,
@@ -379,27 +379,18 @@ def _build_robot(file: Path, found: "RobotComparison") -> _RobotRun:
         file=str(file),
         name=found.name,
         overlap_s=int(time_ns[-1] - time_ns[0]) / 1e9,
-        errors=[_build_band(band) for band in found.bands],
+        errors=[
+            copy_fields(
+                _BandAnswer,
+                band,
+                unit="m" if band.quantity == "position" else "rad",
+                pieces=len(band.recorded),
+            )
+            for band in found.bands
+        ],
         noise=found.noise,
         clock=found.clock,
         notes=found.notes,
-    )
-
-
-def _build_band(band: "ErrorBand") -> _BandAnswer:
-    return _BandAnswer(
-        quantity=band.quantity,
-        unit="m" if band.quantity == "position" else "rad",
-        horizon_s=band.horizon_s,
-        pieces=len(band.recorded),
-        median=band.median,
-        largest=band.largest,
-        largest_at_s=band.largest_at_s,
-        simulated_median=band.simulated_median,
-        within_share=band.within_share,
-        above=band.above,
-        below=band.below,
-        verdict=band.verdict,
     )
 
 

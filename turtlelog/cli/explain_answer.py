@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.explain_motion import MotionAnswer
-from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.output import copy_fields, fill_lines, fit_table
 from turtlelog.cli.replay_answer import build_pose_error
 from turtlelog.escapes import escape_controls
 
@@ -125,15 +125,7 @@ def build_answer(
         name=found.name,
         metric=metric.to_dict(),
         identified=tuple(
-            FindingAnswer(
-                key=key,
-                value=one.value,
-                certainty=one.certainty.value,
-                evidence=one.evidence,
-                interval=one.interval,
-                candidates=one.candidates,
-                assumed=one.assumed,
-            )
+            copy_fields(FindingAnswer, one, key=key, certainty=one.certainty.value)
             for key, one in found.findings.items()
         ),
         resimulation=None if again is None else asdict(again) | error,

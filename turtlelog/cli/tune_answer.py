@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.output import copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
 
 if TYPE_CHECKING:
@@ -101,12 +101,7 @@ def build_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAnswer:
         unit=found.unit or None,
         is_feasible=tuned.best.is_feasible,
         constraints=[
-            ConstraintAnswer(
-                expression=one.expression,
-                value=one.value,
-                margin=_tell_margin(one.margin),
-                holds=one.holds,
-            )
+            copy_fields(ConstraintAnswer, one, margin=_tell_margin(one.margin))
             for one in tuned.best.constraints
         ],
         evaluations=tuned.evaluations,
