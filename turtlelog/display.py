@@ -71,6 +71,16 @@ def format_range(low: float, high: float, unit: str) -> tuple[str, str]:
     return least, most
 
 
+def describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
+    """Return the smallest and the largest value, each with the name of what has it."""
+    (low, lowest), (high, highest) = min(values), max(values)
+    least, most = format_range(low, high, unit)
+    # Two values that are printed alike are no range: the reader sees no difference.
+    if least == most:
+        return f"{least} (all)" if len(values) > 1 else least
+    return f"{least} ({lowest}) to {most} ({highest})"
+
+
 _SHORT_M: Final = 0.01
 _WHOLE: Final = 1e3
 _LONG: Final = 1e6

@@ -239,7 +239,7 @@ def _build_answer(
 ) -> PlotAnswer:
     return PlotAnswer(
         files=[str(path) for path in files],
-        ending=tl.charts.describe_runs(runs) if runs else None,
+        ending=tl.compare.describe_runs(runs) if runs else None,
         figures=[
             FigureAnswer(
                 file=str(path),

@@ -95,7 +95,7 @@ def report(
         )
     verdict = tl.check.join_verdicts(results) if results else None
     answer = ReportAnswer(
-        ending=tl.charts.describe_runs(runs),
+        ending=tl.compare.describe_runs(runs),
         output=str(output),
         bytes=output.stat().st_size,
         runs=[

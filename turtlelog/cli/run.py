@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.metrics_answer import describe_end, format_run, list_needed
+from turtlelog.cli.metrics_answer import format_run, list_needed
 from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
 from turtlelog.cli.output import (
     EXIT_FINE,
@@ -380,7 +380,7 @@ def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> 
         run, file="" if file is None else str(file), metrics=tl.measure_run(run, only=needed)
     )
     if before is not None:
-        head = fill_lines([f"{name}: {describe_end(summary)}.", *facts])
+        head = fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
         return f"{head}\n\n{describe_change(run, before)}"
     return format_run(summary, name, facts=facts)
 

@@ -156,7 +156,7 @@ def _require_view(save: Path | None) -> None:
 def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
     """Print how the runs in a file ended, and the written files."""
     if written:
-        ending = [fill_lines([tl.charts.describe_runs(runs)])] if runs else []
+        ending = [fill_lines([tl.compare.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
 
 

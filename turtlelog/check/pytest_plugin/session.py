@@ -249,12 +249,7 @@ def _is_own(frame: TracebackType) -> bool:
 
 
 _FLAGS: Final = ("allow_partial", "trust_law")
-_SETTINGS: Final = (
-    *_FLAGS,
-    *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
-    *("robot", "wheel_joints", "wheels", "wheelbase", "goal", "time", "columns"),
-)
-"""Settings of the marker besides patterns: fields of a `ReadChoice`, and trust in laws."""
+"""Settings of the marker that are True or False."""
 
 
 def choose_recordings(
@@ -267,10 +262,14 @@ def choose_recordings(
     Raises:
         CollectError: If the marker is wrong, or a pattern matches no file.
     """
+    from turtlelog.log.read_choice import ReadOptions
+
     place = f"{metafunc.definition.nodeid}: recordings"
-    unknown = sorted(marker.kwargs.keys() - {*_SETTINGS})
+    known = dict.fromkeys((*_FLAGS, *ReadOptions.__annotations__))
+    del known["allow_no_poses"]  # a check needs poses
+    unknown = sorted(marker.kwargs.keys() - known.keys())
     if unknown:
-        _refuse(f"{place}: expected one of {', '.join(_SETTINGS)}, found {unknown[0]}")
+        _refuse(f"{place}: expected one of {', '.join(known)}, found {unknown[0]}")
     _require_settings(marker.kwargs, place)
     if not marker.args:
         _refuse(f'{place}: needs a pattern such as "runs/*.mcap"')

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.charts.captions import describe_runs
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.curves import require_near
 from turtlelog.charts.many_runs import choose_colors_by_value, group_equal
@@ -25,6 +24,7 @@ from turtlelog.compare import (
     tabulate_measured,
     tabulate_runs,
 )
+from turtlelog.compare.run_ends import describe_runs
 from turtlelog.display import describe_count, join_words
 from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.output_files import replace_file, write_policy_tag
