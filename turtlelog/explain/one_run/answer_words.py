@@ -108,12 +108,17 @@ def _is_wide(found: Attribution) -> bool:
 
 
 def write_main(found: Attribution) -> str:
-    """Return the largest contribution, and contributions about equal to it."""
+    """Return the largest contributions; for causes that mostly act together, only their total."""
     named = choose_named(found)
     largest = abs(named[0].contribution or 0.0)
     main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
     label = "mainly " if len(main) < len(named) else ""
     mean = " in the mean over seeds" if found.seeds is not None else ""
+    added = math.fsum(one.contribution or 0.0 for one in named)
+    if added > 0.0 and len(named) == len(found.acting) and _need_each_other(found, named):
+        # Parts of what only arises together would read as if each cause alone added its part.
+        names = join_words([one.cause for one in named])
+        return f"{names} add {format_value(found, added)}{mean}"
     return label + ", ".join(write_part(found, one) for one in main) + mean
 
 
