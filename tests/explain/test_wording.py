@@ -18,6 +18,7 @@ from turtlelog.explain import (
     attribute_scenario,
     find_causes,
     identify_run,
+    write_headline,
     write_sentences,
 )
 from turtlelog.log import import_log
@@ -29,6 +30,9 @@ CAUSES = find_causes(get_preset("paper-kp10"))
 
 def make_contribution(*, cause: str, **values: Any) -> Contribution:
     return Contribution(cause=cause, meaning=CAUSES[cause].meaning, **values)
+
+
+JOINT = (Together(causes=("queue", "pause"), value=0.5),)
 
 
 def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attribution:
@@ -139,6 +143,20 @@ def test_the_value_is_the_logs_and_the_re_simulations(changes: Any, first: str) 
 )
 def test_an_effect_is_named_beyond_the_resolution(queue: float, cause: str) -> None:
     assert write_sentences(describe(queue=queue))[1].startswith(cause)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"queue": 0.011}, "queue +0.011 m"),
+        ({"queue": 0.009}, "no effect changes it noticeably"),  # within the resolution of 0.01 m
+        ({"contributions": ()}, "no effect changes it"),
+        ({"queue": 0.5, "pause": 0.3, "together": JOINT}, "queue and pause add 0.8 m"),
+        ({"queue": 0.5, "pause": 0.3}, "mainly queue +0.5 m"),
+    ],
+)
+def test_the_first_line_names_causes_or_says_that_there_are_none(changes: Any, told: str) -> None:
+    assert write_headline(describe(**changes)) == f"final.position_error is 1 m: {told}"
 
 
 @pytest.mark.parametrize(("pause", "is_named"), [(0.0110, False), (0.0112, True)])

@@ -41,16 +41,28 @@ def write_sentences(found: Attribution) -> tuple[str, ...]:
 
 
 def write_headline(found: Attribution) -> str:
-    """Return the value with the largest contributions, or the value alone if no cause is named.
+    """Return the value with the largest contributions, or that no effect changes the value.
 
-    The re-simulation's value follows in brackets if it differs from the log's.
+    The re-simulation's value follows in brackets if it differs from the log's. Without
+    contributions, the value stands alone.
     """
-    if not choose_named(found):
+    is_divided = not (found.without_value or found.withheld)
+    if not is_divided or None in (found.as_logged, found.resimulated):
         return write_value(found)
     known = [one for one in (found.as_logged, found.resimulated) if one is not None]
     sizes = [*dict.fromkeys(format_value(found, one) for one in known)]
     again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
-    return f"{found.metric} is {sizes[0]}{again}: {write_main(found)}"
+    main = write_main(found) if choose_named(found) else _write_no_cause(found)
+    return f"{found.metric} is {sizes[0]}{again}: {main}"
+
+
+def _write_no_cause(found: Attribution) -> str:
+    """Return that no effect changes the value, or none by more than the resolution or chance."""
+    if not found.acting:
+        return "no effect changes it"
+    if _is_negligible(found):
+        return "no effect changes it noticeably"
+    return "no effect is distinguishable from chance"
 
 
 def write_value(found: Attribution) -> str:
