@@ -320,7 +320,8 @@ def _list_next(
     words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
     if scenario is not None:
         target = escape_controls(shlex.quote(str(scenario)))
-        yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
+        yield f"Next: turtlelog theory {target}"
+        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
         yield f"Why? turtlelog explain {escape_controls(shlex.quote(str(files[0])))}"
