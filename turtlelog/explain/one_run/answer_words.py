@@ -61,7 +61,9 @@ def _write_no_cause(found: Attribution) -> str:
     if not found.acting:
         return "no effect changes it"
     if _is_negligible(found):
-        return "no effect changes it noticeably"
+        added = _sum_effects(found)
+        does = "add" if added >= 0.0 else "lower it by"
+        return f"effects {does} only {format_value(found, abs(added))}"
     return "no effect is distinguishable from chance"
 
 
