@@ -255,7 +255,7 @@ _FAR_TICKS: Final = 1000
 
 
 def mark_breaks(trace: Trace) -> Trace:
-    """Return the trace with its jumps marked, and with numbers that skip missing rows."""
+    """Return the trace with its jumps marked, and with numbers that also count missing rows."""
     jumps = _find_jumps(trace)
     number = trace.number if trace.has_ticks else _number_rows(trace, jumps)
     return replace(trace, jumps=jumps, number=number)
