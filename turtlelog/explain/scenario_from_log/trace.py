@@ -267,7 +267,7 @@ def list_trace_breaks(trace: Trace) -> list[int]:
 
 
 def describe_trace_breaks(trace: Trace) -> list[str]:
-    """Return sentences on jumps, missing rows and misread poses; of many, on the first ones."""
+    """Return sentences on the first jump, the first missing rows, and misread poses."""
     found = []
     if trace.jumps:
         row = trace.jumps[0]
