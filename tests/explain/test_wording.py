@@ -72,8 +72,7 @@ def test_the_gain_of_ten_in_words() -> None:
         "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
         " 0.4734 m, without both 0.00482 to 0.005677 m. Queue contributes 16 to 62 % of what queue"
         " and pause add.",
-        "Queue and pause need each other: 0.05761 m of their contributions arises only if both"
-        " act.",
+        "Queue and pause act together: 0.05761 m of what they add arises only if both act.",
         "Not a cause: saturation and sampling. The value is larger without saturation (0.8506 m)"
         " and without sampling (0.1361 m).",
         "Design parameter: tolerance. Without it (tolerances of 1e-06) the value is 0.0009877 m.",
@@ -216,9 +215,7 @@ def test_what_is_not_there_is_not_said_to_act() -> None:
 def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_told: bool) -> None:
     case = Together(causes=("queue", "pause"), value=size)
     sentences = write_sentences(describe(queue=0.1, together=(case,)))
-    told = (
-        f"Queue and pause need each other: {size} m of their contributions arises only if both act"
-    )
+    told = f"Queue and pause act together: {size} m of what they add arises only if both act"
     assert any(one.startswith(told) for one in sentences) == is_told
 
 

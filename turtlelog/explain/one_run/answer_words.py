@@ -316,7 +316,7 @@ def write_joint(names: Sequence[str], value: float, size: str) -> str:
     them = _capitalise(join_words(names))
     if value > 0.0:
         both = "both" if len(names) == 2 else "all of them"
-        return f"{them} need each other: {size} of their contributions arises only if {both} act."
+        return f"{them} act together: {size} of what they add arises only if {both} act."
     apart = "their parts, alone and in smaller groups"
     if len(names) == 2:
         apart = f"{names[0]} alone plus {names[1]} alone"

@@ -342,8 +342,8 @@ def _write_starts(found: "ExplainedDifference") -> str:
     within = f"{math.degrees(starts.within_rad):.3g} deg"
     first, second = (_format_span(found, *span) for span in (starts.first, starts.second))
     return (
-        f"The difference depends on single samples: for {starts.count} start headings within"
-        f" +-{within} the first run has {first}, the second {second}."
+        f"The difference depends on single samples. For {starts.count} start headings within"
+        f" +-{within}, {found.metric} is {first} in the first run and {second} in the second."
     )
 
 
