@@ -133,7 +133,7 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
         ("table", ['<th style="text-align:right">Kp [1/s]</th>', 'left">run</th>', "paper-kp10"]),
         ("comparison", ["largest difference", "cross_track"]),
         ("identification", ["loop.start_backlog", "reproduces all 770 samples"]),
-        ("attribution", ["<strong>final.position_error is 0.1067 m: queue +0.05108 m, pause"]),
+        ("attribution", ["<strong>final.position_error is 0.1067 m: queue and pause add"]),
     ],
 )
 def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:

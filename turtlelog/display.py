@@ -161,7 +161,7 @@ def format_curve_svg(values: Sequence[float], *, label: str) -> str:
     """Return values as a small curve in SVG; a value that is not finite leaves a gap.
 
     Args:
-        values: Values at equal distances.
+        values: Values at equally spaced positions.
         label: Description of the curve for readers who do not see it.
     """
     known = [value for value in values if isfinite(value)]

@@ -136,7 +136,7 @@ def quote_name(name: str) -> str:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return names as a list with `or` before the last; of many names, only the first ones."""
+    """Return names as a list with `or` before the last name. A long list shows only the first."""
     if len(names) > _LISTED:
         return f"{', '.join(names[:_LISTED])}, ..."
     *others, last = names or ["none"]

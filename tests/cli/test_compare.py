@@ -16,14 +16,14 @@ def test_the_first_line_is_the_answer_and_the_best_are_named_below(
     assert answer.code == 0
     lines = answer.out.splitlines()
     assert lines[:3] == [
-        "Most accurate: paper-kp4, 8.52 mm.",
+        "Most accurate: paper-kp4, 0.00852 m.",
         "2 runs, Kp = 10, 4 (law.pause_ticks and loop.start_backlog differ too, so not",
         "every difference is due to Kp): no run is best at everything.",
     ]
     said = [" ".join(line.split()) for line in lines[3:8]]
     assert said == [
         "None reaches the goal.",
-        "most accurate paper-kp4 8.52 mm worst: paper-kp10, 0.107 m",
+        "most accurate paper-kp4 0.00852 m worst: paper-kp10, 0.107 m",
         "shortest paper-kp4 11.2 s worst: paper-kp10, 12.6 s",
         "settles first (rotate) paper-kp10 2.21 s worst: paper-kp4, 2.28 s",
         "least overshoot (rotate) paper-kp4 0.0667 % worst: paper-kp10, 1.01 %",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.draw.rerun.rrds import read_blueprint_parts
 from tests.identify.robots import Log, Truth, make_run, write_bag
@@ -234,3 +235,24 @@ def test_outliers_are_named_one_by_one_unless_they_are_many(call: Call, tmp_path
     outliers, steps, text = tell(5)
     assert (outliers, outliers > 0.01 * steps, text.count("Outlier:")) == (5, True, 0)
     assert f"Speed: 5 of {steps} steps are off by far more than is usual" in text
+
+
+@pytest.mark.parametrize(("least_s", "is_told"), [(0.0, True), (0.001, False)])
+def test_a_sum_that_the_log_does_not_divide_is_told(least_s: float, *, is_told: bool) -> None:
+    from turtlelog.cli.identify_answer import format_robot
+
+    part = Estimate(value=0.1, low=0.0, high=0.2)
+    axis = AxisModel(
+        axis="speed",
+        status="ok",
+        gain=Estimate(value=1.0, low=0.9, high=1.1),
+        dead_time_s=part,
+        lag_s=Estimate(value=0.1, low=least_s, high=0.2),
+        total_delay_s=Estimate(value=0.2, low=0.19, high=0.21),
+        explained=0.9,
+        steps=100,
+    )
+    unknown = AxisModel(axis="turn_rate", status="not_identifiable", reason="it never turns")
+    model = tl.RobotModel(files=("bag",), speed=axis, turn_rate=unknown)
+    words = " ".join(format_robot(model, [Path("bag")]).split())
+    assert ("does not separate dead time from time constant" in words) == is_told

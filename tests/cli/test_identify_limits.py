@@ -58,7 +58,7 @@ def test_a_doubt_goes_on_to_the_scenario_and_the_advice(
     nav2 = next(row for row, line in enumerate(lines) if "model_delay_wz" in line)
     assert doubt < nav2
     axis = call("identify", bags / "braking.mcap", "--json").json["axes"][1]
-    assert axis["doubts"][0].startswith("No model explains all of the turn rate")
+    assert axis["doubts"][0].startswith("No model explains the turn rate completely")
     delay_s = float(lines[nav2].split()[1])
     assert delay_s == pytest.approx(axis["total_delay_s"]["high"], abs=1e-3)
     for command in (

@@ -53,8 +53,8 @@ HEAD: Final = """# JSON
 `--json` prints one JSON value and nothing else: a list from `info` and `metrics`, an object from
 the others. Quantities are in SI units and radians unless the name or unit says otherwise. A value
 that does not exist is null, with a `status` or `reason` beside it. A linked type has its table in
-the section of another command. For programs the same is in [schemas.json](schemas.json): a JSON
-schema for each command.
+the section of another command. [schemas.json](schemas.json) contains a JSON schema for each
+command.
 """
 
 

@@ -203,7 +203,7 @@ def test_what_needs_queue_and_repeat_both_is_said() -> None:
     found = attribute_scenario(change(**values), metric="rotate.overshoot")
     shares = {share.cause: share.contribution for share in found.contributions}
     assert shares["queue"] == pytest.approx(shares["repeat"])
-    assert "Queue and repeat need each other: " in " ".join(write_sentences(found))
+    assert "Queue and repeat act together: " in " ".join(write_sentences(found))
 
 
 def test_what_each_of_loss_and_dropout_would_do_alone_is_said() -> None:

@@ -218,7 +218,7 @@ def test_a_curve_that_no_model_explains_makes_intervals_wider_and_a_doubt() -> N
     total_s = known(found.total_delay_s)
     assert total_s.low <= 0.07 + 0.45 * 0.2 + 0.03
     assert total_s.high >= 0.07 + 0.2 - 0.03
-    assert "No model explains all of the turn rate" in noted
+    assert "No model explains the turn rate completely" in noted
     assert "between rising and falling commands" in noted
 
 

@@ -36,7 +36,7 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
 
     Args:
         run: Run that was checked.
-        results: Results of the run. Of many violated results, only the first are shown in full.
+        results: Results of the run. Only the first violated results are shown in full.
     """
     lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
     return [escape_controls(line) for line in lines]

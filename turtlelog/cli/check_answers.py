@@ -26,7 +26,7 @@ from turtlelog.cli.output import (
     print_tables,
     print_verdicts,
 )
-from turtlelog.display import describe_count, format_number, format_short
+from turtlelog.display import describe_count, format_short
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -320,9 +320,7 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
     """Yield the smallest margins if all pass, bounds to confirm, and next commands."""
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
     if counted.verdict == "PASS" and (found := counted.find_smallest()) is not None:
-        margin = format_number(found.margin, found.unit)
-        limit = format_number(found.limit, found.unit)
-        yield f"Nearest to its limit: {found.check}, margin {margin}, limit {limit}"
+        yield f"Nearest to its limit: {found.check}, {_tell_value(found)}"
     if spec is not None and observed and not _count_observed(counted, spec):
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"
         yield f"{were} read off a good run: look at observed = true in {spec.source}"

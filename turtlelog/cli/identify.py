@@ -33,7 +33,7 @@ class WrittenOptions:
 
     Attributes:
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
-        rrd: Write the same as a Rerun recording (.rrd).
+        rrd: Write command, motion, model and residual to this Rerun recording (.rrd).
         scenario: Write the robot as a scenario to this .toml file, which `run` simulates and
             `theory` recommends gains for.
     """

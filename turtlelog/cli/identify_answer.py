@@ -159,6 +159,10 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         f"{name}: the model explains {100.0 * axis.explained:.0f} % of the variance of"
         f" {axis.steps} steps between poses.{_describe_residual(axis)}"
     )
+    if _is_sum_only(axis):
+        yield (
+            f"{name}: the log does not separate dead time from time constant, it shows their sum."
+        )
     yield from _describe_second_order(axis)
     yield from _describe_acceleration(axis)
     if axis.bound_beside is not None:
@@ -172,6 +176,13 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     if axis.reverse_gain is not None:
         gain = tl.identify.format_gain(axis.reverse_gain)
         yield f"{name}: commands below 0 have a gain of {gain}."
+
+
+def _is_sum_only(axis: "AxisModel") -> bool:
+    """Return whether dead time and time constant may each be 0, although their sum may not."""
+    parts, total = (axis.dead_time_s, axis.lag_s), axis.total_delay_s
+    is_open = all(part is not None and part.low <= 0.0 for part in parts)
+    return is_open and total is not None and total.low > 0.0
 
 
 def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
@@ -320,7 +331,8 @@ def _list_next(
     words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
     if scenario is not None:
         target = escape_controls(shlex.quote(str(scenario)))
-        yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
+        yield f"Next: turtlelog theory {target}"
+        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
         yield f"Why? turtlelog explain {escape_controls(shlex.quote(str(files[0])))}"

@@ -336,7 +336,10 @@ class WorkOptions:
 
     @contextmanager
     def find_any_place(self) -> "Iterator[int | Executor | None]":
-        """Yield the same as `find_place`, or None if the work itself chooses the fastest way."""
+        """Yield a number of processes, the cluster, or None without both options.
+
+        For None, the work chooses the number of processes.
+        """
         if self.scheduler is None and self.jobs is None:
             yield None
             return

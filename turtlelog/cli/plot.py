@@ -93,8 +93,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
             other. Or one table (.parquet) that `turtlelog sweep` wrote.
         output: Write into this folder, or one figure to this .pdf, .png or .svg file; with --movie
             it may be missing.
-        only: Figures by name, with commas (turtlelog list figures).
-        formats: Some of pdf, png, svg, with commas. Default: pdf.
+        only: Names of figures, separated by commas. turtlelog list figures prints the names.
+        formats: One or more of pdf, png and svg, separated by commas. Default: pdf.
         timeline: Timeline of the movie: sim_time, or PHASE_time, from the start of a later phase of
             each run, as translate_time.
         jobs: Number of processes, on Linux. Default: one for every three figures of a folder, at

@@ -315,7 +315,7 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
         end = ", as far as that goes" if goes_on else ""
         columns = "every column that it holds" if found.absent else "every column"
         lines = [
-            f"{name}: the replay is the recording, in {columns}{end}"
+            f"{name}: the replay equals the recording in {columns}{end}"
             f"{_describe_slack(found.signals)}."
         ]
     else:

@@ -55,8 +55,8 @@ def report(
     """Write a report on runs as one file of HTML, which opens without a network.
 
     The report begins with the result in a sentence: which run ends nearest to its goal, which check
-    fails, what caused the worst run. Then follow the plane with a slider over time, plots to zoom,
-    tables, checks, and the files with their sha256.
+    fails, what caused the worst run. Below this sentence, the report shows the plane with a slider
+    over time, plots that can be zoomed, tables, checks, and the files with their sha256.
 
     The exit code is 1 if a check of --spec fails.
 

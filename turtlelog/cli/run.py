@@ -148,7 +148,7 @@ def scenario(
 ) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
-    The code of a law of your own is not loaded: only those of its keys that were given are printed.
+    The code of a law of your own is not loaded: only the given keys are printed.
 
     Example: turtlelog scenario paper-kp10 > mine.toml
 

@@ -181,12 +181,18 @@ def _describe_room(found: "TunedScenario") -> list[str]:
     if around is None or not around.ranges:
         return told
     slack = format_short(around.slack, found.unit)
-    ways = [
-        f"{one.key} = {format_number(one.low)} to {format_number(one.high)}"
-        for one in around.ranges
-    ]
+    ways = [_describe_range(one) for one in around.ranges]
     alone = "" if len(ways) == 1 else " (each changed alone)"
     return [*told, f"At most {slack} worse: {join_words(ways)}{alone}, as far as tried."]
+
+
+def _describe_range(found: "KeyRange") -> str:
+    """Return the range of a key; beyond a bound nothing was tried."""
+    ends = (found.low, found.low_end), (found.high, found.high_end)
+    low, high = (
+        format_number(value) + (" (its bound)" if end == "bound" else "") for value, end in ends
+    )
+    return f"{found.key} = {low} to {high}"
 
 
 def _tabulate_best(found: "TunedScenario") -> "Table":

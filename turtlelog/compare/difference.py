@@ -94,7 +94,7 @@ def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -
 def compare_measured(
     reference: Run, metrics: Mapping[str, Metric], run: Run, *, alignment: str
 ) -> RunComparison:
-    """Do the same as `compare_runs`, for a reference with known metrics."""
+    """Return the comparison of two runs, as `compare_runs` does, with known reference metrics."""
     clock = align_runs(reference, run, alignment)
     start_ns, end_ns = map(clock.read_ns, clock.span)
     names = list_signal_units([reference.declaration, run.declaration])

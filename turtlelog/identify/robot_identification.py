@@ -169,8 +169,9 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
     usual = float(np.median(beside))
     if usual and np.mean(np.abs(beside - usual) <= _ALIKE * usual) >= _MOSTLY:
         yield (
-            f"The {NAMES[model.axis]} is commanded with a {NAMES[other]} of {usual:.3g}"
-            f" {UNITS[other]} only. The log does not show whether its gain holds without."
+            f"Nearly all commands of the {NAMES[model.axis]} come together with a {NAMES[other]} of"
+            f" {usual:.3g} {UNITS[other]}. The log does not show the gain of the"
+            f" {NAMES[model.axis]} without this {NAMES[other]}."
         )
 
 

@@ -52,8 +52,9 @@ _SEEN: Final = 1.96
 interval excludes 0."""
 
 _PREDICTED: Final = 1.0
-"""Required decrease of the same for the rest of the log, with the uncertainty of the first part:
-noise alone increases it on average, and decreases it so much in 1 of 13 robots."""
+"""Required decrease of twice the negative log-likelihood for the rest of the log, with the
+uncertainty of the first part. Noise alone increases this number on average, and decreases it by 1
+in 1 of 13 robots."""
 
 _STARTS_S: Final = (0.1, 0.5)
 """Durations of the largest change of the command at which the search for a limit starts [s]."""

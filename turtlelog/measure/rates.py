@@ -186,7 +186,7 @@ class HeldCommands:
 
 
 def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Values]:
-    """Return commands with the plant's watchdog stop before late commands and at the end."""
+    """Return commands with a 0 at each time at which the plant's watchdog stops the robot."""
     late = np.append(subtract_neighbours(time_s) > holds_s, np.isfinite(holds_s))
     rows = np.flatnonzero(late) + 1
     stops_s = time_s[late] + holds_s

@@ -263,7 +263,7 @@ class PlainLoop:
         return tuple([self.take_states(sample.sequence) for sample in computed])
 
     def answer_pose(self, time_ns: int, number: int, pose: Pose) -> SampleRow:
-        """Return the sample for a pose that is not a result of this loop's motion.
+        """Return the sample for a pose from outside, such as a recorded pose; no plant moves.
 
         Raises:
             SimulationError: If the law fails or gives an invalid answer.

@@ -42,8 +42,8 @@ class Scene:
         end_ns: End of the run plus 1 [ns].
         timer_ns: Period of the controller's timer [ns]; 0: the controller answers poses.
         first_s: Time before the first sample [s].
-        causal_ns: Time after a pose within which an arriving command counts for the pose's step
-            [ns].
+        causal_ns: Offset from the end of a step to the time before which a command must arrive to
+            act in this step [ns]: 0 for turtlesim, 1 minus the period for a robot model.
         start_backlog: Number of poses before the first answer.
         is_exact: Whether poses are published in 64 bits.
         newest_only: Whether the plant takes only the newest command, and drops the others.

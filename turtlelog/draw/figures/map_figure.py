@@ -119,7 +119,7 @@ def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis along a side; of many values, every second, third ...
+    """Write the values of an axis along a side: all values, or every second, third ... value.
 
     A few numbers are written at their positions; more numbers get a scale.
     """

@@ -60,7 +60,7 @@ def choose_curve_axes(
 
 
 def choose_series(series: SweptAxis | None) -> list[int]:
-    """Return the indices of a second axis that get a line; of many, a few in even steps."""
+    """Return the indices of a second axis that get a line: all, or a few at equal steps."""
     if series is None:
         return [0]
     count = min(len(series), _MOST_LINES)

@@ -41,16 +41,30 @@ def write_sentences(found: Attribution) -> tuple[str, ...]:
 
 
 def write_headline(found: Attribution) -> str:
-    """Return the value with the largest contributions, or the value alone if no cause is named.
+    """Return the value with the largest contributions, or that no effect changes the value.
 
-    The re-simulation's value follows in brackets if it differs from the log's.
+    The re-simulation's value follows in brackets if it differs from the log's. Without
+    contributions, the value stands alone.
     """
-    if not choose_named(found):
+    is_divided = not (found.without_value or found.withheld)
+    if not is_divided or None in (found.as_logged, found.resimulated):
         return write_value(found)
     known = [one for one in (found.as_logged, found.resimulated) if one is not None]
     sizes = [*dict.fromkeys(format_value(found, one) for one in known)]
     again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
-    return f"{found.metric} is {sizes[0]}{again}: {write_main(found)}"
+    main = write_main(found) if choose_named(found) else _write_no_cause(found)
+    return f"{found.metric} is {sizes[0]}{again}: {main}"
+
+
+def _write_no_cause(found: Attribution) -> str:
+    """Return that no effect changes the value, or none by more than the resolution or chance."""
+    if not found.acting:
+        return "no effect changes it"
+    if _is_negligible(found):
+        added = _sum_effects(found)
+        does = "add" if added >= 0.0 else "lower it by"
+        return f"effects {does} only {format_value(found, abs(added))}"
+    return "no effect is distinguishable from chance"
 
 
 def write_value(found: Attribution) -> str:
@@ -108,12 +122,17 @@ def _is_wide(found: Attribution) -> bool:
 
 
 def write_main(found: Attribution) -> str:
-    """Return the largest contribution, and contributions about equal to it."""
+    """Return the largest contributions; for causes that mostly act together, only their total."""
     named = choose_named(found)
     largest = abs(named[0].contribution or 0.0)
     main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
     label = "mainly " if len(main) < len(named) else ""
     mean = " in the mean over seeds" if found.seeds is not None else ""
+    added = math.fsum(one.contribution or 0.0 for one in named)
+    if added > 0.0 and len(named) == len(found.acting) and _need_each_other(found, named):
+        # Parts of what only arises together would read as if each cause alone added its part.
+        names = join_words([one.cause for one in named])
+        return f"{names} add {format_value(found, added)}{mean}"
     return label + ", ".join(write_part(found, one) for one in main) + mean
 
 
@@ -297,7 +316,7 @@ def write_joint(names: Sequence[str], value: float, size: str) -> str:
     them = _capitalise(join_words(names))
     if value > 0.0:
         both = "both" if len(names) == 2 else "all of them"
-        return f"{them} need each other: {size} of their contributions arises only if {both} act."
+        return f"{them} act together: {size} of what they add arises only if {both} act."
     apart = "their parts, alone and in smaller groups"
     if len(names) == 2:
         apart = f"{names[0]} alone plus {names[1]} alone"

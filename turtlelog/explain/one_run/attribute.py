@@ -92,7 +92,7 @@ def attribute_run(
         causes: Causes that take part. Default: every effect in the scenario.
         identified: Result of `identify_run`, if already known.
         trust_law: Whether to run the code of a recorded law that is not built in.
-        work: Settings of the simulation: processes and progress.
+        work: Number of processes, and a function that receives the progress.
 
     Raises:
         ExplainError: If no scenario reproduces the run, or as in `attribute_scenario`.

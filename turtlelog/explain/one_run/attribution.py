@@ -195,7 +195,7 @@ class StartRange:
     """Range of a value over starts within the turn of one sample.
 
     Attributes:
-        count: Number of starts, at equal distances; the scenario's own start is in the middle.
+        count: Number of start headings, equally spaced around the scenario's own heading.
         within_rad: Angle between the scenario's own heading and that of the first and last start
             [rad].
         low: Smallest value, in the metric's unit.

@@ -123,7 +123,7 @@ def measure_luck(
         identified: Result of `identify_run`, if already known.
         found: Result of `attribute_run` for this metric, if already known.
         trust_law: Whether to run the code of a recorded law that is not built in.
-        work: Settings of the simulation: processes and progress.
+        work: Number of processes, and a function that receives the progress.
 
     Raises:
         ExplainError: If no scenario reproduces the run, if the re-simulation disagrees with the

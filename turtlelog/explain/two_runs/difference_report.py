@@ -82,11 +82,11 @@ def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
         _write_resimulated(found),
         *_write_departure(found),
         *_write_obstacle(found),
+        _write_starts(found),
         _write_together(found),
         _write_seeds(found),
         _write_orders(found),
         _write_unclear(found),
-        _write_starts(found),
         _write_effects(found),
         _write_idle(found),
         _write_basis(found),
@@ -342,8 +342,8 @@ def _write_starts(found: "ExplainedDifference") -> str:
     within = f"{math.degrees(starts.within_rad):.3g} deg"
     first, second = (_format_span(found, *span) for span in (starts.first, starts.second))
     return (
-        f"The difference depends on single samples: for {starts.count} start headings within"
-        f" +-{within} the first run has {first}, the second {second}."
+        f"The difference depends on single samples. For {starts.count} start headings within"
+        f" +-{within}, {found.metric} is {first} in the first run and {second} in the second."
     )
 
 
@@ -393,7 +393,7 @@ def _write_effects(found: "ExplainedDifference") -> str:
     """Return how the contributions of `explain` differ; empty if the differences are negligible."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
     parts = [_write_shift(found, one) for one in large[:_FEW]]
-    head = "By cause (turtlelog explain), the second run has"
+    head = "By effect instead of by setting (turtlelog explain), the second run has"
     return f"{head} {join_words(parts)}." if parts else ""
 
 

@@ -103,7 +103,7 @@ class DifferenceRange:
     """Range of the difference over starts within the turn of one sample.
 
     Attributes:
-        count: Number of starts, at equal distances; the scenarios' own starts are in the middle.
+        count: Number of start headings, equally spaced around each scenario's own heading.
         within_rad: Angle between the scenarios' own heading and that of the first and last start
             [rad].
         difference: Smallest and largest difference, in the metric's unit.

@@ -114,7 +114,7 @@ def explain_difference(
             the last loop.
         trust_law: Whether to run the code of recorded laws that are not built in.
         depth: Amount of simulation. Default: everything.
-        work: Settings of the simulation: processes and progress.
+        work: Number of processes, and a function that receives the progress.
 
     Raises:
         ExplainError: If the metric does not exist for both runs.

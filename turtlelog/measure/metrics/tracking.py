@@ -111,7 +111,7 @@ def find_shift(time_s: Values, reference: Values, error: Values, memory: Any) ->
 
 
 def _tell_shift(number: int, count: int, apart_s: float, most_s: float) -> float:
-    """Return one of some shifts at equal distances, from -`most_s` to `most_s` [s]."""
+    """Return one of `count` equally spaced shifts, from -`most_s` to `most_s` [s]."""
     return most_s if number == count - 1 else number * apart_s - most_s
 
 

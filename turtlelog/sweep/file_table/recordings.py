@@ -46,8 +46,8 @@ class RecordingTable:
         kind: See `ResultTable`.
         facts: Settings on which rows depend, apart from the content of files, as texts.
         work: Function that returns the rows of a file, at least one; it must be picklable. For a
-            file that cannot be read, the function returns a row with `ERROR`. Its exceptions end
-            the work.
+            file that cannot be read, the function returns a row with `ERROR`. A `LibraryError`
+            gives such a row too; any other exception ends the call.
         order: Function that returns the keys of columns, without those of `HEAD`. The arguments are
             the existing keys and the keys that have a cell with a value.
     """
