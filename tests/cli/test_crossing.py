@@ -31,7 +31,7 @@ SHARERS = {
     "turtlelog.cli.info": [["info", *ALL]],
     "turtlelog.compare.measured_files": [["metrics", *ALL, *BRIEF], ["compare", *ALL, *BRIEF]],
     "turtlelog.cli.compare_reference": [["compare", *ALL[:3], "--reference", "kp10.mcap"]],
-    "turtlelog.cli.check_files": [["check", "spec.toml", *ALL, "--junit", "junit.xml"]],
+    "turtlelog.cli.check": [["check", "spec.toml", *ALL, "--junit", "junit.xml"]],
     "turtlelog.sweep.file_table.recordings": [
         ["metrics", *ALL, *BRIEF, "-o", "metrics.parquet"],
         ["check", "spec.toml", *ALL, "-o", "verdicts.parquet"],
