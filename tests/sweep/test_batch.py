@@ -16,7 +16,7 @@ from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
+from turtlelog.simulate.compiled.compiled_code import CompiledCode
 from turtlelog.simulate.many import COST_S
 from turtlelog.sweep.batch import measured_rows
 from turtlelog.sweep.batch.batch_columns import COURSES, CURVES, STATUSES
@@ -34,7 +34,7 @@ OPEN: Final = get_preset("plant-step")
 
 
 @cache
-def load(loops: CompiledLoops) -> Any:
+def load(loops: CompiledCode) -> Any:
     found = loops.load()
     assert found is not None
     return found
@@ -44,7 +44,7 @@ def load(loops: CompiledLoops) -> Any:
 def loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the batch of every law and plant at hand."""
     pytest.importorskip("numba")
-    monkeypatch.setattr(CompiledLoops, "find", load)
+    monkeypatch.setattr(CompiledCode, "find", load)
 
 
 def require_row(

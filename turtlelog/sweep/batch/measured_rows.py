@@ -22,7 +22,7 @@ from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops, import_beside, is_kept
+from turtlelog.simulate.compiled.compiled_code import CompiledCode, import_beside, is_kept
 from turtlelog.simulate.compiled.compiled_run import CompiledRunner, draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
@@ -66,7 +66,7 @@ _STRETCH: Final = 32
 together."""
 
 
-_COMPARED: Final[set[CompiledLoops]] = set()
+_COMPARED: Final[set[CompiledCode]] = set()
 """Compiled loops of user laws that this process has already compared with plain runs."""
 
 
@@ -78,8 +78,8 @@ class Batch(NamedTuple):
 
 
 @cache
-def _find_batch(kind: Kind, coverage: Coverage) -> CompiledLoops:
-    return CompiledLoops(
+def _find_batch(kind: Kind, coverage: Coverage) -> CompiledCode:
+    return CompiledCode(
         partial(_load, kind, coverage),
         partial(_is_kept, kind, coverage),
         cost_s=COST_S,
@@ -107,7 +107,7 @@ def _is_kept(kind: Kind, coverage: Coverage) -> bool:
     return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
 
 
-def find_batch(base: Scenario) -> CompiledLoops | None:
+def find_batch(base: Scenario) -> CompiledCode | None:
     """Return the compiled code for rows that vary keys of a scenario; None if the law has none."""
     try:
         scenario = resolve_scenario(base)
@@ -266,7 +266,7 @@ class _Work:
         return resolve_scenario(scenario)
 
     def run_compiled(
-        self, batch: CompiledLoops, kernel: Batch, rows: Sequence[int], threads: int
+        self, batch: CompiledCode, kernel: Batch, rows: Sequence[int], threads: int
     ) -> Sequence[int]:
         """Simulate and measure compiled rows; return the rows that are not compiled."""
         self._is_own = not is_built_in(kernel.loop.law)

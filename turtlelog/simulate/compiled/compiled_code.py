@@ -17,7 +17,7 @@ COMPILING: Final = Event()
 """Set during compilation, which takes seconds once, so that a progress bar can show this."""
 
 
-class CompiledLoops:
+class CompiledCode:
     """Compiled code, loaded as soon as the expected work justifies its cost.
 
     With this rule, no process takes more than twice as long as with perfect knowledge of its work.
