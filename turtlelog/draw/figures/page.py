@@ -15,9 +15,17 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
-from turtlelog.charts.looks import SUPPOSED_DASH, Dash, Marker, choose_dash, choose_markers
 from turtlelog.charts.many_runs import choose_colors_by_value
-from turtlelog.charts.palette import FEW, Color, choose_run_colors
+from turtlelog.charts.palette import (
+    FEW,
+    SUPPOSED_DASH,
+    Color,
+    Dash,
+    Marker,
+    choose_dash,
+    choose_markers,
+    choose_run_colors,
+)
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run

@@ -12,14 +12,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts.curves import Curve, find_disturbance
-from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import (
     MANY,
     choose_colors_by_value,
     describe_restless,
     find_restless,
 )
-from turtlelog.charts.palette import Color
+from turtlelog.charts.palette import (
+    LIMIT_DASH,
+    Color,
+    choose_curve_color,
+    choose_dash,
+)
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
     POINTS,

@@ -11,9 +11,14 @@ from turtlelog.charts.captions import describe_plot
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
-from turtlelog.charts.looks import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import describe_restless, find_restless
-from turtlelog.charts.palette import to_hex
+from turtlelog.charts.palette import (
+    SUPPOSED_DASH,
+    Dash,
+    choose_curve_color,
+    choose_dash,
+    to_hex,
+)
 from turtlelog.charts.plotted_curves import (
     POINTS,
     CurveKind,
