@@ -179,14 +179,14 @@ def format_curve_svg(values: Sequence[float], *, label: str) -> str:
             drawn.append(f"{'L' if before else 'M'}{place[0]:.1f},{place[1]:.1f}")
         before = place is not None
     size = f'width="{_CURVE_WIDTH:g}" height="{_CURVE_HEIGHT:g}"'
-    path = f'<path d="{"".join(drawn)}" fill="none" stroke="{_CURVE_COLOUR}" stroke-width="1.5"/>'
+    path = f'<path d="{"".join(drawn)}" fill="none" stroke="{CURVE_COLOUR}" stroke-width="1.5"/>'
     name = f'role="img" aria-label="{_escape(label)}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {name}>{path}</svg>'
 
 
 _CURVE_WIDTH: Final = 320.0
 _CURVE_HEIGHT: Final = 60.0
-_CURVE_COLOUR: Final = "#0082cc"
+CURVE_COLOUR: Final = "#0082cc"
 """Colour with contrast to white and to the black of dark notebooks."""
 
 
