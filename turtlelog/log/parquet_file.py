@@ -13,7 +13,7 @@ from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.libraries import load_library
 from turtlelog.log.engine.limits import SMALL_FILE, grow_bound
 from turtlelog.log.error_boundary import DamageError, open_file
-from turtlelog.log.parquet.parquet_counts import (
+from turtlelog.log.parquet_counts import (
     ChunkClaim,
     PageClaim,
     iterate_pages,
