@@ -29,7 +29,9 @@ from turtlelog.sweep.table.result_table import (
     list_values,
     open_result_table,
 )
-from turtlelog.sweep.table.sweep_table import STATUS
+from turtlelog.sweep.table.swept_rows import (
+    STATUS,
+)
 
 Values = NDArray[np.float64]
 
