@@ -40,7 +40,7 @@ SHARERS = {
         ["sweep", "paper", *GRID, "--record", "runs", "-o", "s.parquet"]
     ],
     "turtlelog.sweep.tune.candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],
-    "turtlelog.explain.one_run.game": [["explain", "kp10.mcap", "--jobs", "2"]],
+    "turtlelog.explain.game": [["explain", "kp10.mcap", "--jobs", "2"]],
     "turtlelog.draw.figures.writing": [["plot", "kp10.mcap", "-o", "figs", "--only", "heading"]],
 }
 """Commands for each module that hands out work."""

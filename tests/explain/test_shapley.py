@@ -4,8 +4,10 @@ from fractions import Fraction
 import pytest
 from hypothesis import example, given, strategies as st
 
-from turtlelog.explain.one_run.game import list_coalitions
-from turtlelog.explain.one_run.shapley import (
+from turtlelog.explain.game import (
+    list_coalitions,
+)
+from turtlelog.explain.shapley import (
     Worth,
     compute_contributions,
     compute_dividends,

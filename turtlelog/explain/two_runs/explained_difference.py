@@ -6,7 +6,11 @@ from html import escape
 from typing import Any, Final
 
 from turtlelog.display import fit_line, format_answer, format_html
-from turtlelog.explain.one_run.attribution import Resolution, Together, ValueSet
+from turtlelog.explain.attribution import (
+    Resolution,
+    Together,
+    ValueSet,
+)
 from turtlelog.explain.scenario_from_log.resimulation import Departure
 
 SEED: Final = "seed"

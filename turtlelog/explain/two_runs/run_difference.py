@@ -7,23 +7,23 @@ from typing import Final
 
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
-from turtlelog.explain.causes import draws_random
-from turtlelog.explain.one_run.attribute import attribute_scenario, divide_game
-from turtlelog.explain.one_run.attribution import (
+from turtlelog.explain.attribute import (
+    attribute_scenario,
+    divide_game,
+)
+from turtlelog.explain.attribution import (
     Attribution,
     Contribution,
     Resolution,
     choose_metric,
     find_resolution,
 )
-from turtlelog.explain.one_run.game import SEEDS, Play, Work, iterate_outcomes
-from turtlelog.explain.one_run.shapley import ORDERS, sample_game
-from turtlelog.explain.one_run.starts import (
-    find_steady_span,
-    ranges_over,
-    spread_starts,
-    subtract_values,
-    turn_start,
+from turtlelog.explain.causes import draws_random
+from turtlelog.explain.game import (
+    SEEDS,
+    Play,
+    Work,
+    iterate_outcomes,
 )
 from turtlelog.explain.scenario_from_log.hypothesis import (
     LONGEST_S,
@@ -33,6 +33,17 @@ from turtlelog.explain.scenario_from_log.hypothesis import (
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.scenario_from_log.resimulation import find_departure
 from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
+from turtlelog.explain.shapley import (
+    ORDERS,
+    sample_game,
+)
+from turtlelog.explain.starts import (
+    find_steady_span,
+    ranges_over,
+    spread_starts,
+    subtract_values,
+    turn_start,
+)
 from turtlelog.explain.two_runs.explained_difference import (
     SEED,
     Change,

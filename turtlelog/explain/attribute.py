@@ -6,6 +6,14 @@ from dataclasses import replace
 from typing import Final
 
 from turtlelog.errors import ExplainError
+from turtlelog.explain.attribution import (
+    Attribution,
+    Contribution,
+    Together,
+    ValueSet,
+    choose_metric,
+    find_resolution,
+)
 from turtlelog.explain.causes import (
     LOOP_CAUSES,
     PLANT_CAUSES,
@@ -15,15 +23,7 @@ from turtlelog.explain.causes import (
     find_causes,
     list_effects,
 )
-from turtlelog.explain.one_run.attribution import (
-    Attribution,
-    Contribution,
-    Together,
-    ValueSet,
-    choose_metric,
-    find_resolution,
-)
-from turtlelog.explain.one_run.game import (
+from turtlelog.explain.game import (
     Coalition,
     Game,
     Outcome,
@@ -31,13 +31,6 @@ from turtlelog.explain.one_run.game import (
     Work,
     list_coalitions,
 )
-from turtlelog.explain.one_run.shapley import (
-    Worth,
-    compute_contributions,
-    compute_dividends,
-    find_smallest,
-)
-from turtlelog.explain.one_run.starts import describe_alone, divide_over_seeds, vary_start
 from turtlelog.explain.scenario_from_log.hypothesis import require_trust
 from turtlelog.explain.scenario_from_log.identification import (
     LOOP_KEYS,
@@ -46,6 +39,17 @@ from turtlelog.explain.scenario_from_log.identification import (
     Identification,
 )
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
+from turtlelog.explain.shapley import (
+    Worth,
+    compute_contributions,
+    compute_dividends,
+    find_smallest,
+)
+from turtlelog.explain.starts import (
+    describe_alone,
+    divide_over_seeds,
+    vary_start,
+)
 from turtlelog.laws import LAWS, find_law, list_causes
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run, require_run

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from turtlelog.display import join_words
-from turtlelog.explain.causes import RANDOM_EFFECTS
-from turtlelog.explain.one_run.attribution import (
+from turtlelog.explain.attribution import (
     Attribution,
     Contribution,
     SeedRange,
@@ -15,6 +14,7 @@ from turtlelog.explain.one_run.attribution import (
     ValueSet,
     is_clear,
 )
+from turtlelog.explain.causes import RANDOM_EFFECTS
 
 _NAMED: Final = 0.1
 """Share of the contributions' total magnitude above which a cause or joint part is named. A design
