@@ -70,7 +70,8 @@ def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> 
 def test_a_run_within_its_tolerances_passes(call: Call, kp4: Path, tolerances: Path) -> None:
     answer = call("check", tolerances, kp4, "--reference", kp4, "--all")
     assert answer.code == 0
-    assert answer.out.startswith(f"PASS: {kp4}: all 2 checks pass\n\n      check ")
+    assert answer.out.startswith(f"PASS: {kp4}: all 2 checks pass\nNearest to its limit: ")
+    assert "\n\n      check " in answer.out
     assert "PASS  metrics.final.position_error" in answer.out
 
 

@@ -269,12 +269,15 @@ def _find_worst(counted: "CountedResults") -> "CheckResult | None":
 
 
 def _list_facts(counted: "CountedResults", spec: "Spec | None", files: int) -> Iterator[str]:
-    """Yield which check is furthest beyond its limit, and whether limits are observed ones."""
+    """Yield the check furthest beyond or nearest to its limit, and whether limits are observed."""
     worst = _find_worst(counted)
     if worst is not None:
         place = f" in {escape_controls(worst.file)}" if files > 1 else ""
         check = escape_controls(worst.check)
         yield f"Furthest beyond its limit, as a share of it: {check}{place}, {_tell_value(worst)}."
+    several = counted.verdicts.total() > 1
+    if several and counted.verdict == "PASS" and (nearest := counted.find_smallest()) is not None:
+        yield f"Nearest to its limit: {escape_controls(nearest.check)}, {_tell_value(nearest)}."
     if observed := _count_observed(counted, spec):
         were = "1 failed limit was" if observed == 1 else f"{observed} failed limits were"
         source = "" if spec is None else spec.source
@@ -317,10 +320,8 @@ def _list_failing(counted: "CountedResults") -> Iterator[str]:
 
 
 def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
-    """Yield the smallest margins if all pass, bounds to confirm, and next commands."""
+    """Yield bounds to confirm, and next commands."""
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
-    if counted.verdict == "PASS" and (found := counted.find_smallest()) is not None:
-        yield f"Nearest to its limit: {found.check}, {_tell_value(found)}"
     if spec is not None and observed and not _count_observed(counted, spec):
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"
         yield f"{were} read off a good run: look at observed = true in {spec.source}"
