@@ -6,6 +6,7 @@ from typing import Final
 
 from turtlelog.display import join_words
 from turtlelog.explain.attribution import (
+    SAME,
     Attribution,
     Contribution,
     SeedRange,
@@ -22,9 +23,6 @@ parameter is named above the same share of the value."""
 
 _MOST_TOGETHER: Final = 3
 """Largest number of joint parts in one sentence; four causes have eleven joint parts."""
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference between log and re-simulation is not mentioned."""
 
 _ALIKE: Final = 1.25
 """Largest ratio of contributions that count as about equal."""
@@ -79,7 +77,7 @@ def write_value(found: Attribution) -> str:
     size = format_value(found, logged)
     if built is None:
         return f"{found.metric} is {size} in the log; re-simulated it has no value."
-    if abs(logged - built) <= _SAME * abs(built):
+    if abs(logged - built) <= SAME * abs(built):
         return f"{found.metric} is {size}, in the log and re-simulated."
     if size == format_value(found, built):
         apart = format_value(found, abs(logged - built))

@@ -7,6 +7,7 @@ from typing import Final
 
 from turtlelog.errors import ExplainError
 from turtlelog.explain.attribution import (
+    SAME,
     Attribution,
     Contribution,
     Together,
@@ -64,9 +65,6 @@ Random effects need 32 times as many simulations; each further cause doubles the
 _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the effects' total. With a larger
 difference, the re-simulation does not represent the log."""
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _OUTSIDE: Final = (
     "the log's value lies outside of the central 95 % over seeds, its own is not known"
@@ -312,9 +310,9 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
         is_central = found.seeds.low <= logged <= found.seeds.high
         return "" if is_central else _OUTSIDE
     added, apart = abs(built - without), abs(logged - built)
-    if added <= _SAME * abs(logged):
-        same = f"{100.0 * _SAME:g} % of the value"
-        agrees = apart <= _SAME * abs(logged)
+    if added <= SAME * abs(logged):
+        same = f"{100.0 * SAME:g} % of the value"
+        agrees = apart <= SAME * abs(logged)
         reason = f"log and re-simulation differ by more than {same}, and the effects add less"
         return "" if agrees else reason
     agrees = apart <= _AGREEMENT * added

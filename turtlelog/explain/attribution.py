@@ -12,6 +12,9 @@ from turtlelog.run.ending import allow_position
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
+SAME: Final = 1e-6
+"""Share of a value below which a difference counts as 0: two platforms differ by less."""
+
 _SHARE: Final = 0.01
 """Share of a value that is negligible if neither a tolerance nor a clock bounds it. A phase of the
 paper's runs has at least a hundred samples, so this is about one sample's effect on an integral."""

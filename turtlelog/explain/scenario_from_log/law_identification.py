@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.explain.scenario_from_log.gain_fit import (
+    DIGITS,
     CommandFit,
     Reproduce,
     compute_misfit,
@@ -237,9 +238,6 @@ def _name_bounds(low: float, high: float, unit: str) -> str:
     return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
 
 
-_DIGITS: Final = 17
-"""Significant digits that distinguish all doubles."""
-
 _LEADING: Final = "1528346790"
 """First digits of a number, more common digits first."""
 
@@ -248,7 +246,7 @@ def find_round_number(low: float, high: float) -> float:
     """Return the roundest number in [low, high), 0 < high: fewest digits, then common digits."""
     if low <= 0.0:
         return _find_power_below(high)
-    for digits in range(1, _DIGITS + 1):
+    for digits in range(1, DIGITS + 1):
         exponent = int(np.floor(np.log10(high))) - digits + 1
         found = [
             number

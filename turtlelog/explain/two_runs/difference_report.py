@@ -10,6 +10,7 @@ from turtlelog.explain.answer_words import (
     write_joint,
 )
 from turtlelog.explain.attribution import (
+    SAME,
     is_clear,
 )
 from turtlelog.explain.two_runs.explained_difference import ROBOT, SEED
@@ -47,9 +48,6 @@ _FEWEST: Final = 2
 values."""
 
 _MOST_DECIMALS: Final = 9
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _PLURALS: Final = ("gains", "limits", "limits driving", "limits turning", COMMANDS)
 _SPANS: Final = ("pause", "delay", "time span", "sampling period", "queue")
@@ -108,7 +106,7 @@ def write_difference_headline(found: "ExplainedDifference") -> str:
         return f"{found.metric}: {_write_side(found, first)}; {_write_side(found, second)}."
     apart = second.as_logged - first.as_logged
     sizes = [format_magnitude(found, one) for one in (first.as_logged, second.as_logged)]
-    if abs(apart) <= _SAME * max(abs(first.as_logged), abs(second.as_logged)):
+    if abs(apart) <= SAME * max(abs(first.as_logged), abs(second.as_logged)):
         moves = f"is {sizes[0]} in both runs"
     else:
         moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} to {sizes[1]}"
@@ -162,7 +160,7 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
     sides = (found.first, found.second)
     pairs = [(one.as_logged, one.resimulated) for one in sides]
     known = [(a, b) for a, b in pairs if a is not None and b is not None]
-    if len(known) < 2 or all(abs(a - b) <= _SAME * abs(a) for a, b in known):
+    if len(known) < 2 or all(abs(a - b) <= SAME * abs(a) for a, b in known):
         return ""
     values = [format_magnitude(found, value) for _, value in known]
     if found.unexplained is not None:

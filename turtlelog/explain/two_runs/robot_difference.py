@@ -14,6 +14,7 @@ from turtlelog.explain.attribute import (
     divide_game,
 )
 from turtlelog.explain.attribution import (
+    SAME,
     Attribution,
     Contribution,
     Resolution,
@@ -67,9 +68,6 @@ _MOST_UNEXPLAINED: Final = 1.0 / 3.0
 _ACTS: Final = 1e-3
 """Share of the difference below which a part does not act, when it is changed in either log."""
 
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0."""
-
 _LAW_ACTS: Final = "its controller is known, the other one's is not, so its law counts as commands"
 
 _BY_CHANCE: Final = 2.0
@@ -106,7 +104,7 @@ def explain_robots(
     if one is None or other is None:
         return replace(found, withheld="one log has no value")
     found = replace(found, difference=other - one)
-    if abs(other - one) <= _SAME * max(abs(one), abs(other)):
+    if abs(other - one) <= SAME * max(abs(one), abs(other)):
         return found
     lacking = [run.name for run in runs if not len(run.commands)]
     if lacking:

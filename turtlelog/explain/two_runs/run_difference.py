@@ -12,6 +12,7 @@ from turtlelog.explain.attribute import (
     divide_game,
 )
 from turtlelog.explain.attribution import (
+    SAME,
     Attribution,
     Contribution,
     Resolution,
@@ -67,9 +68,6 @@ paper's runs."""
 
 _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the difference between runs."""
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _ROUNDING: Final = 1e-12
 """Share of a value that a mean over equal values may differ by."""
@@ -450,7 +448,7 @@ def _compare_with_logs(found: ExplainedDifference) -> str:
         for side in (found.first, found.second)
     )
     largest = max(abs(side.as_logged or 0.0) for side in (found.first, found.second))
-    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), _SAME * largest):
+    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), SAME * largest):
         return ""
     return "logs and re-simulations differ by more than a tenth of the difference"
 
