@@ -22,6 +22,7 @@ from turtlelog.log.parquet_file import (
 )
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
+from turtlelog.log.writing.container import name_write_error
 from turtlelog.run import TABLES, Run, tabulate_run
 from turtlelog.run.tables import iterate_arrow
 
@@ -185,7 +186,7 @@ def _name_place(path: Path) -> Iterator[None]:
     try:
         yield
     except UnicodeEncodeError as err:
-        raise LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}") from err
+        raise name_write_error(path, err) from err
 
 
 def _write_csv(run: Run, table: str, path: Path) -> None:
