@@ -139,7 +139,7 @@ def format_html(
     return "\n".join([*lines, "</tbody>", "</table>"])
 
 
-def format_answer(answer: str, *parts: str) -> str:
+def format_notebook(answer: str, *parts: str) -> str:
     """Return the HTML that a notebook shows for a value: the answer, then the details.
 
     The colours are those of the notebook, light or dark.
@@ -152,7 +152,7 @@ def format_answer(answer: str, *parts: str) -> str:
     return "\n".join(['<div class="turtlelog">', head, *filter(None, parts), "</div>"])
 
 
-def format_details(summary: str, html: str) -> str:
+def format_folded(summary: str, html: str) -> str:
     """Return a part of an answer as HTML that stays folded until a click."""
     return f"<details><summary>{_escape(summary)}</summary>{html}</details>"
 

@@ -110,7 +110,7 @@ class ExplainAnswer:
     motion: MotionAnswer | None
 
 
-def build_answer(
+def build_explain_answer(
     file: Path,
     metric: "Metric",
     found: "Identification",
@@ -199,7 +199,7 @@ _WORDS: Final = {
 """Functions that describe a cause, by the settings that remove it."""
 
 
-def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
+def format_explain_answer(answer: ExplainAnswer, found: "Identification") -> str:
     """Return the value, its causes, what they depend on, and the confidence."""
     name = escape_controls(Path(answer.file).name)
     attribution = answer.attribution
@@ -278,7 +278,7 @@ def _write_differences(found: "Identification") -> str:
     )
 
 
-def format_details(answer: ExplainAnswer, found: "Identification") -> str:
+def format_explain_details(answer: ExplainAnswer, found: "Identification") -> str:
     """Return every cause, the identified settings with evidence, and the tried values."""
     parts = [] if answer.attribution is None else [format_causes(answer.attribution)]
     parts += [format_identification(found), _format_resimulation(found)]

@@ -94,7 +94,7 @@ def identify(
     model = tl.identify_robot(runs)
     robot = None if scenario is None else tl.identify.build_robot_scenario(model, runs)
     if json:
-        print_json(build_answer(files, model, scenario, robot))
+        print_json(build_identify_answer(files, model, scenario, robot))
     else:
         print_text(
             format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
@@ -195,7 +195,7 @@ class IdentifyAnswer:
     scenario: ScenarioAnswer | None
 
 
-def build_answer(
+def build_identify_answer(
     files: Sequence[Path],
     model: "RobotModel",
     scenario: Path | None = None,

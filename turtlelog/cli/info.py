@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.info_answer import InfoAnswer, RobotTopics, format_answer, format_answers
+from turtlelog.cli.info_answer import InfoAnswer, RobotTopics, format_answers, format_info_answer
 from turtlelog.cli.info_summary import Summary, count_read, summarise
 from turtlelog.cli.options import (
     Files,
@@ -113,7 +113,7 @@ def _format(found: "list[InfoAnswer]", options: InfoOptions) -> str:
     if len(found) > _MOST_IN_FULL and not (options.topics or options.parameters):
         return format_answers(found)
     shown = partial(
-        format_answer,
+        format_info_answer,
         topics=options.topics,
         parameters=options.parameters,
         is_alone=len(found) == 1,

@@ -226,7 +226,7 @@ def _answer(
         print_note(f"{name.replace('_', ' ')}: {note}")
     _write(result, record, is_recorded=is_recorded)
     if json:
-        print_json(build_answer(result, output=record.output, rrd=record.rrd))
+        print_json(build_run_answer(result, output=record.output, rrd=record.rrd))
     else:
         print_text(_describe_ending(result, file=record.output, before=before))
     return code
@@ -356,7 +356,7 @@ class RunAnswer:
     metrics: list[dict[str, Any]]
 
 
-def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
+def build_run_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
     """Return the answer."""
     end = find_goal_end(run)
     return RunAnswer(

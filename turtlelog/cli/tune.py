@@ -13,7 +13,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
-from turtlelog.cli.tune_answer import build_answer, format_answer
+from turtlelog.cli.tune_answer import build_tune_answer, format_tune_answer
 from turtlelog.errors import UsageError
 from turtlelog.files.urls import make_path
 
@@ -209,9 +209,9 @@ def tune(
         if runs and found.is_feasible:
             spread = _simulate_variants(found, runs, more, seed, place, work)
     if json:
-        print_json(build_answer(found, spread))
+        print_json(build_tune_answer(found, spread))
     else:
-        print_text(format_answer(found, spread))
+        print_text(format_tune_answer(found, spread))
     return EXIT_FINE if found.is_feasible else EXIT_FAILED
 
 

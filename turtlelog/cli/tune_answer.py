@@ -90,7 +90,7 @@ class TuneAnswer:
     spread: SpreadAnswer | None
 
 
-def build_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAnswer:
+def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAnswer:
     """Return the answer for JSON; `spread` are the results of variants, if any were simulated."""
     tuned = found.tuned
     return TuneAnswer(
@@ -138,7 +138,7 @@ def _build_spread(spread: "Spread") -> SpreadAnswer:
     )
 
 
-def format_answer(found: "TunedScenario", spread: "Spread | None") -> str:
+def format_tune_answer(found: "TunedScenario", spread: "Spread | None") -> str:
     """Return the answer as text. The first line has the best values and their result."""
     tables = [_tabulate_best(found)]
     if found.tuned.best.constraints:

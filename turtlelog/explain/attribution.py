@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Final
 
-from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.measure import list_metrics
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.ending import allow_position
@@ -380,7 +380,7 @@ class Attribution:
                 rows.insert(sum(one.contribution is not None for one in self.changing), row)
         table = format_html(rows, heads=heads)
         rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
-        return format_answer(write_headline(self), table, *rest)
+        return format_notebook(write_headline(self), table, *rest)
 
 
 def choose_metric(declaration: Declaration) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Type
 
 from msgspec import Meta
 
-from turtlelog.display import fit_line, format_answer, format_details, format_html
+from turtlelog.display import fit_line, format_folded, format_html, format_notebook
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ParameterError, ScenarioError
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
@@ -272,9 +272,9 @@ class Scenario:
 
         keys = flatten_scenario(self)
         law = [(key, value) for key, value in keys.items() if key.startswith("law.")]
-        every = format_details(f"All {len(keys)} keys", format_html([*keys.items()]))
+        every = format_folded(f"All {len(keys)} keys", format_html([*keys.items()]))
         goal = f"to ({self.goal.x_m:g}, {self.goal.y_m:g}) m"
-        return format_answer(f"{self.name}: {self.law.kind} {goal}", format_html(law), every)
+        return format_notebook(f"{self.name}: {self.law.kind} {goal}", format_html(law), every)
 
 
 def require_scenario(scenario: object) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.errors import ExplainError, ReplayError
 from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
 from turtlelog.explain.scenario_from_log.resimulation import Resimulation
@@ -204,7 +204,7 @@ class Identification:
             for key, found in self.findings.items()
         ]
         heads = ("", "value", "confidence", "evidence")
-        return format_answer(self._describe(), format_html(rows, heads=heads))
+        return format_notebook(self._describe(), format_html(rows, heads=heads))
 
 
 def identify_plant(run: Run) -> Identification:

@@ -7,7 +7,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.display import fit_line, format_answer, format_html, format_number
+from turtlelog.display import fit_line, format_html, format_notebook, format_number
 from turtlelog.errors import TuneError
 from turtlelog.expressions import parse_expression
 from turtlelog.measure import list_metrics
@@ -96,7 +96,7 @@ class TunedScenario:
             found = ranges.get(one.key)
             ends = (None, None) if found is None else (found.low, found.high)
             rows.append((one.key, self.values[one.key], *ends, one.low, one.high))
-        return format_answer(self._describe(), format_html(rows, heads=heads))
+        return format_notebook(self._describe(), format_html(rows, heads=heads))
 
 
 def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
