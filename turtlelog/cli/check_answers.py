@@ -11,7 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.check_tables import (
     CountedResults,
     count_checks,
-    list_causes,
+    list_failure_reasons,
     list_verdict_reasons,
     tabulate_checks,
     tabulate_files,
@@ -135,7 +135,7 @@ def print_results(
         notes = (
             conclude(CountedResults(results), files),
             *list_verdict_reasons(spec, results),
-            *list_causes(results),
+            *list_failure_reasons(results),
         )
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
@@ -179,7 +179,7 @@ def format_results(
     valued = shown if shows_all else [one for one in shown if one.value is not None]
     tables = [*tabulate_files(valued), *(tabulate_matrix(shown) if shows_all else ())]
     tables = [replace(table, title="") for table in tables] if files == 1 else tables
-    lines, causes = [*list_verdict_reasons(spec, shown)], [*list_causes(shown)]
+    lines, causes = [*list_verdict_reasons(spec, shown)], [*list_failure_reasons(shown)]
     head = _write_head(counted, files, spec, causes)
     return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
 
@@ -192,7 +192,7 @@ def _format_many(
     if shows_all:
         tables.append(tabulate_checks(counted.failures, "Failures", names_file=True))
     lines = [*_list_failing(counted), *list_verdict_reasons(spec, counted.failures)]
-    lines += list_causes(counted.failures)
+    lines += list_failure_reasons(counted.failures)
     more = counted.verdicts[tl.check.Verdict.FAIL] - len(counted.failures)
     if more:
         lines.append(f"{more} more failures are not shown: --csv and --json show them")

@@ -215,7 +215,7 @@ def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") 
         yield f"{verdict} {file}: {', '.join(checks)}: {reason}"
 
 
-def list_causes(results: "Sequence[CheckResult]") -> Iterator[str]:
+def list_failure_reasons(results: "Sequence[CheckResult]") -> Iterator[str]:
     """Yield why runs differ from their reference, as far as it was determined."""
     for result in results:
         if result.why:

@@ -134,12 +134,15 @@ class Session:
         failed: "dict[Recording, list[CheckResult]]",
     ) -> None:
         from turtlelog.check import ArtifactWriter
-        from turtlelog.check.pytest_plugin.failure_messages import explain_failures, keep_artifacts
+        from turtlelog.check.pytest_plugin.failure_messages import (
+            keep_artifacts,
+            list_failure_lines,
+        )
 
         lines: list[str] = []
         explains = not self._config.getoption("--turtlelog-no-why")
         for recording, results in failed.items():
-            lines += [*explain_failures(recording, results, explains=explains), ""]
+            lines += [*list_failure_lines(recording, results, explains=explains), ""]
         folder = self._config.getoption("--turtlelog-artifacts")
         if folder:
             place = self._config.invocation_params.dir / folder

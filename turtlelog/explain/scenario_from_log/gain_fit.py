@@ -405,7 +405,7 @@ def describe_limit(fit: CommandFit) -> Finding:
     return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands are there")
 
 
-def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:
+def compute_gain_misfit(fit: CommandFit, command: Values, error: Values) -> float:
     """Return the root mean square of the residual of a fit, including clipped commands."""
     gain = math.inf if fit.gain is None else max(fit.gain.value, 0.0)
     limit = fit.largest if fit.gain is None else (fit.limit or math.inf)

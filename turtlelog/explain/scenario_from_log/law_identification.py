@@ -10,7 +10,7 @@ from turtlelog.explain.scenario_from_log.gain_fit import (
     DIGITS,
     CommandFit,
     Reproduce,
-    compute_misfit,
+    compute_gain_misfit,
     describe_fitted_gain,
     describe_limit,
     fit_command,
@@ -136,8 +136,8 @@ def _choose_wrapping(
         return chosen, find_exactly(chosen, "the heading error exceeds half a turn")
     if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
         return False, miss("the heading error stays within half a turn", assumed=False)
-    left = compute_misfit(wrapped, command, wrap_angle(error))
-    chosen = left < compute_misfit(plain, command, error)
+    left = compute_gain_misfit(wrapped, command, wrap_angle(error))
+    chosen = left < compute_gain_misfit(plain, command, error)
     evidence = "the heading error exceeds half a turn"
     return chosen, fit_value(chosen, evidence)
 
