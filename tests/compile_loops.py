@@ -20,7 +20,9 @@ from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate.many import find_loop
 from turtlelog.sweep.batch.batch_columns import GOALS, PATHS
-from turtlelog.sweep.batch.batch_rows import is_batched
+from turtlelog.sweep.batch.batch_settings import (
+    is_batched,
+)
 from turtlelog.sweep.batch.measured_rows import find_batch
 
 EVERYDAY: Final = {

@@ -45,7 +45,7 @@ from turtlelog.sweep.batch.batch_columns import (
     type_measurement,
 )
 from turtlelog.sweep.batch.batch_kernel import NO_PHASE
-from turtlelog.sweep.batch.batch_rows import (
+from turtlelog.sweep.batch.batch_settings import (
     Kind,
     PreparedRows,
     find_column_kind,
