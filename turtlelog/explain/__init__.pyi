@@ -1,13 +1,10 @@
 from .answer_words import (
     choose_named as choose_named,
     format_contribution as format_contribution,
-    format_value as format_value,
     write_cause_head as write_cause_head,
     write_headline as write_headline,
-    write_main as write_main,
     write_reasons as write_reasons,
     write_sentences as write_sentences,
-    write_value as write_value,
 )
 from .attribute import (
     attribute_run as attribute_run,
@@ -80,5 +77,4 @@ from .two_runs.run_difference import (
     Depth as Depth,
     choose_common_metric as choose_common_metric,
     explain_difference as explain_difference,
-    require_common_metric as require_common_metric,
 )

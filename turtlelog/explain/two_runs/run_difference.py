@@ -133,7 +133,7 @@ def explain_difference(
     require_run(second, "second")
     depth = depth or Depth()
     metric = metric or choose_common_metric(first, second)
-    require_common_metric(first, second, metric)
+    _require_common_metric(first, second, metric)
     unit = list_metrics(second.declaration)[metric].unit
     if is_robot_log(first) or is_robot_log(second):
         return explain_robots(first, second, metric, unit, work)
@@ -270,7 +270,7 @@ def choose_common_metric(first: Run, second: Run) -> str:
     return next((name for name in chosen if name in known), "run.path_length")
 
 
-def require_common_metric(first: Run, second: Run, metric: str) -> None:
+def _require_common_metric(first: Run, second: Run, metric: str) -> None:
     """Require a metric that both runs have.
 
     Raises:

@@ -24,7 +24,6 @@ from .bag_scans import (
     read_surroundings as read_surroundings,
 )
 from .bag_topics import (
-    ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,
     JOINTS as JOINTS,
     NEEDS_WHEELBASE as NEEDS_WHEELBASE,
@@ -33,5 +32,4 @@ from .bag_topics import (
     NoPosesError as NoPosesError,
     choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
-    describe_unread_topics as describe_unread_topics,
 )
