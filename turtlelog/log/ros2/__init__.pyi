@@ -24,6 +24,7 @@ from .bag_scans import (
     read_surroundings as read_surroundings,
 )
 from .bag_topics import (
+    ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,
     JOINTS as JOINTS,
     NEEDS_WHEELBASE as NEEDS_WHEELBASE,
