@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import Field, dataclass, field, fields, make_dataclass
+from dataclasses import dataclass, field, fields, make_dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar, cast
 
@@ -57,10 +57,6 @@ def _take_keys(table: str) -> Callable[[type[_AnyTable]], type[_AnyTable]]:
         )
 
     return build
-
-
-def _copy_field(key: Field[Any]) -> Any:
-    return field(default=key.default, metadata=key.metadata)
 
 
 def _take_plant_keys(kind: type[_AnyTable]) -> type[_AnyTable]:
