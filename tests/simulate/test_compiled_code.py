@@ -18,6 +18,10 @@ import numba
 @numba.njit("i8(i8)", cache=True)
 def double(value):
     return 2 * value
+
+
+def get():
+    return double
 """
 
 
@@ -206,14 +210,15 @@ from importlib import import_module
 from turtlelog.simulate.compiled.compiled_code import (
     COMPILING,
     CompiledCode,
-    import_beside,
+    call_beside,
     is_kept,
 )
 
 PARTS = "first_part", "second_part"
+BESIDE = f"{PARTS[1]}:get"
 
 def load():
-    return import_module(PARTS[0]), import_beside(PARTS[1])
+    return import_module(PARTS[0]).get(), call_beside(BESIDE)
 
 if __name__ == "__main__":
     loops = CompiledCode(
@@ -221,11 +226,11 @@ if __name__ == "__main__":
         lambda: all(map(is_kept, PARTS)),
         cost_s=1.0,
         first_s=9.0,
-        beside=PARTS[1:],
+        beside=[BESIDE],
     )
     cost_s, whole = loops.cost_s, loops.load()
     assert not COMPILING.is_set()
-    hits = (sum(part.double.stats.cache_hits.values()) for part in whole)
+    hits = (sum(double.stats.cache_hits.values()) for double in whole)
     print(cost_s, *hits)
 """
 

@@ -22,7 +22,7 @@ from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_code import CompiledCode, import_beside, is_kept
+from turtlelog.simulate.compiled.compiled_code import CompiledCode, call_beside, is_kept
 from turtlelog.simulate.compiled.compiled_run import CompiledRunner, draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
@@ -84,7 +84,7 @@ def _find_batch(kind: Kind, coverage: Coverage) -> CompiledCode:
         partial(_is_kept, kind, coverage),
         cost_s=COST_S,
         first_s=FIRST_S + _MEASURING_S,
-        beside=(coverage.module,),
+        beside=(coverage.compiler,),
     )
 
 
@@ -92,8 +92,8 @@ def _load(kind: Kind, coverage: Coverage) -> Batch:
     from turtlelog.simulate.compiled.compiled_loop import compile_loop, compile_rows
 
     loop = compile_loop(*kind)
-    measurement = import_beside(coverage.module)
-    return Batch(loop, compile_rows(loop, measurement.MEASURE, type_measurement(coverage)))
+    measure = call_beside(coverage.compiler)
+    return Batch(loop, compile_rows(loop, measure, type_measurement(coverage)))
 
 
 def _is_kept(kind: Kind, coverage: Coverage) -> bool:
