@@ -13,6 +13,9 @@ Value = TypeVar("Value")
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LARGEST_NS: Final = 2**62
 
+LATEST_S: Final = 4e9
+"""Largest time since 1970 that is read [s]. In nanoseconds it fits into 64 bits."""
+
 _LISTED: Final = 4
 """Number of names in the one-line display of a catalogue."""
 

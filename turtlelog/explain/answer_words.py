@@ -17,7 +17,7 @@ from turtlelog.explain.attribution import (
 )
 from turtlelog.explain.causes import RANDOM_EFFECTS
 
-_NAMED: Final = 0.1
+NAMED: Final = 0.1
 """Share of the contributions' total magnitude above which a cause or joint part is named. A design
 parameter is named above the same share of the value."""
 
@@ -90,7 +90,7 @@ def write_cause_head(found: Attribution) -> str:
     named = choose_named(found)
     sizes = [one.contribution or 0.0 for one in named]
     count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
-    left = max(found.resolution.size, _NAMED * abs(found.divided))
+    left = max(found.resolution.size, NAMED * abs(found.divided))
     is_whole = min(sizes) > 0.0 and abs(found.without_all or 0.0) <= left
     does = "cause" if is_whole else "change"
     head = f"{count} {_name_kinds(found, named)} {does}"
@@ -263,7 +263,7 @@ def _write_bound(found: Attribution) -> str:
 
 def _list_large(found: Attribution) -> list[Contribution]:
     ordered = sorted(found.contributions, key=lambda one: -abs(one.contribution or 0.0))
-    least = _NAMED * _sum_contributions(found)
+    least = NAMED * _sum_contributions(found)
     return [one for one in ordered if abs(one.contribution or 0.0) > least]
 
 
@@ -279,7 +279,7 @@ def _write_together(found: Attribution) -> str:
     parts = [
         _write_case(found, case)
         for case in largest
-        if abs(case.value) > _NAMED * _sum_contributions(found)
+        if abs(case.value) > NAMED * _sum_contributions(found)
         and is_clear(case.value, case.standard_error)
     ]
     return " ".join(parts)
@@ -438,7 +438,7 @@ def _is_told(found: Attribution, one: Contribution) -> bool:
     if one.alone is None:
         return True
     change = abs(one.alone - found.divided)
-    is_large = change > found.resolution.size and change > _NAMED * abs(found.divided)
+    is_large = change > found.resolution.size and change > NAMED * abs(found.divided)
     return is_large and is_clear(change, one.standard_error)
 
 

@@ -48,6 +48,10 @@ _SLIDE_DPI: Final = 144.0
 _LOW_ROWS: Final = 3
 """Number of rows of panels from which units on a slide are on a line of their own."""
 
+SIDE_BY_SIDE_INCH: Final = 5.0
+"""Width below which panels are stacked [inch]. Side by side, they would be smaller than their
+text."""
+
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
         "font.family": "DejaVu Sans",

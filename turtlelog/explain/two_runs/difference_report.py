@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, format_pair, join_words
 from turtlelog.explain.answer_words import (
+    NAMED,
     write_joint,
 )
 from turtlelog.explain.attribution import (
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
         Side,
     )
 
-
-_NAMED: Final = 0.1
-"""Share of the contributions' total magnitude above which one of many changes is named."""
 
 _FEW: Final = 3
 """Largest number of changes that are all named, so that their contributions visibly add up."""
@@ -177,7 +175,7 @@ def choose_told(found: "ExplainedDifference") -> list["Change"]:
     if len(divided) <= _FEW:
         tiny = _TINY * _sum(divided)
         return [one for one in divided if abs(one.contribution or 0.0) > tiny]
-    least = _NAMED * _sum(divided)
+    least = NAMED * _sum(divided)
     told = [one for one in divided if _is_large(one, least)]
     return divided if len(told) == len(divided) - 1 else told
 
@@ -302,7 +300,7 @@ def _write_together(found: "ExplainedDifference") -> str:
     """Return the part that arises only if several changes act together; empty if it is small."""
     if not found.contributions or _is_negligible(found):
         return ""
-    least = _NAMED * _sum(_list_divided(found))
+    least = NAMED * _sum(_list_divided(found))
     large = [
         one
         for one in sorted(found.together, key=lambda one: -abs(one.value))[:_FEW]
