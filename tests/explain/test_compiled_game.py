@@ -3,10 +3,7 @@ from typing import Any, Final
 import pytest
 
 from tests.effects_cases import build_case
-from turtlelog.explain.game import (
-    Outcome,
-    ScenarioGame,
-)
+from turtlelog.explain.game import Outcome, ScenarioGame
 from turtlelog.scenario import resolve_scenario
 from turtlelog.simulate.compiled.compiled_code import CompiledCode
 from turtlelog.simulate.many import find_loop

@@ -21,9 +21,7 @@ from turtlelog.explain.causes import (
     find_causes,
     list_effects,
 )
-from turtlelog.explain.game import (
-    SEEDS,
-)
+from turtlelog.explain.game import SEEDS
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 
 SHORT = {"max_duration_s": 2.0, "goal.x_m": 6.5, "goal.y_m": 6.1, "law.kp_angular": 8.0}

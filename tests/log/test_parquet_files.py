@@ -14,10 +14,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import LogError
 from turtlelog.log import parquet_file
-from turtlelog.log.parquet_file import (
-    MOST_ROWS,
-    ParquetFile,
-)
+from turtlelog.log.parquet_file import MOST_ROWS, ParquetFile
 from turtlelog.sweep.table.result_table import (
     ResultColumn,
     ResultTable,

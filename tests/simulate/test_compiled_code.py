@@ -207,12 +207,7 @@ def test_loops_are_found_where_numba_keeps_them(
 PARTS = """
 from importlib import import_module
 
-from turtlelog.simulate.compiled.compiled_code import (
-    COMPILING,
-    CompiledCode,
-    call_beside,
-    is_kept,
-)
+from turtlelog.simulate.compiled.compiled_code import COMPILING, CompiledCode, call_beside, is_kept
 
 PARTS = "first_part", "second_part"
 BESIDE = f"{PARTS[1]}:get"

@@ -16,10 +16,7 @@ from turtlelog.cli.compare_reference import (
     compare_with_reference,
     take_metric,
 )
-from turtlelog.cli.compare_robot import (
-    compare_with_robot,
-    list_scenario_files,
-)
+from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
 from turtlelog.cli.compare_trajectories import (
     TrajectoryOptions,
     TrajectoryPlace,

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import turtlelog as tl
 from turtlelog.cli.compare_answer import format_reference, list_errors
 from turtlelog.cli.options import ReadingOptions, watch_files
-from turtlelog.cli.output import (
-    copy_fields,
-    print_json,
-    print_run_notes,
-    print_tables,
-    print_text,
-)
+from turtlelog.cli.output import copy_fields, print_json, print_run_notes, print_tables, print_text
 from turtlelog.compare.difference import compare_measured
 from turtlelog.processes import map_in_processes
 
@@ -23,12 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from turtlelog import Metric, Run
-    from turtlelog.compare import (
-        PathDeviation,
-        RunComparison,
-        RunSummary,
-        Table,
-    )
+    from turtlelog.compare import PathDeviation, RunComparison, RunSummary, Table
     from turtlelog.log import ReadChoice
 
 

@@ -318,10 +318,7 @@ def _name_unknown(names: list[str]) -> str:
 
 def format_causes(found: "Attribution") -> str:
     """Return a table of the causes that change the value; empty if there are none."""
-    from turtlelog.explain.attribution import (
-        THIS_SEED,
-        THIS_SEED_MEANS,
-    )
+    from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
 
     unit, parts = found.unit, found.changing
     if all(one.contribution is None and one.alone is None for one in parts):

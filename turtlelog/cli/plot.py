@@ -41,9 +41,7 @@ from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.cli.picture_options import (
-        Only,
-    )
+    from turtlelog.cli.picture_options import Only
     from turtlelog.draw import Page
 
 

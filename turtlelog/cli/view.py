@@ -24,11 +24,7 @@ from turtlelog.cli.options import (
     require_there,
 )
 from turtlelog.cli.output import fill_lines, list_written, outlive_reader, print_note, print_text
-from turtlelog.cli.picture_options import (
-    MovieOptions,
-    film_runs,
-    require_movie,
-)
+from turtlelog.cli.picture_options import MovieOptions, film_runs, require_movie
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError

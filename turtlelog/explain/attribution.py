@@ -313,9 +313,7 @@ class Attribution:
 
     def __post_init__(self) -> None:
         """Write the sentences."""
-        from turtlelog.explain.answer_words import (
-            write_sentences,
-        )
+        from turtlelog.explain.answer_words import write_sentences
 
         this_seed = None
         if self.seeds is not None and self.resimulated is not None:
@@ -361,9 +359,7 @@ class Attribution:
         return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
 
     def _repr_html_(self) -> str:
-        from turtlelog.explain.answer_words import (
-            write_headline,
-        )
+        from turtlelog.explain.answer_words import write_headline
 
         unit = self.unit
         heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]

@@ -15,22 +15,10 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line, join_words
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribute import (
-    attribute_run,
-)
-from turtlelog.explain.attribution import (
-    Attribution,
-    choose_metric,
-)
+from turtlelog.explain.attribute import attribute_run
+from turtlelog.explain.attribution import Attribution, choose_metric
 from turtlelog.explain.causes import simulate_without
-from turtlelog.explain.game import (
-    SEEDS,
-    Outcome,
-    Play,
-    ScenarioGame,
-    Work,
-    iterate_outcomes,
-)
+from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
 from turtlelog.explain.scenario_from_log.identification import Identification
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.starts import (

@@ -18,18 +18,8 @@ from turtlelog.explain.attribution import (
     Together,
     find_sample_period_s,
 )
-from turtlelog.explain.game import (
-    Coalition,
-    Game,
-    Outcome,
-    ScenarioGame,
-    list_coalitions,
-)
-from turtlelog.explain.shapley import (
-    Worth,
-    compute_contributions,
-    compute_dividends,
-)
+from turtlelog.explain.game import Coalition, Game, Outcome, ScenarioGame, list_coalitions
+from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run

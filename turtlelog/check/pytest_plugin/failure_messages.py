@@ -10,9 +10,7 @@ from turtlelog.escapes import escape_controls
 from turtlelog.measure import MIRRORED, Metric
 
 if TYPE_CHECKING:
-    from turtlelog.check.recording_fixture import (
-        Recording,
-    )
+    from turtlelog.check.recording_fixture import Recording
 
 
 def explain_comparison(operator: str, left: object, right: object) -> list[str] | None:

@@ -17,9 +17,7 @@ from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.check import ArtifactWriter, CheckResult
-    from turtlelog.check.recording_fixture import (
-        Recording,
-    )
+    from turtlelog.check.recording_fixture import Recording
     from turtlelog.check.reference import ReferenceFile
 
 
@@ -43,9 +41,7 @@ class Session:
         **reading: Any,
     ) -> "Recording":
         """Return the recording of a file, one object per file; it is read on first use."""
-        from turtlelog.check.recording_fixture import (
-            Recording,
-        )
+        from turtlelog.check.recording_fixture import Recording
 
         if allow_partial is None:
             allow_partial = bool(self._config.getini("turtlelog_allow_partial"))

@@ -16,9 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.charts.many_runs import MANY
-from turtlelog.charts.palette import (
-    LOOP_DASHES,
-)
+from turtlelog.charts.palette import LOOP_DASHES
 from turtlelog.draw.figures.figure_curves import (
     Pole,
     draw_ideal_locus,

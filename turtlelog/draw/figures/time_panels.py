@@ -18,12 +18,7 @@ from turtlelog.charts.many_runs import (
     describe_restless,
     find_restless,
 )
-from turtlelog.charts.palette import (
-    LIMIT_DASH,
-    Color,
-    choose_curve_color,
-    choose_dash,
-)
+from turtlelog.charts.palette import LIMIT_DASH, Color, choose_curve_color, choose_dash
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
     POINTS,

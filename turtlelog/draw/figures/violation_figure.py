@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette
-from turtlelog.charts.palette import (
-    LIMIT_DASH,
-)
+from turtlelog.charts.palette import LIMIT_DASH
 from turtlelog.charts.time_axes import label_time
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number

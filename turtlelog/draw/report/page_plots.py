@@ -12,13 +12,7 @@ from turtlelog.charts.characteristics import Characteristic, list_characteristic
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import describe_restless, find_restless
-from turtlelog.charts.palette import (
-    SUPPOSED_DASH,
-    Dash,
-    choose_curve_color,
-    choose_dash,
-    to_hex,
-)
+from turtlelog.charts.palette import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash, to_hex
 from turtlelog.charts.plotted_curves import (
     POINTS,
     CurveKind,

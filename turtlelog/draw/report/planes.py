@@ -7,10 +7,7 @@ import numpy as np
 
 from turtlelog.charts.captions import describe_plane
 from turtlelog.charts.close_up import CloseUp, format_length
-from turtlelog.charts.palette import (
-    choose_turtle_size,
-    to_hex,
-)
+from turtlelog.charts.palette import choose_turtle_size, to_hex
 from turtlelog.charts.plane_scene import (
     MEDIAN_LABEL,
     OUTLINE_LABEL,

@@ -21,10 +21,7 @@ from turtlelog.charts.many_runs import (
     join_run_names,
     shorten_run_names,
 )
-from turtlelog.charts.palette import (
-    Color,
-    choose_turtle_size,
-)
+from turtlelog.charts.palette import Color, choose_turtle_size
 from turtlelog.charts.plane_scene import has_grey_paths, move_near
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import document_runs

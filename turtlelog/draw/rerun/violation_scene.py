@@ -22,12 +22,7 @@ from turtlelog.draw.rerun.entities import VIOLATION, join_path
 from turtlelog.draw.rerun.layout import LEGEND_TITLE, build_run_layout, build_violation_layout
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording
 from turtlelog.draw.rerun.run_scene import build_single, draw_single
-from turtlelog.draw.rerun.timelines import (
-    RunStream,
-    Times,
-    add_thinning,
-    build_run_timelines,
-)
+from turtlelog.draw.rerun.timelines import RunStream, Times, add_thinning, build_run_timelines
 from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.run import Event, Run
 

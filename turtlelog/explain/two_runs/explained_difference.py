@@ -6,11 +6,7 @@ from html import escape
 from typing import Any, Final
 
 from turtlelog.display import fit_line, format_html, format_notebook
-from turtlelog.explain.attribution import (
-    Resolution,
-    Together,
-    ValueSet,
-)
+from turtlelog.explain.attribution import Resolution, Together, ValueSet
 from turtlelog.explain.scenario_from_log.resimulation import Departure
 
 SEED: Final = "seed"

@@ -7,10 +7,7 @@ from typing import Final
 
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribute import (
-    attribute_scenario,
-    divide_game,
-)
+from turtlelog.explain.attribute import attribute_scenario, divide_game
 from turtlelog.explain.attribution import (
     SAME,
     Attribution,
@@ -20,12 +17,7 @@ from turtlelog.explain.attribution import (
     find_resolution,
 )
 from turtlelog.explain.causes import draws_random
-from turtlelog.explain.game import (
-    SEEDS,
-    Play,
-    Work,
-    iterate_outcomes,
-)
+from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.scenario_from_log.hypothesis import (
     LONGEST_S,
     check_recorded_scenario,
@@ -34,10 +26,7 @@ from turtlelog.explain.scenario_from_log.hypothesis import (
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.scenario_from_log.resimulation import find_departure
 from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
-from turtlelog.explain.shapley import (
-    ORDERS,
-    sample_game,
-)
+from turtlelog.explain.shapley import ORDERS, sample_game
 from turtlelog.explain.starts import (
     find_steady_span,
     ranges_over,

@@ -17,9 +17,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.file_info import survey_file
-from turtlelog.log.parquet_file import (
-    MOST_ROWS,
-)
+from turtlelog.log.parquet_file import MOST_ROWS
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
 from turtlelog.log.writing.container import name_write_error
