@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
+from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
@@ -205,7 +207,9 @@ def _conclude(answer: Answer) -> str:
     value = format_number(best.objective, answer.unit)
     if tuned.is_flat:
         same = f"all {tuned.feasible} candidates that can be compared"
-        return f"{name} is {value} for {same}: no key changes it."
+        rest = tuned.evaluations - tuned.feasible
+        told = f"{rest} others have no value or break a constraint" if rest else "no key changes it"
+        return f"{name} is {value} for {same}: {told}."
     word = "largest" if answer.goal.is_maximised else "smallest"
     if answer.goal.constraints and tuned.feasible < tuned.evaluations:
         count = f"the {tuned.feasible} of {count} that fulfil the constraints"
@@ -222,7 +226,7 @@ def _describe_room(answer: Answer) -> list[str]:
     told = [
         f"{key.key} is at its bound: beyond {format_number(number)} it may be better."
         for key, number in zip(answer.keys, tuned.best.point, strict=True)
-        if key.key in tuned.at_bounds
+        if key.key in tuned.at_bounds and _goes_on(answer, key, number)
     ]
     if around is None or not around.ranges:
         return told
@@ -232,8 +236,22 @@ def _describe_room(answer: Answer) -> list[str]:
     return [*told, f"At most {slack} worse: {join_words(ways)}{alone}, as far as tried."]
 
 
+def _goes_on(answer: Answer, key: "SearchedKey", number: float) -> bool:
+    """Return whether a scenario may have a value beyond the bound of the search."""
+    if key.key == "kp":  # the gains of all loops
+        return True
+    step = 1 if key.is_whole else 0.01 * max(abs(number), 1.0)
+    beyond = number + (step if number == key.high else -step)
+    with suppress(ScenarioError):
+        tl.override_scenario(answer.scenario, {key.key: beyond})
+        return True
+    return False
+
+
 def _describe_range(found: "KeyRange") -> str:
     """Return the range of a key; beyond a bound nothing was tried."""
+    if found.low == found.high:
+        return f"{found.key} = {format_number(found.low)} alone"
     ends = (found.low, found.low_end), (found.high, found.high_end)
     low, high = (
         format_number(value) + (" (its bound)" if end == "bound" else "") for value, end in ends
