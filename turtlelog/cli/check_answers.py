@@ -274,7 +274,7 @@ def _list_facts(counted: "CountedResults", spec: "Spec | None", files: int) -> I
     if worst is not None:
         place = f" in {escape_controls(worst.file)}" if files > 1 else ""
         check = escape_controls(worst.check)
-        yield f"Furthest beyond its limit, as a share of it: {check}{place}, {_tell_value(worst)}."
+        yield f"Furthest beyond its limit, in proportion: {check}{place}, {_tell_value(worst)}."
     several = counted.verdicts.total() > 1
     if several and counted.verdict == "PASS" and (nearest := counted.find_smallest()) is not None:
         yield f"Nearest to its limit: {escape_controls(nearest.check)}, {_tell_value(nearest)}."
@@ -330,7 +330,7 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
     measured = next((one for one in counted.failures if one.value is not None), None)
     if measured is not None:
         has_cause = any(one.why for one in counted.failures)
-        question = "Causes within the run itself:" if has_cause else "Why?"
+        question = "Within the run:" if has_cause else "Why?"
         yield f"{question} {_advise(measured, spec)}"
     if not shows_all and counted.verdicts.total() > 1:
         yield "All checks with their margins: --all"
@@ -344,4 +344,7 @@ def _advise(failed: "CheckResult", spec: "Spec") -> str:
     if spec.reference is not None and is_error:
         reference = shlex.quote(str(spec.reference))
         return f"turtlelog compare {file} --reference {reference} --ate --plot FILE.pdf"
-    return f"turtlelog explain {file}"
+    name = failed.check.removeprefix("metrics.")
+    is_metric = tl.measure.find_metric_kind(name) is not None
+    option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
+    return f"turtlelog explain {file}{option}"

@@ -72,11 +72,14 @@ class CountedResults:
             self.failures.append(result)
 
     def find_smallest(self) -> "CheckResult | None":
-        """Return the result nearest to its limit, relative to the limit."""
+        """Return the result nearest to its limit, or furthest beyond, in proportion.
+
+        The margin counts relative to the larger of value and limit, as a limit may be 0.
+        """
         parts = [
-            (one.margin / abs(one.limit), number)
+            (one.margin / max(abs(one.limit), abs(one.value or 0.0)), number)
             for number, one in enumerate(self.nearest.values())
-            if one.margin is not None and one.limit
+            if one.margin is not None and one.limit is not None and (one.limit or one.value)
         ]
         return [*self.nearest.values()][min(parts)[1]] if parts else None
 

@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
+from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
-    from turtlelog.sweep.tune import KeyRange, Spread, TunedScenario, TuningGoal
+    from turtlelog.sweep.tune import KeyRange, SearchedKey, Spread, TunedScenario, TuningGoal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +161,9 @@ def _conclude(found: "TunedScenario") -> str:
     value = format_number(best.objective, found.unit)
     if tuned.is_flat:
         same = f"all {tuned.feasible} candidates that can be compared"
-        return f"{name} is {value} for {same}: no key changes it."
+        rest = tuned.evaluations - tuned.feasible
+        told = f"{rest} others have no value or break a constraint" if rest else "no key changes it"
+        return f"{name} is {value} for {same}: {told}."
     word = "largest" if found.goal.is_maximised else "smallest"
     if found.goal.constraints and tuned.feasible < tuned.evaluations:
         count = f"the {tuned.feasible} of {count} that fulfil the constraints"
@@ -174,9 +178,9 @@ def _describe_room(found: "TunedScenario") -> list[str]:
     if tuned.is_flat:
         return []
     told = [
-        f"{key} is at its bound: beyond {format_number(number)} it may be better."
-        for key, number in found.values.items()
-        if key in tuned.at_bounds
+        f"{key.key} is at its bound: beyond {format_number(number)} it may be better."
+        for key, number in zip(found.keys, tuned.best.point, strict=True)
+        if key.key in tuned.at_bounds and _goes_on(found, key, number)
     ]
     if around is None or not around.ranges:
         return told
@@ -186,8 +190,22 @@ def _describe_room(found: "TunedScenario") -> list[str]:
     return [*told, f"At most {slack} worse: {join_words(ways)}{alone}, as far as tried."]
 
 
+def _goes_on(found: "TunedScenario", key: "SearchedKey", number: float) -> bool:
+    """Return whether a scenario may have a value beyond the bound of the search."""
+    if key.key == "kp":  # the gains of all loops
+        return True
+    step = 1 if key.is_whole else 0.01 * max(abs(number), 1.0)
+    beyond = number + (step if number == key.high else -step)
+    with suppress(ScenarioError):
+        tl.override_scenario(found.scenario, {key.key: beyond})
+        return True
+    return False
+
+
 def _describe_range(found: "KeyRange") -> str:
     """Return the range of a key; beyond a bound nothing was tried."""
+    if found.low == found.high:
+        return f"{found.key} = {format_number(found.low)} alone"
     ends = (found.low, found.low_end), (found.high, found.high_end)
     low, high = (
         format_number(value) + (" (its bound)" if end == "bound" else "") for value, end in ends
