@@ -264,7 +264,10 @@ def _name_failing(counted: "CountedResults") -> str:
 
 def _find_worst(counted: "CountedResults") -> "CheckResult | None":
     """Return the failed check that is furthest beyond its limit, if several fail."""
-    worst = counted.find_smallest() if counted.verdicts[tl.check.Verdict.FAIL] > 1 else None
+    several = counted.verdicts[tl.check.Verdict.FAIL] > 1
+    if all(one.limit == 0.0 for one in counted.failures):
+        return None  # no proportion differs, as in tests of equality
+    worst = counted.find_smallest() if several else None
     return worst if worst is not None and worst.verdict == "FAIL" else None
 
 
