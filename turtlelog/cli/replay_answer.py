@@ -342,12 +342,15 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
 
 def _describe_result(run: "Run", replayed: "Run") -> str:
     """Return how a replay ended beside the recording, or its most important metric."""
-    ends = [find_goal_end(one) for one in (run, replayed)]
-    if ends[0] is not None and ends[1] is not None:
-        was = format_short(ends[0].error_m, "m")
-        after = f" after {ends[0].duration_s:.3g} s"
-        is_same = (ends[0].error_m, ends[0].duration_s) == (ends[1].error_m, ends[1].duration_s)
-        return f"it {ends[1].describe()}, {'as' if is_same else f'not {was}{after} as'} recorded."
+    first, second = find_goal_end(run), find_goal_end(replayed)
+    if first is not None and second is not None:
+        if (first.error_m, first.duration_s) == (second.error_m, second.duration_s):
+            return f"it {second.describe()}, as recorded."
+        was, now = (format_short(one.error_m, "m") for one in (first, second))
+        if was == now and first.error_m != second.error_m:
+            was, _ = format_pair(first.error_m, second.error_m, "m")
+        after = f"after {first.duration_s:.3g} s"
+        return f"it {second.describe()}, not {was} {after} as recorded."
     both = [one for one in build_changes(run, replayed) if one.difference is not None]
     if not both:
         return ""
