@@ -268,7 +268,7 @@ def test_keys_that_change_nothing_are_told(call: Call) -> None:
 def test_a_best_value_at_a_bound_is_told_before_the_table(call: Call) -> None:
     words = ("tune", "textbook", "--grid", "kp=1:4", *SETTLING, "--evaluations", "12")
     assert call(*words).out.splitlines()[1] == "kp is at its bound: beyond 4 it may be better."
-    assert "to 4 (its bound), as far as tried." in call(*words).out
+    assert "to 4 (its bound) is at most " in call(*words).out
     inner = ("tune", "textbook", "--grid", "kp=0.5:12", *SETTLING, "--evaluations", "40")
     best = call(*inner, "--json").json
     assert best["at_bounds"] == []

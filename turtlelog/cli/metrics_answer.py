@@ -444,7 +444,7 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
 
 
 def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
-    """Return the ranges of the runs' final distances from the goal and durations."""
+    """Return two ranges over the runs: final distances from the goal, and durations."""
     ends = [one.goal_end for one in summaries if one.goal_end is not None]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"
     if len(ends) == len(summaries) and all(

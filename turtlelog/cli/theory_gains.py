@@ -348,7 +348,7 @@ def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) ->
     if not shows_all:
         return
     yield (
-        "Overshoot is that of the motion, between samples too, without limits. SIMC: Skogestad"
+        "Overshoot includes the motion between samples and ignores limits. SIMC: Skogestad"
         " (2003); Ziegler-Nichols (1942): half of the gain at which instability begins."
     )
     reasons: dict[str, list[str]] = {}

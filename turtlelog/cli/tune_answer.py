@@ -229,7 +229,10 @@ def _describe_room(answer: Answer) -> list[str]:
     slack = format_short(around.slack, answer.unit)
     ways = [_describe_range(one) for one in around.ranges]
     alone = "" if len(ways) == 1 else " (each changed alone)"
-    return [*told, f"At most {slack} worse: {join_words(ways)}{alone}, as far as tried."]
+    return [
+        *told,
+        f"Every value tried from {join_words(ways)}{alone} is at most {slack} worse than the best.",
+    ]
 
 
 def _describe_range(found: "KeyRange") -> str:

@@ -283,7 +283,7 @@ class RobotGame(Game):
         self._ways: dict[object, tuple[Values, Values]] = {}
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:  # noqa: ARG002
-        """Return every seed, because any set of parts of two robots is uncertain."""
+        """Return all seeds, because each seed samples the uncertain parameters of both robots."""
         return SEEDS
 
     def describe_ending(self, name: str) -> str:  # noqa: ARG002
