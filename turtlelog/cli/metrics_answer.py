@@ -344,7 +344,7 @@ def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "T
 
 
 def _name_row(summary: "RunSummary", name: str) -> str:
-    """Return a metric as text. Without samples, its times are those of commands."""
+    """Return a metric as text. Without samples, the text says `command` instead of `sample`."""
     words = _name_metric(name)
     return words.replace("sample", "command") if summary.is_lawless else words
 

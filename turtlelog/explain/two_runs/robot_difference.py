@@ -236,7 +236,7 @@ def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
 
 
 def _complete(change: Change, share: Contribution) -> Change:
-    """Return a change with its contribution. The error is that of single samples, not of means.
+    """Return a change with its contribution. The standard error is for a single sample.
 
     The standard error of a mean over samples would be too small by the root of the number of
     samples.
