@@ -299,7 +299,10 @@ def test_names_are_separated_by_one_comma(call: Call, kp4: Path, command: str, o
 @pytest.mark.parametrize(
     ("names", "told"),
     [
-        (("kp1", "kp2", "kp4"), "Only paper-kp1 and paper-kp2 reach the goal."),
+        (
+            ("kp1", "kp2", "kp4"),
+            "Only paper-kp1 and paper-kp2 reach the goal; the shortest run does not.",
+        ),
         (("kp1", "kp2"), "All reach the goal."),
         (("kp4", "kp10"), "None reaches the goal."),
     ],

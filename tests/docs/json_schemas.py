@@ -31,7 +31,7 @@ ANSWERS: Final = {
     "compare --reference": "compare_reference:_ReferenceAnswer",
     "compare --why": "compare_why:WhyAnswer",
     "compare --reference --ate": "compare_trajectories:TrajectoriesAnswer",
-    "compare BAG SCENARIO": "compare_reference:_RobotAnswer",
+    "compare BAG SCENARIO": "compare_robot:_RobotAnswer",
     "explain": "explain_answer:ExplainAnswer",
     "identify": "identify:IdentifyAnswer",
     "replay": "replay_answer:LoopReplayAnswer",
@@ -65,7 +65,7 @@ def find_answer(typed: str) -> Any:
 
 
 _OTHERS: Final = (
-    "explain.one_run.attribution",
+    "explain.attribution",
     "cli.theory_gains",
     "cli.theory_loops",
     "cli.replay_answer",

@@ -14,7 +14,7 @@ from turtlelog.explain import (
     Side,
     explain_difference,
 )
-from turtlelog.explain.one_run.attribution import Together
+from turtlelog.explain.attribution import Together
 from turtlelog.explain.two_runs.explained_difference import SEED
 from turtlelog.run import PoseColumns, Run
 from turtlelog.scenario import get_preset

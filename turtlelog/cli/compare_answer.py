@@ -88,6 +88,8 @@ def format_across(
     table = replace(table, notes=(*_list_reasons(table, summaries), *changes, *told))
     above = [*notes, *conditions]
     reached = tl.compare.describe_reached(summaries) if ranking.is_fair else ""
+    if reached and _is_shortest_missed(table, summaries):
+        reached += "; the shortest run does not"
     title = f"{table.title}{_describe_alike(table, summaries, ranking)}."
     best = [*_name_best(table), title]
     return "\n".join(
@@ -105,6 +107,19 @@ def format_across(
             ),
         ]
     )
+
+
+def _is_shortest_missed(table: "Table", summaries: "Sequence[RunSummary]") -> bool:
+    """Return whether the shortest run does not reach the goal, but another run does."""
+    ends = [one.goal_end for one in summaries]
+    titles = [column.title for column in table.columns]
+    shortest = [
+        row
+        for (row, column), mark in table.marks.items()
+        if (titles[column], mark) == ("run.duration", "best")
+    ]
+    has_reached = [end is not None and end.verdict == "reached" for end in ends]
+    return any(has_reached) and any(not has_reached[row] for row in shortest)
 
 
 def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: "Ranking") -> str:

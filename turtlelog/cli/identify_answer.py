@@ -121,7 +121,7 @@ def describe_gain(axis: "AxisModel") -> str:
         return f"{does.format('the commanded')} to within {100.0 * off:.2g} %"
     percent = 100.0 * gain.value
     return does.format(
-        f"{percent:.1f} % of the commanded" if off < 0.05 else f"{percent:.0f} % of the commanded"
+        f"{percent:.1f} % of the commanded" if off < _NEAR else f"{percent:.0f} % of the commanded"
     )
 
 

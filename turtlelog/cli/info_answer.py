@@ -98,7 +98,9 @@ class InfoAnswer:
     robots: tuple[RobotTopics, ...] = ()
 
 
-def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool) -> str:
+def format_info_answer(
+    answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool
+) -> str:
     """Return the kind of a file, its contents, missing data, and next commands.
 
     Args:

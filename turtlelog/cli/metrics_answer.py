@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, find_width, print_tables, print_text
-from turtlelog.display import describe_count, format_range, format_short, join_words
+from turtlelog.display import describe_count, describe_range, format_short, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
     count = describe_count(len(chosen), "metric")
     if len(summaries) == 1:
         if {"final.position_error", "run.duration"} <= {*chosen}:
-            return fill_lines([f"{who}: {describe_end(summaries[0])}."])
+            return fill_lines([f"{who}: {tl.compare.describe_end(summaries[0])}."])
         known = sum(_find_value(summaries[0], name) is not None for name in chosen)
         return f"{who}: {count}, {known} with a value."
     first = next((name for name in _FIRST if name in chosen), chosen[0])
@@ -161,44 +161,13 @@ def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
     units = tl.compare.list_metric_units([*found.values()])
     if len(units) > 1:
         return f"is in {join_words(units)}"
-    (low, lowest), (high, highest) = min(values), max(values)
-    lacking = len(found) - len(values)
-    rest = f" ({lacking} without a value)" if lacking else ""
-    least, most = format_range(low, high, units[0])
-    # Two values that are printed alike are no range: the reader sees no difference.
-    if least == most:
-        return f"{least} (all){rest}" if len(found) > 1 and not lacking else f"{least}{rest}"
-    return f"{least} ({lowest}) to {most} ({highest}){rest}"
+    text, lacking = describe_range(values, units[0]), len(found) - len(values)
+    return f"{text.removesuffix(' (all)')} ({lacking} without a value)" if lacking else text
 
 
 def _find_value(summary: "RunSummary", name: str) -> float | None:
     metric = summary.metrics.get(name)
     return None if metric is None else metric.value
-
-
-def describe_end(summary: "RunSummary") -> str:
-    """Return place and time of a run's end; without a goal, the length of its path."""
-
-    def show(name: str) -> str | None:
-        metric = summary.metrics.get(name)
-        if metric is None or metric.value is None:
-            return None
-        return format_short(metric.value, metric.unit)
-
-    length, off = show("run.path_length"), show("run.cross_track_max")
-    duration = show("run.duration")
-    if "poses" in summary.lacks:
-        return f"commands for {duration}, no poses"
-    if summary.goal_end is not None:
-        return summary.goal_end.describe()
-    if off is not None and not summary.is_lawless:
-        crossing = [one.name for one in summary.declaration.loops if one.signal == "cross_track"]
-        rms = show(f"{crossing[0]}.rms_error") if crossing else None
-        sizes = f"{off} at most" if rms is None else f"{rms} RMS, {off} at most"
-        return f"cross-track error {sizes}, in {duration}"
-    if length is None:
-        return f"lasts {duration}"
-    return f"the path is {length} long and takes {duration}"
 
 
 def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
@@ -210,7 +179,7 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
         facts: Sentences after the first line.
     """
     essential = _drop_words(summary).metrics
-    head = [f"{who}: {describe_end(summary)}.", *facts, *_list_place(summary)]
+    head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]
     loops = [loop.name for loop in summary.declaration.loops]
     shown = [loop for loop in loops if _has_value(summary, loop)]
     remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]

@@ -146,20 +146,15 @@ class TopicOptions:
         Raises:
             UsageError: If a value is invalid.
         """
-        return tl.log.ReadChoice(
-            pose_topic=self.pose_topic,
-            robot=self.robot,
-            command_topic=self.command_topic,
-            path_topic=self.path_topic,
-            pose_frame=self.pose_frame,
-            world_frame=self.world_frame,
-            time=self.time,
-            wheel_joints=self.wheel_joints,
-            wheels=None if self.wheels is None else _parse_wheels(self.wheels),
-            wheelbase=None if self.wheelbase is None else _parse_length(self.wheelbase),
-            columns=dict(map(_split_column, self.column or ())),
-            allow_partial=self.partial,
-        )
+        names = {one.name for one in fields(TopicOptions)} & {*tl.log.ReadOptions.__annotations__}
+        values: dict[str, Any] = {name: getattr(self, name) for name in names}
+        values |= {
+            "wheels": None if self.wheels is None else _parse_wheels(self.wheels),
+            "wheelbase": None if self.wheelbase is None else _parse_length(self.wheelbase),
+            "columns": dict(map(_split_column, self.column or ())),
+            "allow_partial": self.partial,
+        }
+        return tl.log.ReadChoice(**values)
 
 
 @Parameter(name="*", group=_READING)

@@ -13,9 +13,9 @@ import tempfile
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TextIO
+from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
 from cyclopts import Parameter
 
@@ -73,6 +73,21 @@ class FormatOptions:
             raise UsageError(f"{chosen[0]} and {chosen[1]}: choose one format")
         kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
         return kinds[chosen[0]] if chosen else "txt"
+
+
+Answer = TypeVar("Answer")
+
+
+def copy_fields(kind: type[Answer], source: object, **changed: Any) -> Answer:
+    """Return an answer with the fields that a result of the library has by the same names.
+
+    Args:
+        kind: Dataclass of the answer.
+        source: Result of the library.
+        changed: Fields that the result lacks, or has in another form.
+    """
+    names = [one.name for one in fields(kind) if one.name not in changed]  # type: ignore[arg-type]
+    return kind(**{name: getattr(source, name) for name in names}, **changed)
 
 
 def print_text(text: str, *, is_data: bool = False) -> None:
@@ -205,9 +220,9 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
-def fit_table(table: "Table", *, indent: int = 0) -> str:
+def fit_table(table: "Table") -> str:
     """Return a table that fits a line."""
-    return tl.draw.format_table(table, width=find_width() - indent)
+    return tl.draw.format_table(table, width=find_width())
 
 
 _MOST_ROWS: Final = 20

@@ -11,10 +11,8 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.cli.figure_options import TIMELESS, AskedOptions, PageOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.map import ViewOptions, draw_table, find_sweep_table
-from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import (
     Jobs,
     Json,
@@ -27,6 +25,14 @@ from turtlelog.cli.options import (
     split_names,
 )
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
+from turtlelog.cli.picture_options import (
+    TIMELESS,
+    AskedOptions,
+    MovieOptions,
+    PageOptions,
+    film_runs,
+    require_movie,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
@@ -35,7 +41,7 @@ from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.cli.figure_options import Only
+    from turtlelog.cli.picture_options import Only
     from turtlelog.draw import Page
 
 
@@ -239,7 +245,7 @@ def _build_answer(
 ) -> PlotAnswer:
     return PlotAnswer(
         files=[str(path) for path in files],
-        ending=tl.charts.describe_runs(runs) if runs else None,
+        ending=tl.compare.describe_runs(runs) if runs else None,
         figures=[
             FigureAnswer(
                 file=str(path),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
-from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.output import copy_fields, fill_lines, fit_table
 from turtlelog.cli.replay_metrics import MetricChange, build_changes, format_changes
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.escapes import escape_controls
@@ -178,12 +178,7 @@ def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer
     """Return a difference for an answer, with its time from the first sample."""
     if found is None:
         return None
-    return DifferenceAnswer(
-        signal=found.signal,
-        time_s=tell_time(run, found.time_ns),
-        recorded=found.recorded,
-        replayed=found.replayed,
-    )
+    return copy_fields(DifferenceAnswer, found, time_s=tell_time(run, found.time_ns))
 
 
 def build_pose_error(error: "PoseError") -> PoseErrorAnswer:
@@ -226,10 +221,7 @@ def build_loop(
         replay=found.run.name,
         by="tick" if found.by_tick else "sample",
         signals=_build_signals(run, found.signals),
-        counts={
-            name: CountAnswer(recorded=count.recorded, replayed=count.replayed)
-            for name, count in found.counts.items()
-        },
+        counts={name: copy_fields(CountAnswer, count) for name, count in found.counts.items()},
         stop_reason=CountAnswer(recorded=run.stop_reason, replayed=found.run.stop_reason),
         declaration=build_difference(run, found.declaration),
         not_compared=tuple(found.absent),
@@ -377,12 +369,9 @@ def _format_signals(
 
 def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[SignalAnswer]:
     return [
-        SignalAnswer(
-            signal=found.signal,
-            unit=found.unit,
-            rows=found.rows,
-            differing=found.differing,
-            largest=found.largest,
+        copy_fields(
+            SignalAnswer,
+            found,
             at_s=None if found.at_ns is None else tell_time(run, found.at_ns),
             first_difference=build_difference(run, found.first_difference),
         )

@@ -95,7 +95,7 @@ def report(
         )
     verdict = tl.check.join_verdicts(results) if results else None
     answer = ReportAnswer(
-        ending=tl.charts.describe_runs(runs),
+        ending=tl.compare.describe_runs(runs),
         output=str(output),
         bytes=output.stat().st_size,
         runs=[
@@ -196,7 +196,7 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
         return None
     from turtlelog.draw.report import Explanation
     from turtlelog.explain import require_trust
-    from turtlelog.explain.one_run.luck import simulate_what_ifs
+    from turtlelog.explain.luck import simulate_what_ifs
 
     try:
         require_trust(run, trust_law=False)

@@ -22,7 +22,14 @@ from turtlelog.cli.options import (
     choose_step_budget,
     split_names,
 )
-from turtlelog.cli.output import EXIT_FINE, fill_lines, print_json, print_note, print_text
+from turtlelog.cli.output import (
+    EXIT_FINE,
+    copy_fields,
+    fill_lines,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
@@ -266,16 +273,7 @@ def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json:
     for name, reason in found.valueless.items():
         print_note(f"metric {name}: no row has a value ({reason})")
     if json:
-        print_json(
-            SweepAnswer(
-                output=str(found.output),
-                rows=found.rows,
-                failed=found.failed,
-                samples=found.samples,
-                recorded=found.recorded,
-                elapsed_s=elapsed_s,
-            )
-        )
+        print_json(copy_fields(SweepAnswer, found, output=str(found.output), elapsed_s=elapsed_s))
         return
     if found.failed:
         print_note(

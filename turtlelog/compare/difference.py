@@ -8,7 +8,7 @@ from turtlelog.compare.alignment import CommonClock, align_runs
 from turtlelog.compare.signal_comparison import compare_aligned_signals, share_track
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.tube import Tolerance
-from turtlelog.display import fit_line, format_answer, format_html, show_angle
+from turtlelog.display import fit_line, format_html, format_notebook, show_angle
 from turtlelog.measure import (
     SIGNALS,
     Metric,
@@ -70,7 +70,7 @@ class RunComparison:
             (found.signal, *show_angle(found.largest, found.unit)[::-1], found.at_s)
             for found in self.signals
         ]
-        return format_answer(f"{self.name}: {self._describe()}", format_html(rows, heads=heads))
+        return format_notebook(f"{self.name}: {self._describe()}", format_html(rows, heads=heads))
 
 
 def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -> RunComparison:

@@ -7,7 +7,7 @@ from html import escape
 from types import MappingProxyType
 from typing import Any, Final, Literal, SupportsFloat
 
-from turtlelog.display import fit_line, format_answer, format_html, join_words
+from turtlelog.display import fit_line, format_html, format_notebook, join_words
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.robot_structure import Bound, Order, Structure
@@ -364,7 +364,7 @@ class RobotModel:
         rows = [(*list_model_values(axis), axis.reason) for axis in self.axes]
         answer = " ".join(write_robot_headline(self.axes, ", ".join(self.files)))
         doubts = [f"<p>{escape(doubt)}</p>" for axis in self.axes for doubt in axis.doubts]
-        return format_answer(answer, format_html(rows, heads=(*HEADS, "")), *doubts)
+        return format_notebook(answer, format_html(rows, heads=(*HEADS, "")), *doubts)
 
 
 _WHOLE_MS: Final = 10.0

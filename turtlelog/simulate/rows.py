@@ -125,7 +125,6 @@ class Progress:
         blocked: Sample whose command waits while the law blocks; -1: no sample.
         free_at: End of the block.
         last_ns: Time of the last answer [ns]; -1: no answer so far.
-        phase_ended: Phase ended by the last sample; -1: no phase.
         poses_first: First pose that may be in the queue.
         poses_count: Number of poses in the queue.
         poses_arrived: First pose that may be on its way.
@@ -158,7 +157,6 @@ class Progress:
     blocked: int = -1
     free_at: int = 0
     last_ns: int = -1
-    phase_ended: int = -1
     poses_first: int = 0
     poses_count: int = 0
     poses_arrived: int = 0

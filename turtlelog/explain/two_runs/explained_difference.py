@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final
 
-from turtlelog.display import fit_line, format_answer, format_html
-from turtlelog.explain.one_run.attribution import Resolution, Together, ValueSet
+from turtlelog.display import fit_line, format_html, format_notebook
+from turtlelog.explain.attribution import Resolution, Together, ValueSet
 from turtlelog.explain.scenario_from_log.resimulation import Departure
 
 SEED: Final = "seed"
@@ -203,7 +203,7 @@ class ExplainedDifference:
         ]
         table = format_html(rows, heads=heads) if rows else ""
         rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
-        return format_answer(self.sentences[0], table, *rest)
+        return format_notebook(self.sentences[0], table, *rest)
 
 
 def _write_values(change: Change, values: tuple[Any, ...]) -> str:

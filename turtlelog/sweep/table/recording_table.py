@@ -16,8 +16,8 @@ from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.log.error_boundary import open_file
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
-from turtlelog.sweep.file_table.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
-from turtlelog.sweep.file_table.find_recordings import FoundRecording, list_contents
+from turtlelog.sweep.find_recordings import FoundRecording, list_contents
+from turtlelog.sweep.table.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
 from turtlelog.sweep.table.kept_parts import KeptParts
 from turtlelog.sweep.table.result_table import (
     has_result_file,
