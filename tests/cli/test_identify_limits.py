@@ -30,7 +30,7 @@ def test_a_note_of_the_identification_stands_before_all_advice(call: Call, tmp_p
     bag, robot = tmp_path / "bag.mcap", tmp_path / "robot.toml"
     write_bag(run, bag)
     (note,) = call("identify", bag, "--json").json["notes"]
-    assert note.startswith("All commands of the turn rate have one size.")
+    assert note.startswith("All turn rate commands have the same magnitude.")
     said = " ".join(call("identify", bag, "--scenario", robot).out.split())
     assert said.index(note) < said.index("model_delay_wz")
     assert f"Note: {note}" in call("theory", robot).err

@@ -70,8 +70,8 @@ def test_the_gain_of_ten_in_words() -> None:
         "Without queue it would be 0.02684 m, without pause 0.02735 m, without both 0.005077 m;"
         " the tolerances alone allow 0.006693 m.",
         "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
-        " 0.4734 m, without both 0.00482 to 0.005677 m. Queue contributes 16 to 62 % of what queue"
-        " and pause add.",
+        " 0.4734 m, without both 0.00482 to 0.005677 m. Queue contributes 16 to 62 % of the total"
+        " that queue and pause add.",
         "Queue and pause act together: 0.05761 m of what they add arises only if both act.",
         "Not a cause: saturation and sampling. The value is larger without saturation (0.8506 m)"
         " and without sampling (0.1361 m).",

@@ -261,4 +261,4 @@ def test_commands_of_one_size_leave_the_gain_of_others_unknown(
     turns = time_s, sizes[(time_s / 0.9).astype(int) % 5]
     run = make_run(replace(LOG, duration_s=15.0), 2, speed=(time_s, 0.0 * time_s), turn=turns)
     notes = " ".join(tl.identify_robot(run).notes)
-    assert ("All commands of the turn rate have one size" in notes) is is_told
+    assert ("All turn rate commands have the same magnitude" in notes) is is_told

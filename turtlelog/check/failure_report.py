@@ -158,7 +158,7 @@ def _is_published(run: Run, name: str, time_ns: int) -> bool:
 
 
 def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
-    """Return the signals that a run contains; if some named ones are missing, the position too."""
+    """Return the named signals that a run contains; if one is missing, also x and y."""
     held = [name for name in names if find_signal(run, name) is not None]
     return held if held == [*names] and held else ["x", "y", *(n for n in held if n not in "xy")]
 

@@ -59,9 +59,9 @@ class FirstSpecOptions:
     Attributes:
         expect: Check this formula instead of a specification. Can be repeated.
         init: Write a first specification from this good run, to the file of -o.
-        output: With --init: the .toml file to write (default: print it). Otherwise: a .parquet
-            table of verdicts. Files that did not change since the table was written with the same
-            specification are not read again.
+        output: With --init: the .toml file to write (default: print it). Without --init: a
+            .parquet table of verdicts to write. Files that did not change since the table was
+            written with the same specification are not read again.
         schema: Print the JSON Schema of specification files, for editors.
     """
 

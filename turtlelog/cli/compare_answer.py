@@ -357,7 +357,7 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
 
 
 def _describe_robot(found: "RobotComparison") -> str:
-    """Return the median position errors, with those of the simulated robot."""
+    """Return the median position errors of the robot and of the simulated robot."""
     said = []
     for band in found.bands:
         if band.quantity == "position":

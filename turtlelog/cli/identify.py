@@ -129,7 +129,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisAnswer:
-    """One axis. The fields are those of `AxisModel`, or None if nothing is known."""
+    """One axis, with the fields of `AxisModel`; a field is None if its value is not known."""
 
     axis: str
     status: str
@@ -165,7 +165,7 @@ class AxisAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventAnswer:
-    """A place in the log that no command explains. The fields are those of `RobotEvent`."""
+    """A place in the log that no command explains, with the fields of `RobotEvent`."""
 
     file: str
     axis: str

@@ -60,7 +60,7 @@ def format_robot(
     if known:
         brackets = model.brackets
         if any(axis.doubts for axis in known):
-            brackets += ", wider where a doubt is named below"
+            brackets += ", wider for the doubts below"
         told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
         parts += [f"{_format_values(known)}\n{fill_lines([' '.join(told)])}\n"]
         parts += [fill_lines([_describe_motion(known)])]

@@ -313,7 +313,7 @@ def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "T
 
 
 def _name_row(summary: "RunSummary", name: str) -> str:
-    """Return a metric as text. Without samples, its times are those of commands."""
+    """Return a metric as text. Without samples, the text says `command` instead of `sample`."""
     words = _name_metric(name)
     return words.replace("sample", "command") if summary.is_lawless else words
 
@@ -413,7 +413,7 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
 
 
 def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
-    """Return the ranges of the runs' final distances from the goal and durations."""
+    """Return two ranges over the runs: final distances from the goal, and durations."""
     ends = [one.goal_end for one in summaries if one.goal_end is not None]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"
     if len(ends) == len(summaries) and all(

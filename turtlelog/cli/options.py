@@ -370,7 +370,7 @@ def count_jobs(
     file_s: float = FILE_S,
     count_read: "Callable[[Path], int] | None" = None,
 ) -> int:
-    """Return the number of processes for files: the given number, or else that of `choose_jobs`."""
+    """Return the number of processes for files: the given number, or else from `choose_jobs`."""
     jobs = require_jobs(asked)
     return choose_jobs(files, file_s=file_s, count_read=count_read) if jobs is None else jobs
 

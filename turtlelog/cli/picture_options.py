@@ -65,7 +65,7 @@ class PageOptions:
         *,
         usual: Literal["column", "page"] = "column",
     ) -> "Page":
-        """Return the page for figures in some formats.
+        """Return the size, resolution and time range of the figures.
 
         Args:
             formats: File formats of the figures.

@@ -169,7 +169,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
 
 
 def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
-    """Return a table with a row for each Kp, without values that are equal at all of them."""
+    """Return a table with a row for each Kp; optional columns with only `-` or 0 are left out."""
     loops = [answer.found for answer in answers if answer.found]
     columns, cells = [], []
     for name, is_optional, write in _ROWS:

@@ -187,7 +187,10 @@ def _describe_room(found: "TunedScenario") -> list[str]:
     slack = format_short(around.slack, found.unit)
     ways = [_describe_range(one) for one in around.ranges]
     alone = "" if len(ways) == 1 else " (each changed alone)"
-    return [*told, f"At most {slack} worse: {join_words(ways)}{alone}, as far as tried."]
+    return [
+        *told,
+        f"Every value tried from {join_words(ways)}{alone} is at most {slack} worse than the best.",
+    ]
 
 
 def _goes_on(found: "TunedScenario", key: "SearchedKey", number: float) -> bool:

@@ -112,7 +112,7 @@ def compare_measured(
 
 
 def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[MetricDifference]:
-    """Return the metrics of a run and a reference; those of an undeclared loop have no value."""
+    """Return the metrics of a run and a reference; metrics of undeclared loops have no value."""
     measured = [measure_run(found, only=ids) if ids else {} for found in (reference, run)]
     return [MetricDifference(metric=measured[1][name], reference=measured[0][name]) for name in ids]
 

@@ -1,4 +1,4 @@
-"""Comparison of a run's signals with those of a reference: deviations and tolerances."""
+"""Comparison of the signals of a run and a reference: deviations and tolerances."""
 
 import dataclasses
 from collections.abc import Mapping

@@ -380,7 +380,7 @@ def _write_this_seed(found: Attribution) -> str:
         return ""
     size = _format_value(found, abs(value))
     where = "above" if value >= 0.0 else "below"
-    return f"With the seed of this run it is {size} {where} the mean over the seeds."
+    return f"With this run's seed, the value is {size} {where} the mean over the seeds."
 
 
 def _write_starts(found: Attribution) -> str:
@@ -406,7 +406,8 @@ def _write_parts(starts: StartRange) -> str:
         f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
         for part in starts.parts[: len(names) - 1]
     ]
-    return f" {_capitalise(join_words(parts))} of what {join_words(names)} add." if parts else ""
+    total = f"of the total that {join_words(names)} add."
+    return f" {_capitalise(join_words(parts))} {total}" if parts else ""
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:

@@ -199,8 +199,8 @@ class StartRange:
 
     Attributes:
         count: Number of start headings, equally spaced around the scenario's own heading.
-        within_rad: Angle between the scenario's own heading and that of the first and last start
-            [rad].
+        within_rad: Angle between the scenario's own heading and the heading of the first and last
+            start [rad].
         low: Smallest value, in the metric's unit.
         high: Largest value.
         without_value: Number of starts without a value.

@@ -147,8 +147,8 @@ def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
 
 def _note_one_size(model: AxisModel) -> str:
     return (
-        f"All commands of the {NAMES[model.axis]} have one size. The log does not show whether"
-        f" the gain holds for smaller ones, nor the largest {NAMES[model.axis]}."
+        f"All {NAMES[model.axis]} commands have the same magnitude. The log does not show"
+        f" whether smaller commands have the same gain, nor the largest {NAMES[model.axis]}."
     )
 
 

@@ -351,7 +351,7 @@ class RobotModel:
     @property
     def brackets(self) -> str:
         """Meaning of the values in brackets, in words."""
-        return "intervals of 95 %" if self.tick_delays is None else "the least and the largest"
+        return "95 % intervals" if self.tick_delays is None else "the least and the largest"
 
     def __repr__(self) -> str:
         known = [axis.axis for axis in self.axes if axis.is_known]

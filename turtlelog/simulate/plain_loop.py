@@ -251,7 +251,7 @@ class PlainLoop:
                 self._forget()
 
     def _end_failed(self, failure: SimulationError | None) -> SimulationError:
-        """End the run; return the failure of the law, or that of its numbers."""
+        """End the run; return the failure of the law, or of the law's numbers."""
         if self.now.failure != 0:
             failure = self._describe_numbers()
         assert failure is not None

@@ -184,7 +184,7 @@ _NAMES: Final = frozenset(
         *(AIMED, BEARING_NOW),
     }
 )
-"""Names in figures in addition to those of runs."""
+"""Names in figures that are not names of runs."""
 
 
 PageKind = Literal["column", "page", "slide"]

@@ -226,7 +226,7 @@ _HEIGHT: Final = 0.62
 
 
 def _draw_tornado(axes: Axes, found: Sensitivities) -> None:
-    """Draw a bar for each key: the metric's range along it, or its rank correlation."""
+    """Draw a bar for each key: the metric's range over the key, or the rank correlation of both."""
     keys = found.keys[:_MOST_KEYS]
     title = label_metric(found.metric) if found.chance is None else found.metric.name
     axes.set_title(title, loc="right")  # long names of keys leave no room on both sides

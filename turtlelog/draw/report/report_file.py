@@ -162,7 +162,7 @@ def write_report(
 
 
 def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
-    """Return the what-ifs as ghosts. Plots over time show the one without all effects."""
+    """Return the what-ifs as ghosts. Plots over time show the ghost with all causes removed."""
     if explanation is None or explanation.attribution is None:
         return []
     colors = choose_cause_colors(explanation.attribution.causes)

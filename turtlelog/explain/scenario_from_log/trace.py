@@ -31,7 +31,8 @@ class Trace:
     Attributes:
         run: Run of the samples.
         number: Number of each sample in the run, from 0, shape (n,); numbers of lost rows are
-            missing. A log without numbers counts its rows until `mark_breaks` is applied.
+            missing. Without sample numbers in the log, row numbers until `mark_breaks` is
+            applied.
         jumps: Rows whose pose the robot cannot have reached from the pose before; empty until
             `mark_breaks` is applied.
         time_ns: Time of each answer [ns], shape (n,).

@@ -125,7 +125,7 @@ def _list_divided(found: "ExplainedDifference") -> list["Change"]:
 
 
 def _is_chance(found: "ExplainedDifference", one: "Change") -> bool:
-    """Return whether a part is chance instead of a cause. Noise set by a scenario is a cause."""
+    """Return whether a change is due to chance. Noise that a scenario sets is a cause instead."""
     return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
 
 

@@ -104,8 +104,8 @@ class DifferenceRange:
 
     Attributes:
         count: Number of start headings, equally spaced around each scenario's own heading.
-        within_rad: Angle between the scenarios' own heading and that of the first and last start
-            [rad].
+        within_rad: Angle between the scenarios' own heading and the heading of the first and last
+            start [rad].
         difference: Smallest and largest difference, in the metric's unit.
         first: Smallest and largest metric of the first run.
         second: Smallest and largest metric of the second run.
@@ -130,7 +130,7 @@ class ExplainedDifference:
         unit: Unit of all values.
         first: Run from which the difference is taken.
         second: Other run.
-        difference: The metric of the second run minus that of the first, re-simulated (for robots,
+        difference: Metric of the second run minus metric of the first, re-simulated (for robots,
             as logged); None if a run has no value.
         contributions: Contribution of each group of changed settings, the largest first. The sum is
             `difference`; for robots, it includes `unexplained`. Empty if the contributions are

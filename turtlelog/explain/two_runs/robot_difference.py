@@ -233,7 +233,7 @@ def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
 
 
 def _complete(change: Change, share: Contribution) -> Change:
-    """Return a change with its contribution. The error is that of single samples, not of means.
+    """Return a change with its contribution. The standard error is for a single sample.
 
     The standard error of a mean over samples would be too small by the root of the number of
     samples.
@@ -280,7 +280,7 @@ class RobotGame(Game):
         self._ways: dict[object, tuple[Values, Values]] = {}
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:  # noqa: ARG002
-        """Return every seed, because any set of parts of two robots is uncertain."""
+        """Return all seeds, because each seed samples the uncertain parameters of both robots."""
         return SEEDS
 
     def describe_ending(self, name: str) -> str:  # noqa: ARG002

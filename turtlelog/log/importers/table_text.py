@@ -32,7 +32,7 @@ _LONGEST_HEAD: Final = 64 * 1024
 of 60 letters, and the other columns, fit."""
 
 MOST_COLUMNS: Final = 10_000
-"""Largest number of columns: turtlelog's tables have 30, those of robot models hundreds. Names are
+"""Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
 searched once for each quantity, which takes 1 s."""
 
 _MOST_KNOWN: Final = 2**14

@@ -1,4 +1,4 @@
-"""Comparison of path lengths and rates that odometry reports with those of its poses."""
+"""Comparison of the path length and rates that odometry reports with its poses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -35,7 +35,7 @@ its lap goes one sample beyond the next lap's first corner: 16 mm at 1 m/s."""
 
 
 def _has_lag(loop: ControlLoop) -> bool:
-    """Return whether the reference depends on time, unlike that of a distance."""
+    """Return whether the reference depends on time. The reference of a distance does not."""
     is_error = loop.signal == "distance" or (loop.signal, loop.reference) == ("cross_track", "path")
     return loop.moves and not is_error
 
