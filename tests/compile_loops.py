@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from importlib import import_module
 from importlib.util import find_spec
 from typing import Final
 
@@ -19,8 +18,8 @@ from turtlelog.laws import LAWS
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate.many import find_loop
-from turtlelog.sweep.batch.batch_columns import GOALS, PATHS
-from turtlelog.sweep.batch.batch_rows import is_batched
+from turtlelog.sweep.batch.batch_columns import compile_goals, compile_paths
+from turtlelog.sweep.batch.batch_settings import is_batched
 from turtlelog.sweep.batch.measured_rows import find_batch
 
 EVERYDAY: Final = {
@@ -54,7 +53,7 @@ def compile_pair(scenario: Scenario) -> None:
 
 def main(*words: str) -> None:
     """Compile it, on all cores."""
-    measurements = [partial(import_module, one.module) for one in (GOALS, PATHS)]
+    measurements = [compile_goals, compile_paths]
     pairs = [partial(compile_pair, scenario) for scenario in list_pairs(has_all="all" in words)]
     with ProcessPoolExecutor(count_cores()) as pool:
         jobs: list[Callable[[], object]] = [*measurements, *pairs]

@@ -10,8 +10,8 @@ from typing import Any, Final
 import pytest
 
 import turtlelog as tl
-from turtlelog.display import NamedValues, format_html, parse_utc
-from turtlelog.explain.one_run.attribution import ValueSet
+from turtlelog.display import NamedValues, format_html, format_range, parse_utc
+from turtlelog.explain.attribution import ValueSet
 from turtlelog.explain.scenario_from_log.identification import Certainty
 from turtlelog.laws.loading import LAWS
 
@@ -133,7 +133,7 @@ def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
         ("table", ['<th style="text-align:right">Kp [1/s]</th>', 'left">run</th>', "paper-kp10"]),
         ("comparison", ["largest difference", "cross_track"]),
         ("identification", ["loop.start_backlog", "reproduces all 770 samples"]),
-        ("attribution", ["<strong>final.position_error is 0.1067 m: queue +0.05108 m, pause"]),
+        ("attribution", ["<strong>final.position_error is 0.1067 m: queue and pause add"]),
     ],
 )
 def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:
@@ -227,3 +227,18 @@ def test_a_name_of_24_letters_is_one_line_and_a_longer_one_or_a_sentence_may_wra
     html = format_html([["paper-kp10", "n" * 24, "n" * 25, "no limit"]])
     cells = re.findall(r'<td style="([^"]*)">([^<]*)<', html)
     assert [text for style, text in cells if "nowrap" in style] == ["paper-kp10", "n" * 24]
+
+
+@pytest.mark.parametrize(
+    ("ends", "unit", "texts"),
+    [
+        ((0.00101, 0.107), "m", ("0.00101 m", "0.107 m")),
+        ((0.00101, 0.00852), "m", ("1.01 mm", "8.52 mm")),
+        ((0.0, 0.002), "m", ("0 m", "0.002 m")),
+        ((11.2, 20.5), "s", ("11.2 s", "20.5 s")),
+    ],
+)
+def test_both_ends_of_a_range_have_one_unit(
+    ends: tuple[float, float], unit: str, texts: tuple[str, str]
+) -> None:
+    assert format_range(*ends, unit) == texts

@@ -13,6 +13,9 @@ Value = TypeVar("Value")
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LARGEST_NS: Final = 2**62
 
+LATEST_S: Final = 4e9
+"""Largest time since 1970 that is read [s]. In nanoseconds it fits into 64 bits."""
+
 _LISTED: Final = 4
 """Number of names in the one-line display of a catalogue."""
 
@@ -61,6 +64,24 @@ def format_short(number: float, unit: str = "") -> str:
         number, unit = 1e3 * number, "mm"
     text = f"{number:.0f}" if _WHOLE <= abs(number) < _LONG else f"{number:.3g}"
     return text + (f" {unit}" if unit not in {"", "1"} else "")
+
+
+def format_range(low: float, high: float, unit: str) -> tuple[str, str]:
+    """Return both ends of a range in one unit, the one that `format_short` gives the larger."""
+    least, most = format_short(low, unit), format_short(high, unit)
+    if unit == "m" and least.endswith(" mm") != most.endswith(" mm"):
+        least, most = (f"{text:.3g} m" for text in (low, high))
+    return least, most
+
+
+def describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
+    """Return the smallest and the largest value, each with the name of what has it."""
+    (low, lowest), (high, highest) = min(values), max(values)
+    least, most = format_range(low, high, unit)
+    # Two values that are printed alike are no range: the reader sees no difference.
+    if least == most:
+        return f"{least} (all)" if len(values) > 1 else least
+    return f"{least} ({lowest}) to {most} ({highest})"
 
 
 _SHORT_M: Final = 0.01
@@ -121,7 +142,7 @@ def format_html(
     return "\n".join([*lines, "</tbody>", "</table>"])
 
 
-def format_answer(answer: str, *parts: str) -> str:
+def format_notebook(answer: str, *parts: str) -> str:
     """Return the HTML that a notebook shows for a value: the answer, then the details.
 
     The colours are those of the notebook, light or dark.
@@ -134,7 +155,7 @@ def format_answer(answer: str, *parts: str) -> str:
     return "\n".join(['<div class="turtlelog">', head, *filter(None, parts), "</div>"])
 
 
-def format_details(summary: str, html: str) -> str:
+def format_folded(summary: str, html: str) -> str:
     """Return a part of an answer as HTML that stays folded until a click."""
     return f"<details><summary>{_escape(summary)}</summary>{html}</details>"
 
@@ -143,7 +164,7 @@ def format_curve_svg(values: Sequence[float], *, label: str) -> str:
     """Return values as a small curve in SVG; a value that is not finite leaves a gap.
 
     Args:
-        values: Values at equal distances.
+        values: Values at equally spaced positions.
         label: Description of the curve for readers who do not see it.
     """
     known = [value for value in values if isfinite(value)]
@@ -161,14 +182,14 @@ def format_curve_svg(values: Sequence[float], *, label: str) -> str:
             drawn.append(f"{'L' if before else 'M'}{place[0]:.1f},{place[1]:.1f}")
         before = place is not None
     size = f'width="{_CURVE_WIDTH:g}" height="{_CURVE_HEIGHT:g}"'
-    path = f'<path d="{"".join(drawn)}" fill="none" stroke="{_CURVE_COLOUR}" stroke-width="1.5"/>'
+    path = f'<path d="{"".join(drawn)}" fill="none" stroke="{CURVE_COLOUR}" stroke-width="1.5"/>'
     name = f'role="img" aria-label="{_escape(label)}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {name}>{path}</svg>'
 
 
 _CURVE_WIDTH: Final = 320.0
 _CURVE_HEIGHT: Final = 60.0
-_CURVE_COLOUR: Final = "#0082cc"
+CURVE_COLOUR: Final = "#0082cc"
 """Colour with contrast to white and to the black of dark notebooks."""
 
 

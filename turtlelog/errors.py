@@ -101,7 +101,7 @@ def find_near(name: str, known: Iterable[str], *, most: int = 3) -> list[str]:
         if near := difflib.get_close_matches(word, listed, n=most):
             ratios = [difflib.SequenceMatcher(a=word, b=one).ratio() for one in near]
             return [
-                one for one, ratio in zip(near, ratios, strict=True) if ratio > ratios[0] - 0.15
+                one for one, ratio in zip(near, ratios, strict=True) if ratio > ratios[0] - _TIE
             ]
     if not last:
         return []
@@ -136,17 +136,17 @@ def quote_name(name: str) -> str:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return names as a list with `or` before the last; of many names, only the first ones."""
+    """Return names as a list with `or` before the last name. A long list shows only the first."""
     if len(names) > _LISTED:
         return f"{', '.join(names[:_LISTED])}, ..."
     *others, last = names or ["none"]
     return f"{', '.join(others)} or {last}" if others else last
 
 
-def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
+def suggest_names(name: str, known: Iterable[str]) -> str:
     """Return the known names nearest to an unknown name, or the first known names."""
     listed = list(known)
-    return join_names(find_near(name, listed, most=most) or listed)
+    return join_names(find_near(name, listed) or listed)
 
 
 class ExpressionError(TurtlelogError):

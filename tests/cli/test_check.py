@@ -70,7 +70,8 @@ def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> 
 def test_a_run_within_its_tolerances_passes(call: Call, kp4: Path, tolerances: Path) -> None:
     answer = call("check", tolerances, kp4, "--reference", kp4, "--all")
     assert answer.code == 0
-    assert answer.out.startswith(f"PASS: {kp4}: all 2 checks pass\n\n      check ")
+    assert answer.out.startswith(f"PASS: {kp4}: all 2 checks pass\nNearest to its limit: ")
+    assert "\n\n      check " in answer.out
     assert "PASS  metrics.final.position_error" in answer.out
 
 
@@ -321,7 +322,7 @@ def test_a_failure_says_why_the_run_differs_from_the_reference(
     answer = call("check", spec, kp10, "--junit", report, *words)
     assert answer.code == 1
     told = "final.position_error rose from 0.0085 m to 0.1067 m: the gains add 0.1499 m,"
-    assert (f"WHY {kp10}: {told}" in answer.flat) is (not words)
+    assert (f"WHY {kp10} against its reference: {told}" in answer.flat) is (not words)
     assert (told in report.read_text("utf-8")) is (not words)
 
 

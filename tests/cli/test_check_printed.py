@@ -259,3 +259,18 @@ def test_marks_are_a_line_for_each_recording(call: Call, kp4: Path, kp10: Path) 
         f"PASS  {kp4}: 1 of 1 check passed",
         f"FAIL  {kp10}: 0 of 1 check passed",
     ]
+
+
+def test_a_limit_of_zero_takes_part_in_what_is_furthest(call: Call, kp10: Path) -> None:
+    expected = ("--expect", "rotate.overshoot <= 0", "--expect", "run.duration <= 12.6")
+    lines = call("check", *expected, kp10).out.splitlines()
+    assert lines[1].startswith("Furthest beyond its limit, in proportion: rotate.overshoot <= 0,")
+
+
+def test_the_next_command_explains_the_metric_that_failed(
+    call: Call, kp10: Path, tmp_path: Path
+) -> None:
+    spec = tmp_path / "spec.toml"
+    spec.write_text('format = 1\n[checks."rotate.overshoot"]\nexpect = "rotate.overshoot <= 0.5"\n')
+    answer = call("check", spec, kp10)
+    assert f"Why? turtlelog explain {kp10} --metric rotate.overshoot" in answer.out

@@ -15,15 +15,15 @@ def test_the_first_line_is_the_answer_and_the_best_are_named_below(
     answer = call("compare", kp4, kp10, "--sort", "-run.duration")
     assert answer.code == 0
     lines = answer.out.splitlines()
-    first = "Most accurate: paper-kp4, 8.52 mm. 2 runs, Kp = 10, 4 (law.pause_ticks and"
-    assert lines[:2] == [
-        first,
-        "loop.start_backlog differ too): no run is best at everything.",
+    assert lines[:3] == [
+        "Most accurate: paper-kp4, 0.00852 m.",
+        "2 runs, Kp = 10, 4 (law.pause_ticks and loop.start_backlog differ too, so not",
+        "every difference is due to Kp): no run is best at everything.",
     ]
-    said = [" ".join(line.split()) for line in lines[2:7]]
+    said = [" ".join(line.split()) for line in lines[3:8]]
     assert said == [
         "None reaches the goal.",
-        "most accurate paper-kp4 8.52 mm worst: paper-kp10, 0.107 m",
+        "most accurate paper-kp4 0.00852 m worst: paper-kp10, 0.107 m",
         "shortest paper-kp4 11.2 s worst: paper-kp10, 12.6 s",
         "settles first (rotate) paper-kp10 2.21 s worst: paper-kp4, 2.28 s",
         "least overshoot (rotate) paper-kp4 0.0667 % worst: paper-kp10, 1.01 %",
@@ -45,7 +45,8 @@ def test_equal_runs_are_called_equal(call: Call, kp4: Path) -> None:
 
 def test_a_metric_of_which_neither_is_better_has_no_best(call: Call, kp4: Path, kp10: Path) -> None:
     words = " ".join(call("compare", kp4, kp10, "--metric", "run.rest_share").out.split())
-    differing = "law.pause_ticks and loop.start_backlog differ too"
+    keys = "law.pause_ticks and loop.start_backlog"
+    differing = f"{keys} differ too, so not every difference is due to Kp"
     assert words.startswith(f"2 runs, Kp = 4, 10 ({differing}): no metric shown has a best value.")
 
 
@@ -104,8 +105,10 @@ def test_a_limit_that_was_varied_on_purpose_is_named_first(
     slow = tmp_path / "slow.mcap"
     call("run", "paper-kp4", "--set", "limits.speed_m_s=0.5", "--set", "name=slow", "-o", slow)
     words = ("compare", kp4, slow, "--varied", "limits.speed_m_s", "--metric", "run.duration")
-    first = "Shortest: paper-kp4, 11.2 s. 2 runs, limits.speed_m_s = 1, 0.5: paper-kp4 is"
-    assert call(*words).out.splitlines()[0] == first
+    assert call(*words).out.splitlines()[:2] == [
+        "Shortest: paper-kp4, 11.2 s.",
+        "2 runs, limits.speed_m_s = 1, 0.5: paper-kp4 is best at run.duration.",
+    ]
     ranking = call(*words, "--json").json["ranking"]
     assert (ranking["is_fair"], ranking["varied"]) == (True, ["limits.speed_m_s"])
     refused = call("compare", kp4, slow, "--varied", "limits.sped")
@@ -296,7 +299,10 @@ def test_names_are_separated_by_one_comma(call: Call, kp4: Path, command: str, o
 @pytest.mark.parametrize(
     ("names", "told"),
     [
-        (("kp1", "kp2", "kp4"), "Only paper-kp1 and paper-kp2 reach the goal."),
+        (
+            ("kp1", "kp2", "kp4"),
+            "Only paper-kp1 and paper-kp2 reach the goal; the shortest run does not.",
+        ),
         (("kp1", "kp2"), "All reach the goal."),
         (("kp4", "kp10"), "None reaches the goal."),
     ],

@@ -41,11 +41,11 @@ def test_the_first_line_is_the_answer_and_each_change_has_a_line(
     lines = answer.out.splitlines()
     gains = next(line for line in lines if line.startswith("  gains"))
     assert gains.split()[1:] == [
-        *("+0.1499", "m", "law.kp_angular,", "law.kp_linear", "4", "->", "10", "undone:"),
+        *("+0.1499", "m", "law.kp_angular,", "law.kp_linear", "4", "->", "10", "without:"),
         *("0.0078", "m"),
     ]
     assert "depends on single samples" in answer.flat
-    assert "By cause (turtlelog explain), the second run has " in answer.flat
+    assert "By effect instead of by setting (turtlelog explain), the second run has " in answer.flat
     assert f"turtlelog compare --reference {kp4} {kp10}" in answer.flat
     assert max(len(line) for line in lines if str(kp4.parent.parent) not in line) <= 80
 

@@ -31,8 +31,8 @@ SHARERS = {
     "turtlelog.cli.info": [["info", *ALL]],
     "turtlelog.compare.measured_files": [["metrics", *ALL, *BRIEF], ["compare", *ALL, *BRIEF]],
     "turtlelog.cli.compare_reference": [["compare", *ALL[:3], "--reference", "kp10.mcap"]],
-    "turtlelog.cli.check_files": [["check", "spec.toml", *ALL, "--junit", "junit.xml"]],
-    "turtlelog.sweep.file_table.recordings": [
+    "turtlelog.cli.check": [["check", "spec.toml", *ALL, "--junit", "junit.xml"]],
+    "turtlelog.sweep.table.recording_table": [
         ["metrics", *ALL, *BRIEF, "-o", "metrics.parquet"],
         ["check", "spec.toml", *ALL, "-o", "verdicts.parquet"],
     ],
@@ -40,7 +40,7 @@ SHARERS = {
         ["sweep", "paper", *GRID, "--record", "runs", "-o", "s.parquet"]
     ],
     "turtlelog.sweep.tune.candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],
-    "turtlelog.explain.one_run.game": [["explain", "kp10.mcap", "--jobs", "2"]],
+    "turtlelog.explain.game": [["explain", "kp10.mcap", "--jobs", "2"]],
     "turtlelog.draw.figures.writing": [["plot", "kp10.mcap", "-o", "figs", "--only", "heading"]],
 }
 """Commands for each module that hands out work."""

@@ -120,7 +120,7 @@ def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, k
 def test_the_answer_begins_with_the_value_and_its_causes(call: Call, kp10: Path) -> None:
     lines = call("explain", kp10).out.splitlines()
     assert lines[:3] == [
-        "kp10.mcap: final.position_error is 0.1067 m: queue +0.05108 m, pause +0.05057 m",
+        "kp10.mcap: final.position_error is 0.1067 m: queue and pause add 0.1017 m",
         "",
         "Two effects of the implementation cause it together in this run:",
     ]

@@ -52,7 +52,7 @@ def test_comparison_with_a_run_that_has_a_goal_shows_its_errors(call: Call) -> N
 def test_explanation_of_a_run_without_a_goal_is_of_its_way(call: Call) -> None:
     out = " ".join(call("explain", STEP, "--details").out.split())
     assert "Its law is open-loop: parameters are identified from commands only for" in out
-    assert out.startswith("step.mcap: run.path_length is 0 m, in the log and re-simulated.")
+    assert out.startswith("step.mcap: run.path_length is 0 m: no effect changes it")
 
 
 def test_explanation_of_a_metric_without_a_value_has_no_table_of_dashes(call: Call) -> None:

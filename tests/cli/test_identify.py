@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.draw.rerun.rrds import read_blueprint_parts
 from tests.identify.robots import Log, Truth, make_run, write_bag
@@ -53,8 +54,8 @@ def test_the_first_line_is_how_late_the_robot_follows(call: Call, bag: Path) -> 
     text = call("identify", bag).out
     lines = text.splitlines()
     first = (
-        r"robot\.mcap: speed follows its commands with gain 0\.\d+ and total delay ([\d.]+) ms"
-        r" \(.*\), turn rate with gain 0\.\d+ and total delay (\d+)"
+        r"robot\.mcap: total delay of the speed ([\d.]+) ms \(.*\),"
+        r" of the turn rate ([\d.]+) ms \(.*\)\. Gains: speed 0\.\d+, turn rate 0\.\d+\."
     )
     found = re.match(first, " ".join(lines[:3]))
     assert found is not None
@@ -107,7 +108,7 @@ def test_an_axis_without_a_value_has_a_reason_and_what_to_drive(call: Call, tmp_
     answer = call("identify", bag)
     text = " ".join(answer.out.split())
     assert answer.code == 0
-    assert text.startswith("turns.mcap: turn rate follows its commands with gain ")
+    assert text.startswith("turns.mcap: total delay of the turn rate ")
     assert "The speed could not be identified." in text
     assert (
         "Speed: not identifiable: the speed is never commanded. To know it, step the speed ten"
@@ -140,7 +141,9 @@ def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> No
         for found in (answer, alone)
     )
     assert all(together < one for together, one in zip(width, width_alone, strict=True))
-    assert call("identify", bag, other).out.startswith("2 runs of one robot: speed follows its")
+    assert call("identify", bag, other).out.startswith(
+        "2 runs of one robot: total delay of the speed"
+    )
 
 
 @pytest.mark.thorough
@@ -190,7 +193,7 @@ def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
     delays = answer["tick_delays"]
     assert (delays["least_s"], delays["median_s"], delays["largest_s"]) == (0.016, 0.112, 0.112)
     text = call("identify", kp10).out
-    told = "kp10.mcap: speed follows its commands with gain 1.000 and total delay 96 ms"
+    told = "kp10.mcap: total delay of the speed 96 ms (0 to 96), of the turn rate 64 ms"
     assert text.startswith(told)
     assert "In brackets: the least and the largest." in " ".join(text.split())
     assert "least 16.0 ms, median 112.0 ms, largest 112.0 ms" in " ".join(text.split())
@@ -232,3 +235,24 @@ def test_outliers_are_named_one_by_one_unless_they_are_many(call: Call, tmp_path
     outliers, steps, text = tell(5)
     assert (outliers, outliers > 0.01 * steps, text.count("Outlier:")) == (5, True, 0)
     assert f"Speed: 5 of {steps} steps are off by far more than is usual" in text
+
+
+@pytest.mark.parametrize(("least_s", "is_told"), [(0.0, True), (0.001, False)])
+def test_a_sum_that_the_log_does_not_divide_is_told(least_s: float, *, is_told: bool) -> None:
+    from turtlelog.cli.identify_answer import format_robot
+
+    part = Estimate(value=0.1, low=0.0, high=0.2)
+    axis = AxisModel(
+        axis="speed",
+        status="ok",
+        gain=Estimate(value=1.0, low=0.9, high=1.1),
+        dead_time_s=part,
+        lag_s=Estimate(value=0.1, low=least_s, high=0.2),
+        total_delay_s=Estimate(value=0.2, low=0.19, high=0.21),
+        explained=0.9,
+        steps=100,
+    )
+    unknown = AxisModel(axis="turn_rate", status="not_identifiable", reason="it never turns")
+    model = tl.RobotModel(files=("bag",), speed=axis, turn_rate=unknown)
+    words = " ".join(format_robot(model, [Path("bag")]).split())
+    assert ("does not separate dead time from time constant" in words) == is_told

@@ -30,7 +30,7 @@ def test_a_note_of_the_identification_stands_before_all_advice(call: Call, tmp_p
     bag, robot = tmp_path / "bag.mcap", tmp_path / "robot.toml"
     write_bag(run, bag)
     (note,) = call("identify", bag, "--json").json["notes"]
-    assert note.startswith("All commands of the turn rate have one size.")
+    assert note.startswith("All turn rate commands have the same magnitude.")
     said = " ".join(call("identify", bag, "--scenario", robot).out.split())
     assert said.index(note) < said.index("model_delay_wz")
     assert f"Note: {note}" in call("theory", robot).err
@@ -58,7 +58,7 @@ def test_a_doubt_goes_on_to_the_scenario_and_the_advice(
     nav2 = next(row for row, line in enumerate(lines) if "model_delay_wz" in line)
     assert doubt < nav2
     axis = call("identify", bags / "braking.mcap", "--json").json["axes"][1]
-    assert axis["doubts"][0].startswith("No model explains all of the turn rate")
+    assert axis["doubts"][0].startswith("No model explains the turn rate completely")
     delay_s = float(lines[nav2].split()[1])
     assert delay_s == pytest.approx(axis["total_delay_s"]["high"], abs=1e-3)
     for command in (

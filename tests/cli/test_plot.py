@@ -53,7 +53,7 @@ def test_many_runs_are_drawn_in_the_order_of_their_gains(
     said, written = split_answer(out)
     assert (code, written) == (0, [f"wrote {path}"])
     assert said == (
-        "2 runs end 1.01 mm (paper-kp2) to 0.107 m (paper-kp10) from the goal."
+        "2 runs end 0.00101 m (paper-kp2) to 0.107 m (paper-kp10) from the goal."
         f" {path} shows the figure heading of paper-kp10 and paper-kp2: {SHOWN['heading']}."
     )
     comments = re.findall(">(paper-kp[0-9]+)</text>", (tmp_path / "heading.svg").read_text())

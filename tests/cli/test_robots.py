@@ -48,7 +48,8 @@ def test_a_topic_is_chosen_in_every_command(call: Call, robot: Path) -> None:
     assert call("metrics", "own.mcap").err == ""
     drawn = call("plot", tracked, "-o", "kf.svg").out
     assert drawn.startswith(
-        "tracker:/tracker: drove 2 m in 2 s.\nkf.svg shows the figure panel of tracker:/tracker: "
+        "tracker:/tracker: the path is 2 m long and takes 2 s.\n"
+        "kf.svg shows the figure panel of tracker:/tracker: "
     )
     assert drawn.endswith("\nwrote kf.svg\n")
     assert call("explain", tracked).code in {0, 2}

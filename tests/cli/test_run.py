@@ -22,7 +22,11 @@ def test_run_prints_metrics_and_writes_nothing_unasked(
     assert len(lines) <= 40
     assert max(map(len, lines)) <= 80
     assert ["overshoot", "1.01", "%", "0.945", "%"] in [line.split() for line in lines]
-    assert lines[-1] == "To explain, plot or compare this run, record it: -o FILE.mcap"
+    why = "Why? Record the run with -o FILE.mcap, then: turtlelog explain FILE.mcap"
+    assert why in lines[:6]
+    reached = call("run", "textbook").out.splitlines()
+    assert reached[-1] == "To explain, plot or compare this run, record it: -o FILE.mcap"
+    assert "Why?" not in " ".join(reached)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -55,7 +59,7 @@ def test_the_first_line_tells_how_far_from_the_goal_it_ended(
 def test_a_law_that_stops_where_it_believes_the_goal_to_be_did_not_reach_it(call: Call) -> None:
     words = ("--set", "sensing.noise_position_m=0.02", "--set", "seed=3")
     first = call("run", "paper-kp4", *words).out.splitlines()[0]
-    assert first == "paper-kp4: ended 0.0175 m from the goal after 11.4 s."
+    assert first == "paper-kp4: missed the goal by 0.0175 m (allowed: 0.00669 m) after 11.4 s."
 
 
 def test_run_records_what_it_simulates(call: Call, tmp_path: Path) -> None:

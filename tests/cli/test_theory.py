@@ -437,3 +437,33 @@ def test_a_loop_that_theory_does_not_know_has_no_recommended_gains(call: Call) -
         [],
         [],
     ]
+
+
+def test_the_largest_step_without_clipping_is_told_for_recommended_gains(call: Call) -> None:
+    words = " ".join(call("theory", "paper-kp10").out.split())
+    # The limit by the recommended gain: 1 rad/s / 4.946 1/s, and 1 m/s / 4.946 1/s.
+    told = "Commands are clipped for errors above 11.6 deg (rotate) and 0.202 m (translate),"
+    assert f"{told} which changes overshoot and settling time." in words
+    unlimited = ("--set", "limits.turn_rate_rad_s=inf", "--set", "limits.speed_m_s=inf")
+    assert "are clipped for errors" not in call("theory", "paper-kp10", *unlimited).out
+
+
+@pytest.mark.parametrize(("period_s", "limit"), [(0.1, "20"), (0.05, "40")])
+def test_a_timer_is_stable_at_every_age_of_its_poses_up_to_the_told_gain(
+    call: Call, period_s: float, limit: str
+) -> None:
+    words = " ".join(
+        call(
+            *("theory", "textbook", "--set", "loop.trigger=timer"),
+            *("--set", f"loop.period_s={period_s}"),
+        ).out.split()
+    )
+    # 2 / T, the limit with a new pose; old poses allow more between two samples.
+    assert f"stable for Kp below {limit} 1/s at dead times up to 16 ms." in words
+
+
+def test_no_size_of_clipped_errors_is_told_for_an_integral_term(call: Call) -> None:
+    pid = ("--set", "law.kind=sequential-pid", "--set", "law.ki_angular=0.2")
+    words = " ".join(call("theory", "lagged", *pid).out.split())
+    assert "Theory leaves out command limits, which change overshoot and settling time." in words
+    assert "are clipped for errors" not in words

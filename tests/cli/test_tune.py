@@ -262,7 +262,21 @@ def test_keys_that_change_nothing_are_told(call: Call) -> None:
     first = " ".join(done.out.split("\n\n")[0].split())
     assert first.startswith("rotate.stable is 1 for all ")
     assert first.endswith(" candidates that can be compared: no key changes it.")
-    assert "beyond, it may be better" not in done.out
+    assert "at its bound" not in done.out
+
+
+def test_a_best_value_at_a_bound_is_told_before_the_table(call: Call) -> None:
+    words = ("tune", "textbook", "--grid", "kp=1:4", *SETTLING, "--evaluations", "12")
+    assert call(*words).out.splitlines()[1] == "kp is at its bound: beyond 4 it may be better."
+    assert "to 4 (its bound) is at most " in call(*words).out
+    inner = ("tune", "textbook", "--grid", "kp=0.5:12", *SETTLING, "--evaluations", "40")
+    queue = ("--grid", "loop.start_backlog=1:7", "--minimise", "final.position_error")
+    least = call("tune", "paper", "--kp", "10", *queue).out  # no queue is shorter than 1
+    assert "loop.start_backlog = 1: " in least
+    assert "at its bound: beyond" not in least
+    best = call(*inner, "--json").json
+    assert best["at_bounds"] == []
+    assert "at its bound" not in call(*inner).out
 
 
 @pytest.mark.parametrize(
@@ -319,3 +333,12 @@ def test_kp_beside_a_gain_is_refused(call: Call, words: list[str], line: str) ->
     done = call("tune", "textbook", "--grid", "kp=1:4", *words, "--minimise", "run.duration")
     assert done.code == 2
     assert line in done.err
+
+
+def test_keys_that_decide_whether_there_is_a_value_are_not_said_to_change_nothing(
+    call: Call,
+) -> None:
+    pause = ("--grid", "law.pause_ticks=0:40", "--minimise", "rotate.settling_time")
+    first = call("tune", "paper", "--kp", "20", *pause, "--evaluations", "20").out.split("\n\n")[0]
+    assert "no key changes it" not in first
+    assert " others have no value or break a constraint." in " ".join(first.split())

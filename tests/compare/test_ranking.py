@@ -105,7 +105,10 @@ def test_gains_are_varied_on_purpose_and_named_first() -> None:
     ranking = judge(other)
     assert (ranking.is_fair, ranking.varied) == (True, ("law.kp_linear",))
     pair = [summarise(PAPER), summarise(other)]
-    title = "2 runs, Kp drive = 4, 2 (law.pause_ticks differs too)"
+    title = (
+        "2 runs, Kp drive = 4, 2 (law.pause_ticks differs too, so not every difference is due to"
+        " Kp drive)"
+    )
     assert tl.tabulate_runs(pair).title == title
     first, _ = tl.compare.order_parameters(pair, ranking)
     assert [*first][:2] == ["law.kp_linear", "law.pause_ticks"]
@@ -196,7 +199,10 @@ def test_limits_that_are_known_of_some_runs_alone_forbid_a_ranking() -> None:
 
 def test_the_first_line_says_which_run_is_best() -> None:
     pair = [summarise(tl.read_recording(f"recordings/paper/kp{gain}.mcap")) for gain in (1, 2)]
-    title = "2 runs, Kp = 1, 2 (loop.start_backlog differs too): paper-kp2 is best at"
+    title = (
+        "2 runs, Kp = 1, 2 (loop.start_backlog differs too, so not every difference is due to Kp):"
+        " paper-kp2 is best at"
+    )
     assert tl.tabulate_runs(pair, only=["run.duration"]).title == f"{title} run.duration"
     both = ["run.duration", "final.position_error"]
     assert tl.tabulate_runs(pair, only=both).title == f"{title} everything"

@@ -31,7 +31,7 @@ ANSWERS: Final = {
     "compare --reference": "compare_reference:_ReferenceAnswer",
     "compare --why": "compare_why:WhyAnswer",
     "compare --reference --ate": "compare_trajectories:TrajectoriesAnswer",
-    "compare BAG SCENARIO": "compare_reference:_RobotAnswer",
+    "compare BAG SCENARIO": "compare_robot:_RobotAnswer",
     "explain": "explain_answer:ExplainAnswer",
     "identify": "identify:IdentifyAnswer",
     "replay": "replay_answer:LoopReplayAnswer",
@@ -53,8 +53,8 @@ HEAD: Final = """# JSON
 `--json` prints one JSON value and nothing else: a list from `info` and `metrics`, an object from
 the others. Quantities are in SI units and radians unless the name or unit says otherwise. A value
 that does not exist is null, with a `status` or `reason` beside it. A linked type has its table in
-the section of another command. For programs the same is in [schemas.json](schemas.json): a JSON
-schema for each command.
+the section of another command. [schemas.json](schemas.json) contains a JSON schema for each
+command.
 """
 
 
@@ -65,7 +65,7 @@ def find_answer(typed: str) -> Any:
 
 
 _OTHERS: Final = (
-    "explain.one_run.attribution",
+    "explain.attribution",
     "cli.theory_gains",
     "cli.theory_loops",
     "cli.replay_answer",

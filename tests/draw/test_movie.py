@@ -16,7 +16,7 @@ from turtlelog.charts.time_axes import locate_run
 from turtlelog.draw import write_movie
 from turtlelog.draw.figures.page import label_runs
 from turtlelog.draw.movie import movie_file
-from turtlelog.draw.movie.film import plan_film
+from turtlelog.draw.movie.movie_file import plan_film
 from turtlelog.draw.movie.picture import _set_stage, draw_pictures
 from turtlelog.errors import ShowError
 
@@ -44,7 +44,7 @@ def test_a_film_lasts_from_the_first_pose_to_the_last_and_then_stands_still(
 def test_a_film_that_nobody_told_a_length_is_real_time_where_that_can_be_watched(
     runs: tuple[Run, ...], duration_s: float, whole_s: float
 ) -> None:
-    from turtlelog.draw.movie.film import _choose_length
+    from turtlelog.draw.movie.movie_file import _choose_length
 
     assert _choose_length(duration_s) == pytest.approx(whole_s)
 

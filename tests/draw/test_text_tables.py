@@ -62,3 +62,15 @@ def test_a_name_of_two_lines_stays_on_one() -> None:
 @pytest.mark.parametrize("width", [1, 8, 20])
 def test_no_width_is_too_small_to_print(width: int) -> None:
     assert "0.125" in tl.draw.format_table(make_table(2), width=width)
+
+
+def test_a_narrow_cell_breaks_between_words_and_not_at_a_decimal_point() -> None:
+    table = tl.compare.Table(
+        title="",
+        columns=(tl.compare.Column(title="axis"), tl.compare.Column(title="gain")),
+        rows=(("speed", "0.500 (0.500 to 0.500)"), ("rotate.settling_time", "1")),
+    )
+    lines = [line.split() for line in tl.draw.format_table(table, width=30).splitlines()]
+    cells = [cell for line in lines for cell in line]
+    assert "(0.500" in cells
+    assert "0.500)" in cells

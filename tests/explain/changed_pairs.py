@@ -13,7 +13,7 @@ from statistics import fmean
 from typing import Any, Final
 
 import turtlelog as tl
-from turtlelog.explain.one_run.game import SEEDS
+from turtlelog.explain.game import SEEDS
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 
 Values = Mapping[str, Any]

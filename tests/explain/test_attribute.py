@@ -18,9 +18,9 @@ from turtlelog.explain import (
     identify_run,
     simulate_without,
 )
+from turtlelog.explain.attribution import find_resolution
 from turtlelog.explain.causes import FINER, is_present, list_effects
-from turtlelog.explain.one_run.attribution import find_resolution
-from turtlelog.explain.one_run.starts import find_steady_span, vary_start
+from turtlelog.explain.starts import find_steady_span, vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run

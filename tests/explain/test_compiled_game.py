@@ -3,15 +3,15 @@ from typing import Any, Final
 import pytest
 
 from tests.effects_cases import build_case
-from turtlelog.explain.one_run.game import Outcome, ScenarioGame
+from turtlelog.explain.game import Outcome, ScenarioGame
 from turtlelog.scenario import resolve_scenario
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
+from turtlelog.simulate.compiled.compiled_code import CompiledCode
 from turtlelog.simulate.many import find_loop
 
 SCENARIO: Final = build_case("noise", "loss", preset="paper", max_duration_s=4.0)
 
 
-def play(monkeypatch: pytest.MonkeyPatch, loop: CompiledLoops, kernel: Any) -> list[Outcome]:
+def play(monkeypatch: pytest.MonkeyPatch, loop: CompiledCode, kernel: Any) -> list[Outcome]:
     monkeypatch.setattr(loop, "_loops", kernel)
     monkeypatch.setattr(loop, "_saved_s", 1e9)
     game = ScenarioGame(SCENARIO, "final.heading_error")

@@ -14,7 +14,7 @@ from turtlelog.explain import (
     Side,
     explain_difference,
 )
-from turtlelog.explain.one_run.attribution import Together
+from turtlelog.explain.attribution import Together
 from turtlelog.explain.two_runs.explained_difference import SEED
 from turtlelog.run import PoseColumns, Run
 from turtlelog.scenario import get_preset
@@ -98,7 +98,7 @@ def test_changes_that_cancel_are_told() -> None:
 @pytest.mark.parametrize(("value", "is_told"), [(0.14, False), (0.16, True)])
 def test_what_arises_together_is_told_above_a_tenth(value: float, *, is_told: bool) -> None:
     found = replace(make(1.0, 0.5), together=(Together(causes=("a", "b"), value=value),))
-    told = "The a and the b need each other: "
+    told = "The a and the b act together: "
     assert any(one.startswith(told) for one in found.sentences) is is_told
 
 

@@ -21,7 +21,7 @@ from turtlelog.explain.causes import (
     find_causes,
     list_effects,
 )
-from turtlelog.explain.one_run.game import SEEDS
+from turtlelog.explain.game import SEEDS
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 
 SHORT = {"max_duration_s": 2.0, "goal.x_m": 6.5, "goal.y_m": 6.1, "law.kp_angular": 8.0}
@@ -112,7 +112,7 @@ def find_named(sentence: str) -> set[str]:
 @pytest.fixture
 def half_of_the_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate with 16 seeds: whose share it is, is clear with them as well."""
-    monkeypatch.setattr("turtlelog.explain.one_run.game.SEEDS", SEEDS[:16])
+    monkeypatch.setattr("turtlelog.explain.game.SEEDS", SEEDS[:16])
 
 
 @pytest.mark.everyday("queue", "outlier")
@@ -203,7 +203,7 @@ def test_what_needs_queue_and_repeat_both_is_said() -> None:
     found = attribute_scenario(change(**values), metric="rotate.overshoot")
     shares = {share.cause: share.contribution for share in found.contributions}
     assert shares["queue"] == pytest.approx(shares["repeat"])
-    assert "Queue and repeat need each other: " in " ".join(write_sentences(found))
+    assert "Queue and repeat act together: " in " ".join(write_sentences(found))
 
 
 def test_what_each_of_loss_and_dropout_would_do_alone_is_said() -> None:

@@ -1,10 +1,12 @@
 """What jumps of the pose, cuts and noise leave to be said, and what they take away."""
 
+import math
 import re
 from dataclasses import replace
 
 import pytest
 
+import turtlelog as tl
 from tests.explain.logs import as_log, simulate
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, attribute_run, identify_run
@@ -104,15 +106,34 @@ def test_one_sample_is_a_run() -> None:
 
 def test_a_goal_at_the_start_is_reached_without_a_warning() -> None:
     run = simulate("paper-kp4", goal__x_m=5.544444561004639, goal__y_m=5.544444561004639)
-    found = identify_run(run)
-    assert (
-        found.findings["law.heading_tolerance_rad"].evidence == "the run has no command that turns"
-    )
+    found = identify_run(run).findings["law.heading_tolerance_rad"]
+    assert found.evidence == "as recorded: the run has no command that turns"
 
 
 def test_what_would_be_without_a_limit_is_not_known_where_every_command_is_clipped() -> None:
-    found = attribute_run(simulate("paper-kp4", max_duration_s=6.3))
+    run = replace(simulate("paper-kp4", max_duration_s=6.3), scenario_is_complete=False)
+    found = attribute_run(run)
     saturation = next(share for share in found.others if share.cause == "saturation")
     assert (saturation.alone, saturation.ending) == (None, "the log does not show law.kp_linear")
-    shared = attribute_run(simulate("paper-kp4", max_duration_s=6.3), causes=["saturation"])
+    shared = attribute_run(run, causes=["saturation"])
     assert "law.kp_linear" in shared.doubts[0]
+
+
+def test_recorded_settings_count_where_the_samples_do_not_show_them() -> None:
+    """The heading error is too small for any command that turns: any gain fits."""
+    changes = {"law__kp_angular": 20.0, "law__kp_linear": 20.0, "law__wrap_error": True}
+    run = simulate("paper", goal__x_m=10.0, goal__y_m=5.55, **changes)
+    found = identify_run(run)
+    assert found.resimulation is not None
+    assert found.resimulation.is_exact
+    assert found.findings["law.kp_angular"].certainty == "as recorded"
+    known = attribute_run(run)
+    unlimited = tl.override_scenario(
+        tl.load_scenario("paper"), {key.replace("__", "."): value for key, value in changes.items()}
+    )
+    goal = {"goal.x_m": 10.0, "goal.y_m": 5.55}
+    free = {"limits.speed_m_s": math.inf, "limits.turn_rate_rad_s": math.inf}
+    metric = tl.measure_run(tl.simulate_run(tl.override_scenario(unlimited, goal | free)))
+    alone = {share.cause: share.alone for share in (*known.contributions, *known.others)}
+    assert alone["saturation"] == pytest.approx(metric["final.position_error"].value)
+    assert "wrap" not in alone

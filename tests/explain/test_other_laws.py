@@ -255,10 +255,10 @@ def test_sampling_is_not_offered_where_a_law_does_not_say_what_counts_samples() 
     found = attribute_run(run, trust_law=True)
     assert "sampling" not in {share.cause for share in found.others}
     assert write_sentences(found)[-1] == (
-        f"Sampling is not taken out, because the law {OTHERS}:Silent does not say which of its"
+        f"Sampling is not removed, because the law {OTHERS}:Silent does not say which of its"
         " parameters count samples (counts_samples)."
     )
-    with pytest.raises(ExplainError, match="sampling is not taken out"):
+    with pytest.raises(ExplainError, match="sampling is not removed"):
         attribute_run(run, causes=["sampling"], trust_law=True)
     with pytest.raises(ExplainError, match='no cause "luck"; list: turtlelog list causes'):
         attribute_run(run, causes=["luck"], trust_law=True)

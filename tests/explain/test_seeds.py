@@ -16,8 +16,8 @@ from turtlelog.explain import (
     identify_run,
     write_sentences,
 )
+from turtlelog.explain.attribution import is_clear
 from turtlelog.explain.causes import draws_random
-from turtlelog.explain.one_run.attribution import is_clear
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import simulate_run

@@ -18,6 +18,7 @@ from turtlelog.explain import (
     attribute_scenario,
     find_causes,
     identify_run,
+    write_headline,
     write_sentences,
 )
 from turtlelog.log import import_log
@@ -29,6 +30,9 @@ CAUSES = find_causes(get_preset("paper-kp10"))
 
 def make_contribution(*, cause: str, **values: Any) -> Contribution:
     return Contribution(cause=cause, meaning=CAUSES[cause].meaning, **values)
+
+
+JOINT = (Together(causes=("queue", "pause"), value=0.5),)
 
 
 def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attribution:
@@ -66,10 +70,9 @@ def test_the_gain_of_ten_in_words() -> None:
         "Without queue it would be 0.02684 m, without pause 0.02735 m, without both 0.005077 m;"
         " the tolerances alone allow 0.006693 m.",
         "It depends on single samples: for 17 start headings within +-0.458 deg it is 0.03943 to"
-        " 0.4734 m, without both 0.00482 to 0.005677 m. Queue contributes 16 to 62 % of what queue"
-        " and pause add.",
-        "Queue and pause need each other: 0.05761 m of their contributions arises only if both"
-        " act.",
+        " 0.4734 m, without both 0.00482 to 0.005677 m. Queue contributes 16 to 62 % of the total"
+        " that queue and pause add.",
+        "Queue and pause act together: 0.05761 m of what they add arises only if both act.",
         "Not a cause: saturation and sampling. The value is larger without saturation (0.8506 m)"
         " and without sampling (0.1361 m).",
         "Design parameter: tolerance. Without it (tolerances of 1e-06) the value is 0.0009877 m.",
@@ -141,6 +144,20 @@ def test_an_effect_is_named_beyond_the_resolution(queue: float, cause: str) -> N
     assert write_sentences(describe(queue=queue))[1].startswith(cause)
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"queue": 0.011}, "queue +0.011 m"),
+        ({"queue": 0.009}, "effects add only 0.009 m"),  # within the resolution of 0.01 m
+        ({"contributions": ()}, "no effect changes it"),
+        ({"queue": 0.5, "pause": 0.3, "together": JOINT}, "queue and pause add 0.8 m"),
+        ({"queue": 0.5, "pause": 0.3}, "mainly queue +0.5 m"),
+    ],
+)
+def test_the_first_line_names_causes_or_says_that_there_are_none(changes: Any, told: str) -> None:
+    assert write_headline(describe(**changes)) == f"final.position_error is 1 m: {told}"
+
+
 @pytest.mark.parametrize(("pause", "is_named"), [(0.0110, False), (0.0112, True)])
 def test_an_effect_is_named_beyond_a_tenth_of_all(pause: float, *, is_named: bool) -> None:
     cause, rest = write_sentences(describe(queue=0.1, pause=pause))[1:3]
@@ -198,9 +215,7 @@ def test_what_is_not_there_is_not_said_to_act() -> None:
 def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_told: bool) -> None:
     case = Together(causes=("queue", "pause"), value=size)
     sentences = write_sentences(describe(queue=0.1, together=(case,)))
-    told = (
-        f"Queue and pause need each other: {size} m of their contributions arises only if both act"
-    )
+    told = f"Queue and pause act together: {size} m of what they add arises only if both act"
     assert any(one.startswith(told) for one in sentences) == is_told
 
 

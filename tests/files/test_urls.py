@@ -8,7 +8,8 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.errors import TurtlelogError
-from turtlelog.files import RemotePath, hide_secrets, is_url, make_path, show_url
+from turtlelog.escapes import hide_secrets, show_url
+from turtlelog.files import RemotePath, is_url, make_path
 
 
 @pytest.mark.parametrize(

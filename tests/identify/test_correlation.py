@@ -10,7 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, make_run
 from tests.known import known
-from turtlelog.cli.identify import build_answer
+from turtlelog.cli.identify import build_identify_answer
 from turtlelog.cli.identify_answer import format_robot
 from turtlelog.identify import doubts
 from turtlelog.identify.axis_motion import AxisMotion, read_axis_motion
@@ -107,6 +107,6 @@ def test_the_range_stands_in_the_text_and_in_json() -> None:
     told = f"correlate best at a delay of {1e3 * delay_s.low:.0f} to {1e3 * delay_s.high:.0f} ms."
     text = format_robot(model, [Path("robot")], shows_details=True)
     assert told in " ".join(text.split())
-    axis = build_answer([], model).axes[1]
+    axis = build_identify_answer([], model).axes[1]
     assert known(axis.correlation_delay_s).low == delay_s.low
     assert axis.correlation_reason is None

@@ -239,7 +239,7 @@ def test_a_curve_that_no_model_explains_makes_intervals_wider_and_a_doubt() -> N
     total_s = known(found.total_delay_s)
     assert total_s.low <= 0.07 + 0.45 * 0.2 + 0.03
     assert total_s.high >= 0.07 + 0.2 - 0.03
-    assert "No model explains all of the turn rate" in noted
+    assert "No model explains the turn rate completely" in noted
     assert "between rising and falling commands" in noted
 
 
@@ -282,7 +282,7 @@ def test_commands_of_one_size_leave_the_gain_of_others_unknown(
     turns = time_s, sizes[(time_s / 0.9).astype(int) % 5]
     run = make_run(replace(LOG, duration_s=15.0), 2, speed=(time_s, 0.0 * time_s), turn=turns)
     notes = " ".join(tl.identify_robot(run).notes)
-    assert ("All commands of the turn rate have one size" in notes) is is_told
+    assert ("All turn rate commands have the same magnitude" in notes) is is_told
 
 
 @pytest.mark.parametrize(("small", "is_known"), [(0.5, True), (0.7, False)])

@@ -127,7 +127,7 @@ def test_a_turn_rate_beside_one_speed_only_leaves_its_gain_without_open(
 ) -> None:
     model = tl.identify_robot(drive_and_turn(1.0, alone))
     noted = " ".join(model.notes)
-    assert ("commanded with a speed of 0.3 m/s only" in noted) is is_told
+    assert ("come together with a speed of 0.3 m/s" in noted) is is_told
 
 
 @pytest.mark.parametrize(("count", "are_outliers"), [(5, True), (6, False)])

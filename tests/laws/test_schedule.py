@@ -9,7 +9,14 @@ from tests.laws.sequential_runs import build_run
 from turtlelog.compare.run_summary import summarise_run
 from turtlelog.errors import LawError, ScenarioError
 from turtlelog.explain import attribute_run, identify_run
-from turtlelog.laws import GainSchedule, PIDGainSchedule
+from turtlelog.laws import (
+    GainSchedule,
+    Goal,
+    PIDGainSchedule,
+    Pose,
+    SequentialP,
+    SequentialPParameters,
+)
 from turtlelog.laws.schedule import MOST_ENTRIES
 from turtlelog.scenario import flatten_scenario, format_scenario, override_scenario, parse_scenario
 
@@ -27,8 +34,13 @@ def build_scheduled(kind: str = "sequential-p", **changes: Any) -> tl.Scenario:
 
 
 def compute(place: float) -> float:
-    schedule = GainSchedule(over="distance", at=(0.25, 0.5, 2.0), kp_linear=(4.0, 2.0, 1.0))
-    return dict(schedule.compute_gains(place))["kp_linear"]
+    """Return the gain with which the law turns at a heading error, towards a goal due east."""
+    at, gains = (0.25, 0.5, 2.0), (4.0, 2.0, 1.0)
+    schedule = GainSchedule(over="heading_error", at=at, kp_angular=gains)
+    law = SequentialP(SequentialPParameters(schedule=schedule, wrap_error=False))
+    law.reset(Pose(1.0, 5.0, 0.0), Goal(9.0, 5.0), None)
+    law.step(0, Pose(1.0, 5.0, 0.0))
+    return law.step(0, Pose(1.0, 5.0, -place)).turn_rate_rad_s / place
 
 
 @pytest.mark.parametrize(("place", "gain"), [(0.25, 4.0), (0.5, 2.0), (2.0, 1.0)])
@@ -42,7 +54,7 @@ def test_gain_between_entries_is_linear(place: float, gain: float) -> None:
     assert compute(place) == pytest.approx(gain, rel=1e-15)
 
 
-@pytest.mark.parametrize(("place", "gain"), [(0.0, 4.0), (0.2, 4.0), (2.1, 1.0), (1e9, 1.0)])
+@pytest.mark.parametrize(("place", "gain"), [(0.01, 4.0), (0.2, 4.0), (2.1, 1.0), (1e9, 1.0)])
 def test_gain_is_held_outside(place: float, gain: float) -> None:
     assert compute(place) == gain
 

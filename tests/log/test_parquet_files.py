@@ -13,8 +13,8 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.errors import LogError
-from turtlelog.log.parquet import parquet_file
-from turtlelog.log.parquet.parquet_file import MOST_ROWS, ParquetFile
+from turtlelog.log import parquet_file
+from turtlelog.log.parquet_file import MOST_ROWS, ParquetFile
 from turtlelog.sweep.table.result_table import (
     ResultColumn,
     ResultTable,
@@ -43,7 +43,7 @@ def test_arrow_reads_parquet_in_one_place_and_without_threads() -> None:
     reads = [f"parquet.{call}(" for call in calls]
     found = {path.name for path, text in sources.items() if any(one in text for one in reads)}
     assert found == {"parquet_file.py"}
-    text = sources[Path("log/parquet/parquet_file.py")]
+    text = sources[Path("log/parquet_file.py")]
     assert text.count("use_threads=False") == text.count("file.read_row_groups(") == 1
     assert text.count("pre_buffer=False") == text.count("parquet.ParquetFile(") == 1
 

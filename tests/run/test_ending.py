@@ -17,10 +17,10 @@ ALLOWED_M = 0.001 * float(np.hypot(2.0 - 5.5444446, 10.0 - 5.5444446)) + 0.001
 
 
 def end_at(error_m: float, **changes: Any) -> tl.Run:
-    """Return the run with its last pose at a distance beside the goal [m]."""
+    """Return the run at rest at a distance beside the goal [m]."""
     xy_m = RUN.poses.xy_m.copy()
     assert RUN.goal_xy_m is not None
-    xy_m[-1] = (RUN.goal_xy_m[0] + error_m, RUN.goal_xy_m[1])
+    xy_m[-2:] = (RUN.goal_xy_m[0] + error_m, RUN.goal_xy_m[1])
     return replace(RUN, poses=replace(RUN.poses, xy_m=xy_m), **changes)
 
 
@@ -31,7 +31,8 @@ def end_at(error_m: float, **changes: Any) -> tl.Run:
         (1.001, "standstill", "missed"),
         (1.001, "timeout", "missed"),
         (1.001, "max_duration", "missed"),
-        (1.001, "within_tolerance", "reached"),
+        (1.41, "within_tolerance", "reached"),
+        (1.42, "within_tolerance", "missed"),
         (1.001, "arrived", "ended"),
         (1.001, None, "ended"),
     ],
@@ -42,6 +43,33 @@ def test_tolerances_and_stop_reason_decide(factor: float, reason: str | None, ve
     assert end.verdict == verdict
     assert end.allowed_m == pytest.approx(ALLOWED_M, rel=1e-6)
     assert end.error_m == pytest.approx(factor * ALLOWED_M, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("reason", "speed_m_s", "verdict"),
+    [
+        ("max_duration", 0.0056, "reached"),
+        ("max_duration", 0.0058, "ended"),
+        (None, 0.0058, "ended"),
+        ("standstill", 1.0, "reached"),
+    ],
+)
+def test_a_robot_that_a_limit_stops_on_its_way_through_the_goal_has_not_arrived(
+    reason: str | None, speed_m_s: float, verdict: str
+) -> None:
+    run = end_at(0.001, stop_reason=reason)
+    xy_m = run.poses.xy_m.copy()
+    xy_m[-2, 1] -= 0.016 * speed_m_s  # one step before, of 16 ms
+    end = find_goal_end(replace(run, poses=replace(run.poses, xy_m=xy_m)))
+    assert end is not None
+    assert end.allowed_m - end.error_m == pytest.approx(0.00569, abs=1e-5)
+    assert end.verdict == verdict
+
+
+def test_a_law_without_tolerances_does_not_judge_by_itself() -> None:
+    end = find_goal_end(end_at(6.2, stop_reason="within_tolerance", parameters={}))
+    assert end is not None
+    assert end.describe() == "ended 6.2 m from the goal after 20.5 s"
 
 
 def test_the_sentence_names_what_the_tolerances_allow() -> None:
@@ -88,7 +116,16 @@ def test_a_law_that_reads_noisy_poses_does_not_judge_by_itself() -> None:
     run = replace(run, poses=replace(run.poses, sensed_xy_m=run.poses.xy_m.copy()))
     end = find_goal_end(run)
     assert end is not None
-    assert end.verdict == "ended"
+    assert end.verdict == "missed"
+
+
+def test_a_law_that_reads_late_poses_passes_its_goal() -> None:
+    changes = {"goal.x_m": 10.0, "goal.y_m": 5.55, "sensing.delay_s": 0.5}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("lagged"), changes))
+    end = find_goal_end(run)
+    assert run.stop_reason == "within_tolerance"
+    assert end is not None
+    assert (end.verdict, round(end.error_m, 4)) == ("missed", 0.0382)
 
 
 def test_without_a_goal_there_is_no_end_at_it() -> None:

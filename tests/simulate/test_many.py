@@ -29,7 +29,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many, simulate_run
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
+from turtlelog.simulate.compiled.compiled_code import CompiledCode
 from turtlelog.simulate.compiled.compiled_run import CompiledRunner
 from turtlelog.simulate.compiled.twins import Twins, build_dtype
 from turtlelog.simulate.many import COST_S, find_loop, find_saving
@@ -43,7 +43,7 @@ def has_numba() -> None:
     pytest.importorskip("numba")
 
 
-def find_loops(scenario: Scenario, plant: Plant | None = None) -> CompiledLoops:
+def find_loops(scenario: Scenario, plant: Plant | None = None) -> CompiledCode:
     scenario = resolve_scenario(scenario)
     found = find_loop(scenario, scenario.plant.facts if plant is None else plant)
     assert found is not None
@@ -51,7 +51,7 @@ def find_loops(scenario: Scenario, plant: Plant | None = None) -> CompiledLoops:
 
 
 @cache
-def load_loop(loops: CompiledLoops) -> Any:
+def load_loop(loops: CompiledCode) -> Any:
     found = loops.load()
     assert found is not None
     return found

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.log.runs import assert_same
-from turtlelog.check.recording import SimulatedRuns
+from turtlelog.check.recording_fixture import SimulatedRuns
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Pose
 from turtlelog.log import Recorder, read_recording

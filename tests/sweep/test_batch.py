@@ -16,11 +16,11 @@ from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops
+from turtlelog.simulate.compiled.compiled_code import CompiledCode
 from turtlelog.simulate.many import COST_S
 from turtlelog.sweep.batch import measured_rows
 from turtlelog.sweep.batch.batch_columns import COURSES, CURVES, STATUSES
-from turtlelog.sweep.batch.batch_rows import FREE_KEYS, prepare_rows
+from turtlelog.sweep.batch.batch_settings import FREE_KEYS, prepare_rows
 from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.simulate_rows import list_row_metrics
@@ -34,7 +34,7 @@ OPEN: Final = get_preset("plant-step")
 
 
 @cache
-def load(loops: CompiledLoops) -> Any:
+def load(loops: CompiledCode) -> Any:
     found = loops.load()
     assert found is not None
     return found
@@ -44,7 +44,7 @@ def load(loops: CompiledLoops) -> Any:
 def loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the batch of every law and plant at hand."""
     pytest.importorskip("numba")
-    monkeypatch.setattr(CompiledLoops, "find", load)
+    monkeypatch.setattr(CompiledCode, "find", load)
 
 
 def require_row(
@@ -273,8 +273,8 @@ def test_settings_of_free_keys_are_those_of_their_scenarios() -> None:
     robot = {"law.kind": "sequential-pid", **EFFECTS["lagged"]}
     base = override_scenario(PAPER, robot)
     columns = {key: [value] for key, value in FREE_VALUES.items()}
-    joint = prepare_rows(override_scenario(base, FREE_VALUES), {"name": ["any"]}, [0], None)
-    free = prepare_rows(base, columns, [0], None)
+    joint = prepare_rows(override_scenario(base, FREE_VALUES), {"name": ["any"]}, [0])
+    free = prepare_rows(base, columns, [0])
     assert (free.others, joint.others) == ([], [])
     for name in ("settings", "starts", "states", "table", "lines"):
         # By their texts, which tell each number: between the numbers of a record is room for any.
@@ -299,7 +299,7 @@ def test_settings_of_free_keys_are_those_of_their_scenarios() -> None:
     ],
 )
 def test_every_value_of_a_column_is_judged(key: str, column: list[Any], others: list[int]) -> None:
-    found = prepare_rows(PAPER, {key: column}, range(3), None)
+    found = prepare_rows(PAPER, {key: column}, range(3))
     for row, value in enumerate(column):
         try:
             resolve_scenario(build_row_scenario(PAPER, [key], [value], row))

@@ -17,7 +17,7 @@ from turtlelog.sweep import (
     read_result_table,
     tabulate_recordings,
 )
-from turtlelog.sweep.file_table import recordings
+from turtlelog.sweep.table import recording_table
 
 Tabulate = Callable[..., TabulatedFiles]
 ONLY = ("run.duration", "rotate.*", "final.position_error")
@@ -54,7 +54,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(Path(path).name)
         return read(path, choice)
 
-    monkeypatch.setattr(recordings, "read_as_chosen", count)
+    monkeypatch.setattr(recording_table, "read_as_chosen", count)
     return names
 
 
@@ -105,7 +105,7 @@ def test_what_has_not_changed_is_not_opened(
 ) -> None:
     first = tabulate(folder).output.read_bytes()
     assert len(opened) == 8
-    monkeypatch.setattr("turtlelog.sweep.file_table.recordings.hash_recording", lambda path: 1 / 0)
+    monkeypatch.setattr("turtlelog.sweep.table.recording_table.hash_recording", lambda path: 1 / 0)
     done = tabulate(folder)
     assert done.read == 0
     assert len(opened) == 8
@@ -163,7 +163,7 @@ def test_another_version_measures_anew(
 ) -> None:
     tabulate(folder)
     opened.clear()
-    monkeypatch.setattr("turtlelog.sweep.file_table.recordings.__version__", "0.0.1")
+    monkeypatch.setattr("turtlelog.sweep.table.recording_table.__version__", "0.0.1")
     tabulate(folder)
     assert len(opened) == 8
 
@@ -215,7 +215,7 @@ def test_a_table_of_many_groups_is_that_of_one(
 ) -> None:
     before = read_columns(tabulate(folder).output)
     monkeypatch.setattr("turtlelog.sweep.table.result_table._CELLS_GROUPED", cells)
-    monkeypatch.setattr("turtlelog.sweep.file_table.file_rows._COLUMNS_LOOKED", 1)
+    monkeypatch.setattr("turtlelog.sweep.table.file_rows._COLUMNS_LOOKED", 1)
     assert tabulate(folder).read == 0
     assert read_columns(folder / "table.parquet") == before
     shutil.copy(runs[0], folder / "deep" / "3.mcap")

@@ -9,7 +9,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Change, Contribution, ExplainedDifference
-from turtlelog.explain.one_run.attribution import THIS_SEED
+from turtlelog.explain.attribution import THIS_SEED
 from turtlelog.explain.two_runs.explained_difference import SEED, Side
 
 _SAME: Final = 1e-6

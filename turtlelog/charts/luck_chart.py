@@ -52,8 +52,8 @@ class LuckLine:
 
     Attributes:
         name: Short label at the right end of the curve; the sentences have the full name.
-        color: Colour of the run, of the cause, or of the ghost without all causes.
-        kind: `run` with all effects, `cause` without one cause, `ghost` without all causes.
+        color: Colour of the run, of the removed cause, or of the ghost.
+        kind: `run`: with all effects. `cause`: one cause removed. `ghost`: all causes removed.
         values: Values in the unit of the picture, shape (n,); NaN if missing.
         pieces: First and last row of each part without a jump.
         is_joined: Whether lines join neighbouring values; values of seeds are independent.

@@ -67,7 +67,7 @@ class GainScale:
         return f"{self.word} {self.values[number]:.3g}"
 
     def list_ticks(self, most: int) -> list[tuple[float, str]]:
-        """Return the values to write at a bar of the runs; of many values, some in even steps.
+        """Return the values to write at the colour bar of the runs: all, or some at equal steps.
 
         Returns:
             Mean position of the runs of each value, and the value.

@@ -19,9 +19,9 @@ enough for theory's lines."""
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 
-_DECADES: Final = 100.0
-"""Ratio of largest to smallest value from which colours are logarithmic. On a linear scale, the
-whole lower decade would share 3 of 256 shades."""
+DECADES: Final = 100.0
+"""Ratio of largest to smallest value from which colours and axes are logarithmic. On a linear
+scale, the whole lower decade would share 3 of 256 shades, or be as thin as a line."""
 
 _OUTLYING: Final = 10.0
 """Distance from the central 90 % of values, as a multiple of their range, beyond which values share
@@ -57,7 +57,7 @@ def find_value_range(values: Values) -> ValueRange:
     if not len(known):
         return ValueRange(low=0.0, high=1.0)
     low, high = float(known.min()), float(known.max())
-    if low > 0.0 and high / low >= _DECADES:
+    if low > 0.0 and high / low >= DECADES:
         return ValueRange(low=low, high=high, is_logarithmic=True)
     inner_low, inner_high = (float(one) for one in np.quantile(known, [0.05, 0.95]))
     room = _OUTLYING * (inner_high - inner_low)

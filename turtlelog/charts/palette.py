@@ -1,13 +1,21 @@
-"""Colours for colour-blind readers: colours of runs on screen and in print, and of other marks."""
+"""The meaning of each colour, dash and marker in all pictures, for colour-blind readers.
 
+A run has a colour, and in print also a marker. A loop of its law has a dash. The kind of any other
+curve determines its colour and dash.
+"""
+
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.run.loops import DONE, PAUSE
+
+if TYPE_CHECKING:
+    from turtlelog.charts.plotted_curves import CurveKind
 
 Color = tuple[int, int, int]
 
@@ -146,8 +154,15 @@ PAUSED: Final[Color] = _OKABE_ITO[3]
 ERROR: Final[Color] = _OKABE_ITO[4]
 """Colour of the arrow from the turtle to the goal."""
 
-VIOLATION: Final[Color] = (235, 50, 50)
-"""Colour of violations of a check. No run and no phase has this red."""
+VIOLATION: Final[Color] = (208, 52, 44)
+"""Colour of violations of a check, with a contrast of 5:1 to white and of 3.7:1 to dark. No run and
+no phase has this red."""
+
+FULFILLED: Final[Color] = (0, 103, 75)
+"""Colour of a check that holds, on white."""
+
+UNSTABLE: Final[Color] = (179, 38, 30)
+"""Colour of unstable settings and of missing values, on white."""
 
 ALLOWED: Final[Color] = (128, 128, 128)
 """Colour of the allowed band of a check, thin enough that curves on it are visible."""
@@ -218,6 +233,11 @@ def dim(color: Color) -> Color:
     return red, green, blue
 
 
+def to_hex(color: Color) -> str:
+    """Return a colour in the notation of HTML, which Matplotlib also reads."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
 def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
     """Return opaque colours in the format that is fastest for Rerun, shape (n,)."""
     red, green, blue = np.array(colors, dtype=np.uint32).reshape(-1, 3).T
@@ -235,3 +255,78 @@ def _mix(ramp: Sequence[Color], count: int) -> tuple[Color, ...]:
 
 MAIN: Final[Color] = choose_run_colors(1)[0]
 """Colour of a single run."""
+
+
+Dash = Literal["solid", "dashed", "dotted", "dash-dot"]
+Marker = Literal["up", "diamond", "down", "plus", "star", "left", "right"]
+
+_FIXED: Final["Mapping[CurveKind, Color]"] = MappingProxyType(
+    {
+        "applied": MEASURED,
+        "shaped": SHAPED,
+        "ideal": IDEAL,
+        "aim": IDEAL,
+        "sensed": SENSED,
+        "dropped_out": DROPPED_OUT,
+    }
+)
+"""Kinds of curves whose colour is the same for every run."""
+
+_DASHES: Final["Mapping[CurveKind, Dash]"] = MappingProxyType(
+    {"ideal": "dotted", "aim": "dash-dot", "shaped": "dash-dot"}
+)
+"""Dashes of all kinds of curves except the run's own."""
+
+LIMIT_DASH: Final[Dash] = "dashed"
+"""Dash of limits and tolerances; references are solid."""
+
+SUPPOSED_DASH: Final[Dash] = "dashed"
+"""Dash of curves that did not happen: a run without some effects, the output of a model."""
+
+LOOP_DASHES: Final[tuple[Dash, ...]] = ("solid", "dashed", "dash-dot", "dotted")
+"""Dashes of a law's loops in declared order. With more loops, the dashes repeat."""
+
+RUN_MARKERS: Final[tuple[Marker, ...]] = ("up", "diamond", "down", "plus", "star", "left", "right")
+"""Markers of runs with distinct hues, for pictures without colour: triangles up, down, left and
+right, and others. Discs, squares and crosses mark places and values."""
+
+
+def choose_curve_color(kind: "CurveKind", run: Color, *, is_alone: bool) -> Color:
+    """Return the colour of a curve.
+
+    Args:
+        kind: Kind of the curve.
+        run: Colour of the curve's run.
+        is_alone: Whether the picture has no other run. Among several runs, measured values have the
+            colour of their run.
+    """
+    if kind in ("measured", "outlier"):
+        return MEASURED if is_alone else run
+    if kind == "beside":
+        return tint(run)
+    if kind == "applied" and not is_alone:
+        return run
+    return _FIXED.get(kind, run)
+
+
+def choose_dash(kind: "CurveKind") -> Dash:
+    """Return the dash of a curve of a run, which depends on the kind of the curve."""
+    return _DASHES.get(kind, "solid")
+
+
+_FEW_TURTLES: Final = 4
+"""Largest number of turtles of full size; more are smaller."""
+
+_SMALLEST_TURTLE: Final = 0.3
+"""Smallest size of a turtle as a share of the full size: a shell of 4 pixels, as large as the
+dot."""
+
+
+def choose_turtle_size(turtles: int) -> float:
+    """Return the size of each turtle in a group. Many turtles cover as much area as a few."""
+    return max(min(1.0, math.sqrt(_FEW_TURTLES / max(turtles, 1))), _SMALLEST_TURTLE)
+
+
+def choose_markers(count: int) -> tuple[Marker, ...]:
+    """Return markers that distinguish several runs. A single run, and very many runs, have none."""
+    return RUN_MARKERS[:count] if 1 < count <= len(RUN_MARKERS) else ()

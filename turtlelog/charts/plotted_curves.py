@@ -143,8 +143,8 @@ def list_plotted(
 def choose_kinds(number: int, count: int) -> frozenset[CurveKind] | None:
     """Return the kinds of curves for one of several runs in a plot; None for a single run: all.
 
-    Of many runs, only the first and the last have an ideal response, because all of them would be a
-    grey area.
+    If there are many runs, only the first and the last have an ideal response, because all ideal
+    responses would be a grey area.
     """
     if count == 1:
         return None

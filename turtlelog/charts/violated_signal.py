@@ -1,12 +1,39 @@
 """A signal that violated a check: its curve, its band, and place and size of the violation."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve, Values
 from turtlelog.display import format_number
+
+_CLOSE_UP: Final = 4.0
+"""Ratio of the signal's height to the violation's height, from which only the violation is shown.
+Otherwise the band would take less than a quarter of the plot."""
+
+_ROOM: Final = 0.18
+"""Margin above and below the whole signal for marks and their texts, as a share of its height."""
+
+_CLOSE_ROOM: Final = 0.8
+"""Margin above and below a close-up, where the signal goes on, as a share of its height."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownRange:
+    """Part of a signal's values that a plot shows.
+
+    Attributes:
+        low: Lower end of the plot, in the unit of the check.
+        high: Upper end of the plot.
+        note: Value to which the signal goes outside a close-up, as text; empty if the whole signal
+            is shown.
+    """
+
+    low: float
+    high: float
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +99,26 @@ class ViolatedSignal:
     def title(self) -> str:
         """Name of the signal with its unit, for a plot."""
         return self.name if self.unit in {"", "1"} else f"{self.name} [{self.unit}]"
+
+    def find_range(self) -> ShownRange:
+        """Return the range of a plot: of signal and band, or of a much smaller violation."""
+        # A value that was never reached is outside from the start: only its nearest approach
+        # matters.
+        values = self.curve.values
+        outside = values[:0] if self.worst_word == "nearest" else values[self.outside]
+        ends = [end for end in (self.low, self.high) if end is not None]
+        near = np.concatenate([*ends, outside, [self.first.value, self.worst.value]])
+        near = near[np.isfinite(near)]
+        whole = np.concatenate([near, values[np.isfinite(values)]])
+        is_close_up = bool(np.ptp(whole) > _CLOSE_UP * np.ptp(near))
+        shown, share = (near, _CLOSE_ROOM) if is_close_up else (whole, _ROOM)
+        low, high = float(shown.min()), float(shown.max())
+        room = share * (high - low) or 0.1 * abs(low) or 1.0
+        note = ""
+        if is_close_up:
+            far = float(whole[int(np.argmax(np.abs(whole - near.mean())))])
+            note = f"close up: the signal goes to {format_number(far, self.unit)}"
+        return ShownRange(low=low - room, high=high + room, note=note)
 
     def describe_moment(self, moment: ViolationMoment, word: str) -> str:
         """Return the time and value of a violation as text: `worst -0.083 m at 4.512 s`."""

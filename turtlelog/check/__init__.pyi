@@ -19,7 +19,7 @@ from .judge_run import (
 from .piecewise_constant import (
     Steps as Steps,
 )
-from .recording import (
+from .recording_fixture import (
     Recording as Recording,
 )
 from .result import (

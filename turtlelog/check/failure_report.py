@@ -36,7 +36,7 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
 
     Args:
         run: Run that was checked.
-        results: Results of the run. Of many violated results, only the first are shown in full.
+        results: Results of the run. Only the first violated results are shown in full.
     """
     lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
     return [escape_controls(line) for line in lines]
@@ -158,7 +158,7 @@ def _is_published(run: Run, name: str, time_ns: int) -> bool:
 
 
 def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
-    """Return the signals that a run contains; if some named ones are missing, the position too."""
+    """Return the named signals that a run contains; if one is missing, also x and y."""
     held = [name for name in names if find_signal(run, name) is not None]
     return held if held == [*names] and held else ["x", "y", *(n for n in held if n not in "xy")]
 

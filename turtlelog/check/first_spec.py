@@ -47,18 +47,15 @@ _GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6, "m/s": 1e-6, "rad
 platforms, which is 1e-4 % of an angle of a radian. For times, the margin is a tick."""
 
 
-def format_first_spec(
-    run: Run, *, reference: str, partial: str = "", read: ReadChoice | None = None
-) -> str:
+def format_first_spec(run: Run, *, reference: str, read: ReadChoice | None = None) -> str:
     """Return a specification that a run passes; each reason gives the distance to the bound.
 
     Args:
         run: Good run.
         reference: File of the run, as the specification names it.
-        partial: Lost data of the run, for a comment.
         read: Settings with which the run was read, so that other recordings are read equally.
     """
-    head = [*_list_head(run, reference, partial), *_list_read(read or ReadChoice())]
+    head = [*_list_head(run, reference), *_list_read(read or ReadChoice())]
     return "\n".join([*head, *_list_checks(run)]) + "\n"
 
 
@@ -71,12 +68,10 @@ def name_reference(path: Path, target: Path | None) -> str:
         return path.resolve().as_posix()
 
 
-def _list_head(run: Run, reference: str, partial: str) -> Iterator[str]:
+def _list_head(run: Run, reference: str) -> Iterator[str]:
     yield f"# What runs like {_comment(run.name)} are held to: turtlelog check SPEC RUN..."
     yield "# Bounds marked observed = true were read off that run. Ask of each what it should be,"
     yield "# change it, and take the mark away."
-    if partial:
-        yield f"# The run that it was read off is not whole: {_comment(partial)}"
     yield "format = 1"
     yield f"reference = {_quote(reference)}"
 

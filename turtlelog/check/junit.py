@@ -1,39 +1,14 @@
 """Verdicts on recordings as JUnit XML."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import datetime
+from collections.abc import Sequence
 from typing import Final
 from xml.etree import ElementTree as Xml
 
+from turtlelog.check.judged_files import CheckedFile
 from turtlelog.check.result import CheckResult, Verdict, describe_result
 from turtlelog.escapes import escape_controls
-from turtlelog.measure import Metric
 
 _NO_XML: Final = {0xFFFE: r"\ufffe", 0xFFFF: r"\uffff"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckedFile:
-    """The results of one recording.
-
-    Attributes:
-        file: Name of the recording.
-        results: Results in the order of the specification.
-        metrics: Metrics by id; empty if the recording could not be measured.
-        details: Text for failures, by name of the check.
-        started: Start time of the checks; None: the report has no time of day.
-        took_s: Time for reading, measuring and checking [s].
-        each_s: Time for each check [s], in the order of the results.
-    """
-
-    file: str
-    results: tuple[CheckResult, ...]
-    metrics: Mapping[str, Metric] = field(default_factory=dict)
-    details: Mapping[str, str] = field(default_factory=dict)
-    started: datetime | None = None
-    took_s: float = 0.0
-    each_s: tuple[float, ...] = ()
 
 
 def format_junit(files: Sequence[CheckedFile]) -> str:

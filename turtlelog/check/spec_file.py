@@ -23,6 +23,7 @@ from turtlelog.check.vocabulary import describe_nearest, require_known_names, re
 from turtlelog.compare import ALIGNMENTS, Tolerance, TrajectorySettings, parse_delta
 from turtlelog.compare.alignment import could_be_alignment
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
+from turtlelog.display import LATEST_S
 from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expression
 from turtlelog.files.text_files import describe_missing, parse_toml, read_text_file
@@ -50,9 +51,6 @@ _UNTIL: Final = 20
 _TRAJECTORY_KEYS: Final = (
     *("align", "associate", "max_difference_s", "time_offset_s", "rpe", "all_pairs"),
 )
-_LATEST_S: Final = 4e9
-"""Largest time since 1970 [s]; in nanoseconds it fits into 64 bits."""
-
 _Known = TypeVar("_Known", bound=str)
 
 CHECK_KEYS: Final = ("expect", "holds", "phase", "when", "reason", "observed")
@@ -306,7 +304,7 @@ def _choose(
 def _read_time(table: Mapping[str, Any], key: str, place: str, usual: float) -> float:
     value = table.get(key, usual)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not abs(value) < _LATEST_S:
+    if not is_number or not abs(value) < LATEST_S:
         raise CheckError(f"{place}.{key}: expected a time in s, found {describe_value(value)}")
     return float(value)
 

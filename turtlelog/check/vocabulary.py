@@ -84,10 +84,9 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
 
 def names_metrics_alone(formula: Expression) -> bool:
     """Return whether a formula names only metrics and nothing that changes with time."""
-    is_temporal = any(isinstance(node, Temporal | Until) for node in iterate_nodes(formula.root))
     names = formula.names
     are_metrics = all(name in _OTHER_VALUES or find_metric_kind(name) is not None for name in names)
-    return not is_temporal and are_metrics
+    return not formula.is_temporal and are_metrics
 
 
 def is_in_tables(name: str) -> bool:

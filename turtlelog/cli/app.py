@@ -23,6 +23,7 @@ from turtlelog.cli.output import (
     drop_stdout,
     outlive_reader,
     print_error,
+    print_held_notes,
     print_note,
 )
 from turtlelog.cli.progress import end_progress
@@ -227,6 +228,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except Exception:
         traceback.print_exc()
         code = _fail("this is a defect of turtlelog; please report it", EXIT_DEFECT)
+    print_held_notes()
     sys.exit(code if isinstance(code, int) else EXIT_FINE)
 
 
@@ -301,5 +303,6 @@ def _describe_os_error(err: OSError) -> str:
 
 
 def _fail(text: str, code: int) -> int:
+    print_held_notes()
     print_error(text)
     return code

@@ -1,7 +1,8 @@
 """`turtlelog check`: check recordings against a specification."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
@@ -10,8 +11,17 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import print_marks, print_results
-from turtlelog.cli.check_files import ReportOptions, check_files, check_into_table, read_to_judge
-from turtlelog.cli.options import Output, Place, ReadingOptions, find_files, list_files
+from turtlelog.cli.folders import summarise_table, tabulate
+from turtlelog.cli.options import (
+    Output,
+    Place,
+    ReadingOptions,
+    WorkOptions,
+    find_files,
+    list_files,
+    list_reading_words,
+    watch_files,
+)
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
@@ -27,9 +37,15 @@ from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError
 from turtlelog.escapes import escape_controls
+from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
-    from turtlelog import Spec
+    from concurrent.futures import Executor
+
+    from turtlelog import Run, Spec
+    from turtlelog.check import ArtifactWriter, CheckResult
+    from turtlelog.check.judged_files import FileJudge, JudgedFile
+    from turtlelog.sweep import FoundRecording
 
 
 Words = Annotated[list[Place], Parameter(name="SPEC FILE")]
@@ -43,9 +59,9 @@ class FirstSpecOptions:
     Attributes:
         expect: Check this formula instead of a specification. Can be repeated.
         init: Write a first specification from this good run, to the file of -o.
-        output: With --init: the .toml file to write (default: print it). Otherwise: a .parquet
-            table of verdicts. Files that did not change since the table was written with the same
-            specification are not read again.
+        output: With --init: the .toml file to write (default: print it). Without --init: a
+            .parquet table of verdicts to write. Files that did not change since the table was
+            written with the same specification are not read again.
         schema: Print the JSON Schema of specification files, for editors.
     """
 
@@ -53,6 +69,36 @@ class FirstSpecOptions:
     init: Place | None = None
     output: Output = None
     schema: bool = False
+
+
+_FILE_S: Final = 5e-3
+"""Time to read a usual file and judge about ten checks, in addition to the time for its bytes
+[s]."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportOptions(WorkOptions):
+    """Files to write beside the answer.
+
+    Attributes:
+        junit: Write JUnit XML to this .xml file, with each metric as a property.
+        artifacts: Write a Rerun view, a picture and a shortened recording of each failure to this
+            folder.
+        report: Write a report on the recordings and their checks to this .html file. One process
+            reads all recordings then.
+        all_: Print the checks that pass, too.
+        no_why: Do not explain failures. Default: with a reference, the first three failing
+            recordings are explained by their difference from the reference, each within 10 s.
+        marks: Print one line for each recording: its verdict, and how many of its checks pass.
+    """
+
+    junit: Place | None = None
+    artifacts: Place | None = None
+    report: Place | None = None
+    all_: Annotated[bool, Parameter(name="--all")] = False
+    no_why: Annotated[bool, Parameter(negative=())] = False
+    marks: bool = False
 
 
 def check(
@@ -112,11 +158,11 @@ def check(
         found = find_files(files, first.output)
         files = [Path(one.path) for one in found]
         _require_known(spec, files, topics)
-        results = check_into_table(first.output, spec, found, reports, topics)
+        results = _check_into_table(first.output, spec, found, reports, topics)
     else:
         files = list_files(files)
         _require_known(spec, files, topics)
-        results = check_files(spec, files, reports, topics)
+        results = _check_all(spec, files, reports, topics)
     if reports.marks:
         if kind != "txt" or reports.all_:
             raise UsageError("--marks prints a line for each recording; leave other formats out")
@@ -208,6 +254,7 @@ def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) 
     Recordings are read only for names that may be states or parameters of a user law, until one
     recording contains them all.
     """
+    from turtlelog.check.judged_files import read_to_judge
     from turtlelog.check.vocabulary import is_in_tables, require_known_names
 
     formulas = [
@@ -237,6 +284,7 @@ def _write_first(
     path: Path, words: Sequence[Path], output: Path | None, topics: ReadingOptions
 ) -> int:
     from turtlelog.check.first_spec import format_first_spec, name_reference
+    from turtlelog.check.judged_files import read_to_judge
 
     if words:
         raise UsageError(f"--init: takes one good run and no other file; leave out {words[0]}")
@@ -262,3 +310,138 @@ def _write_first(
     ]
     print_text(fill_lines(lines))
     return EXIT_FINE
+
+
+def _check_into_table(
+    output: Path,
+    spec: "Spec",
+    found: "Sequence[FoundRecording]",
+    reports: ReportOptions,
+    topics: ReadingOptions,
+) -> "Iterator[CheckResult]":
+    """Return the results of files. The table provides the results of unchanged files."""
+    from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
+
+    for name in ("junit", "artifacts", "report"):
+        if getattr(reports, name) is not None:
+            raise UsageError(f"--{name}: leave out --output, which does not read unchanged files")
+    judge = _prepare_judge(spec, topics)
+    table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
+    done = tabulate(found, output, table, work=reports, file_s=_FILE_S)
+    print_note(summarise_table(done))
+    return read_verdicts(output, {one.label: one.path for one in found})
+
+
+def _prepare_judge(
+    spec: "Spec", topics: ReadingOptions, *, is_described: bool = False, keeps_runs: bool = False
+) -> "FileJudge":
+    from turtlelog.check.judge_run import read_reference_run, read_reference_trajectory
+    from turtlelog.check.judged_files import FileJudge
+
+    choice = spec.read.override(topics.build_choice())
+    return FileJudge(
+        spec=spec,
+        reference=read_reference_run(spec, choice),
+        trajectories=read_reference_trajectory(spec, choice, reads_files=True),
+        choice=choice,
+        allow_partial=topics.partial,
+        is_described=is_described,
+        keeps_runs=keeps_runs,
+    )
+
+
+def _check_all(
+    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
+) -> "Iterator[CheckResult]":
+    """Yield the results of files, and write the requested files next to the answer."""
+    if reports.scheduler is not None and reports.report is not None:
+        raise UsageError("--report: leave out --scheduler")
+    with reports.find_place(files, file_s=_FILE_S) as place:
+        yield from _check_placed(spec, files, reports, topics, place=place)
+
+
+def _check_placed(
+    spec: "Spec",
+    files: Sequence[Path],
+    reports: ReportOptions,
+    topics: ReadingOptions,
+    *,
+    place: "int | Executor",
+) -> "Iterator[CheckResult]":
+    from turtlelog.check.judged_files import CheckedFile
+    from turtlelog.check.junit import format_junit
+
+    jobs = 1 if reports.report is not None else place
+    keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
+    is_described = reports.junit is not None
+    judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
+    judged = map_in_processes(judge, files, jobs)
+    explain = None if reports.no_why or reports.marks else judge.build_explainer()
+    checked: list[CheckedFile] = []  # data for a report
+    runs: dict[str, Run] = {}
+    with ExitStack() as stack:
+        writer = reports.artifacts and stack.enter_context(
+            tl.check.ArtifactWriter(reports.artifacts)
+        )
+        for path, file in zip(files, watch_files(judged, len(files)), strict=True):
+            if explain is not None:
+                file = explain(path, file)
+            if reports.junit is not None or reports.report is not None:
+                checked.append(file.checked)
+            print_run_notes(file.checked.file, file.notes)
+            if file.run is not None and reports.report is not None:
+                runs[file.checked.file] = file.run
+            if writer:
+                # Failed files that another process has judged are read once more here.
+                _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
+            yield from file.checked.results
+    if reports.junit is not None:
+        with tl.log.replace_when_complete(reports.junit) as part:
+            part.write_text(format_junit(checked), encoding="utf-8")
+        print_note(f"wrote {reports.junit}")
+    if reports.report is not None:
+        results = [result for file in checked for result in file.results]
+        words = [*runs, *list_reading_words(topics), "--report", str(reports.report)]
+        _write_report(reports.report, runs, results, _join_command(spec, words))
+
+
+def _write_report(
+    path: Path,
+    runs: "Mapping[str, Run]",
+    results: "Sequence[CheckResult]",
+    command: str,
+) -> None:
+    """Write a report on the readable recordings, with the command that creates it."""
+    from turtlelog.cli.report import build_check_lines
+
+    bare = [file for file, run in runs.items() if not len(run.poses)]
+    runs = {file: run for file, run in runs.items() if file not in bare}
+    for file in bare:
+        print_note(f"{path}: {file} has commands alone, and a report needs poses")
+    if not runs:
+        print_note(f"{path}: no report: none of the recordings could be read")
+        return
+    names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
+    tl.draw.write_report(
+        [*runs.values()],
+        path,
+        sources=[*runs],
+        checks=build_check_lines(results, names, runs),
+        command=command,
+    )
+    print_note(f"wrote {path}")
+
+
+def _join_command(spec: "Spec", words: Sequence[str]) -> str:
+    """Return the command that repeats the check; empty if no file contains the checks."""
+    is_file = not str(spec.source).startswith("--")
+    return shlex.join(["turtlelog", "check", str(spec.source), *words]) if is_file else ""
+
+
+def _write_artifacts(file: "JudgedFile", writer: "ArtifactWriter") -> None:
+    for result in file.checked.results:
+        if file.run is None or result.verdict != "FAIL":
+            continue
+        written = writer.write(file.run, result)
+        for line in (*(f"wrote {path}" for path in written.files), *written.notes):
+            print_note(line)

@@ -11,15 +11,22 @@ import turtlelog as tl
 from turtlelog.cli.check_tables import (
     CountedResults,
     count_checks,
-    list_causes,
+    list_failure_reasons,
     list_verdict_reasons,
     tabulate_checks,
     tabulate_files,
     tabulate_matrix,
     tabulate_values,
 )
-from turtlelog.cli.output import fill_lines, fit_table, print_json, print_tables, print_verdicts
-from turtlelog.display import describe_count, format_number, format_short
+from turtlelog.cli.output import (
+    copy_fields,
+    fill_lines,
+    fit_table,
+    print_json,
+    print_tables,
+    print_verdicts,
+)
+from turtlelog.display import describe_count, format_short
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -80,21 +87,15 @@ class CheckAnswer:
 def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
     """Return results as entries of the answer."""
     return [
-        ResultAnswer(
-            file=result.file,
-            check=result.check,
+        copy_fields(
+            ResultAnswer,
+            result,
             verdict=result.verdict.value,
             expected=result.expected or None,
-            value=result.value,
-            limit=result.limit,
-            margin=result.margin,
             unit=result.unit or None,
-            value_s=result.value_s,
             decided_by=result.decided_by or None,
-            first_violation_s=result.first_violation_s,
             reason=result.reason or None,
             decided=result.is_decided,
-            why=result.why,
         )
         for result in results
     ]
@@ -134,7 +135,7 @@ def print_results(
         notes = (
             conclude(CountedResults(results), files),
             *list_verdict_reasons(spec, results),
-            *list_causes(results),
+            *list_failure_reasons(results),
         )
         print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
     return verdict
@@ -178,7 +179,7 @@ def format_results(
     valued = shown if shows_all else [one for one in shown if one.value is not None]
     tables = [*tabulate_files(valued), *(tabulate_matrix(shown) if shows_all else ())]
     tables = [replace(table, title="") for table in tables] if files == 1 else tables
-    lines, causes = [*list_verdict_reasons(spec, shown)], [*list_causes(shown)]
+    lines, causes = [*list_verdict_reasons(spec, shown)], [*list_failure_reasons(shown)]
     head = _write_head(counted, files, spec, causes)
     return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
 
@@ -191,7 +192,7 @@ def _format_many(
     if shows_all:
         tables.append(tabulate_checks(counted.failures, "Failures", names_file=True))
     lines = [*_list_failing(counted), *list_verdict_reasons(spec, counted.failures)]
-    lines += list_causes(counted.failures)
+    lines += list_failure_reasons(counted.failures)
     more = counted.verdicts[tl.check.Verdict.FAIL] - len(counted.failures)
     if more:
         lines.append(f"{more} more failures are not shown: --csv and --json show them")
@@ -263,17 +264,23 @@ def _name_failing(counted: "CountedResults") -> str:
 
 def _find_worst(counted: "CountedResults") -> "CheckResult | None":
     """Return the failed check that is furthest beyond its limit, if several fail."""
-    worst = counted.find_smallest() if counted.verdicts[tl.check.Verdict.FAIL] > 1 else None
+    several = counted.verdicts[tl.check.Verdict.FAIL] > 1
+    if all(one.limit == 0.0 for one in counted.failures):
+        return None  # no proportion differs, as in tests of equality
+    worst = counted.find_smallest() if several else None
     return worst if worst is not None and worst.verdict == "FAIL" else None
 
 
 def _list_facts(counted: "CountedResults", spec: "Spec | None", files: int) -> Iterator[str]:
-    """Yield which check is furthest beyond its limit, and whether limits are observed ones."""
+    """Yield the check furthest beyond or nearest to its limit, and whether limits are observed."""
     worst = _find_worst(counted)
     if worst is not None:
         place = f" in {escape_controls(worst.file)}" if files > 1 else ""
         check = escape_controls(worst.check)
-        yield f"Furthest beyond its limit: {check}{place}, {_tell_value(worst)}."
+        yield f"Furthest beyond its limit, in proportion: {check}{place}, {_tell_value(worst)}."
+    several = counted.verdicts.total() > 1
+    if several and counted.verdict == "PASS" and (nearest := counted.find_smallest()) is not None:
+        yield f"Nearest to its limit: {escape_controls(nearest.check)}, {_tell_value(nearest)}."
     if observed := _count_observed(counted, spec):
         were = "1 failed limit was" if observed == 1 else f"{observed} failed limits were"
         source = "" if spec is None else spec.source
@@ -316,12 +323,8 @@ def _list_failing(counted: "CountedResults") -> Iterator[str]:
 
 
 def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
-    """Yield the smallest margins if all pass, bounds to confirm, and next commands."""
+    """Yield bounds to confirm, and next commands."""
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
-    if counted.verdict == "PASS" and (found := counted.find_smallest()) is not None:
-        margin = format_number(found.margin, found.unit)
-        limit = format_number(found.limit, found.unit)
-        yield f"Nearest to its limit: {found.check}, margin {margin}, limit {limit}"
     if spec is not None and observed and not _count_observed(counted, spec):
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"
         yield f"{were} read off a good run: look at observed = true in {spec.source}"
@@ -329,7 +332,9 @@ def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: boo
         return
     measured = next((one for one in counted.failures if one.value is not None), None)
     if measured is not None:
-        yield f"Why? {_advise(measured, spec)}"
+        has_cause = any(one.why for one in counted.failures)
+        question = "Within the run:" if has_cause else "Why?"
+        yield f"{question} {_advise(measured, spec)}"
     if not shows_all and counted.verdicts.total() > 1:
         yield "All checks with their margins: --all"
 
@@ -342,4 +347,7 @@ def _advise(failed: "CheckResult", spec: "Spec") -> str:
     if spec.reference is not None and is_error:
         reference = shlex.quote(str(spec.reference))
         return f"turtlelog compare {file} --reference {reference} --ate --plot FILE.pdf"
-    return f"turtlelog explain {file}"
+    name = failed.check.removeprefix("metrics.")
+    is_metric = tl.measure.find_metric_kind(name) is not None
+    option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
+    return f"turtlelog explain {file}{option}"

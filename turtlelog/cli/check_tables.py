@@ -72,11 +72,14 @@ class CountedResults:
             self.failures.append(result)
 
     def find_smallest(self) -> "CheckResult | None":
-        """Return the result nearest to its limit, relative to the limit."""
+        """Return the result nearest to its limit, or furthest beyond, in proportion.
+
+        The margin counts relative to the larger of value and limit, as a limit may be 0.
+        """
         parts = [
-            (one.margin / abs(one.limit), number)
+            (one.margin / max(abs(one.limit), abs(one.value or 0.0)), number)
             for number, one in enumerate(self.nearest.values())
-            if one.margin is not None and one.limit
+            if one.margin is not None and one.limit is not None and (one.limit or one.value)
         ]
         return [*self.nearest.values()][min(parts)[1]] if parts else None
 
@@ -215,11 +218,11 @@ def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") 
         yield f"{verdict} {file}: {', '.join(checks)}: {reason}"
 
 
-def list_causes(results: "Sequence[CheckResult]") -> Iterator[str]:
+def list_failure_reasons(results: "Sequence[CheckResult]") -> Iterator[str]:
     """Yield why runs differ from their reference, as far as it was determined."""
     for result in results:
         if result.why:
-            yield f"WHY {result.file}: {result.why[0]}"
+            yield f"WHY {result.file} against its reference: {result.why[0]}"
             yield from (f"  {line}" for line in result.why[1:])
 
 

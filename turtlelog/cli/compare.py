@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -14,10 +14,9 @@ from turtlelog.cli.compare_reference import (
     Manner,
     MetricBeside,
     compare_with_reference,
-    compare_with_robot,
-    list_scenario_files,
     take_metric,
 )
+from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
 from turtlelog.cli.compare_trajectories import (
     TrajectoryOptions,
     TrajectoryPlace,
@@ -41,6 +40,7 @@ from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     FormatOptions,
+    copy_fields,
     print_error,
     print_json,
     print_note,
@@ -234,43 +234,40 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
         )
     if against.reference is None and against.align is not None:
         raise UsageError("--align: needs --reference FILE")
-    for name in () if against.reference is None else ("metric", "sort", "where", "varied"):
-        if getattr(choice, name) is not None:
-            raise UsageError(f"--{name}: leave out --reference")
+    for name in () if against.reference is None else _list_given(choice, _OF_MANY):
+        raise UsageError(f"--{name}: leave out --reference")
+
+
+_OF_MANY: Final = ("metric", "sort", "where", "varied")
+"""Options for comparing runs side by side, without a reference."""
+
+
+def _list_given(options: object, names: Sequence[str]) -> dict[str, object]:
+    """Return the options with these names that are given."""
+    values = {name: getattr(options, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _require_why_sense(against: ReferenceOptions, choice: ChoiceOptions, rrd: Path | None) -> None:
-    given = {
-        "align": against.align,
-        **{name: getattr(choice, name) for name in ("metric", "sort", "where", "varied")},
-        "rrd": rrd,
-    }
+    given = _list_given(against, ["align"]) | _list_given(choice, _OF_MANY)
     for name, value in given.items():
-        if value is not None:
-            hint = f"--why {value} names the metric" if name == "metric" else "leave out --why"
-            raise UsageError(f"--{name}: {hint}")
+        hint = f"--why {value} names the metric" if name == "metric" else "leave out --why"
+        raise UsageError(f"--{name}: {hint}")
+    if rrd is not None:
+        raise UsageError("--rrd: leave out --why")
 
 
 def _require_trajectory_sense(choice: ChoiceOptions, rrd: Path | None) -> None:
-    given = {
-        **{name: getattr(choice, name) for name in ("metric", "sort", "where", "varied")},
-        "rrd": rrd,
-    }
-    for name, value in given.items():
-        if value is not None:
-            raise UsageError(f"--{name}: leave it out beside --ate and --rpe")
+    for name in (*_list_given(choice, _OF_MANY), *(["rrd"] if rrd is not None else [])):
+        raise UsageError(f"--{name}: leave it out beside --ate and --rpe")
 
 
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:
-    given = {
-        **{name: getattr(against, name) for name in ("reference", "align", "tolerances")},
-        **{name: getattr(choice, name) for name in ("metric", "sort", "where", "varied")},
-    }
-    for name, value in given.items():
-        if value is not None:
-            raise UsageError(
-                f"--{name} {value}: leave it out, the scenario is what bags are compared with"
-            )
+    given = _list_given(against, ("reference", "align", "tolerances"))
+    for name, value in (given | _list_given(choice, _OF_MANY)).items():
+        raise UsageError(
+            f"--{name} {value}: leave it out, the scenario is what bags are compared with"
+        )
 
 
 def _draw(paths: Sequence[Path], rrd: Path, topics: ReadingOptions | None) -> "list[Run]":
@@ -440,10 +437,7 @@ def _build_ranking(ranking: "Ranking", names: Sequence[str]) -> _RankingAnswer:
         is_fair=ranking.is_fair,
         reason=ranking.describe() or None,
         varied=ranking.varied,
-        differences=[
-            _Difference(condition=found.condition, key=found.key, values=found.values)
-            for found in ranking.differences
-        ],
+        differences=[copy_fields(_Difference, found) for found in ranking.differences],
         unknown=[
             _Unknown(condition=condition, runs=[names[row] for row in rows])
             for condition, rows in ranking.unknown.items()

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import align_rows, cut_rows, fill_lines, find_width
-from turtlelog.display import describe_count, format_number, format_short, join_words
+from turtlelog.display import (
+    describe_count,
+    format_number,
+    format_range,
+    format_short,
+    join_words,
+)
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -82,10 +88,13 @@ def format_across(
     table = replace(table, notes=(*_list_reasons(table, summaries), *changes, *told))
     above = [*notes, *conditions]
     reached = tl.compare.describe_reached(summaries) if ranking.is_fair else ""
-    best = f"{_name_best(table)}{table.title}{_describe_alike(table, summaries, ranking)}."
+    if reached and _is_shortest_missed(table, summaries):
+        reached += "; the shortest run does not"
+    title = f"{table.title}{_describe_alike(table, summaries, ranking)}."
+    best = [*_name_best(table), title]
     return "\n".join(
         [
-            fill_lines([best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
+            fill_lines([*best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
             _format(cut_rows(table)),
@@ -98,6 +107,19 @@ def format_across(
             ),
         ]
     )
+
+
+def _is_shortest_missed(table: "Table", summaries: "Sequence[RunSummary]") -> bool:
+    """Return whether the shortest run does not reach the goal, but another run does."""
+    ends = [one.goal_end for one in summaries]
+    titles = [column.title for column in table.columns]
+    shortest = [
+        row
+        for (row, column), mark in table.marks.items()
+        if (titles[column], mark) == ("run.duration", "best")
+    ]
+    has_reached = [end is not None and end.verdict == "reached" for end in ends]
+    return any(has_reached) and any(not has_reached[row] for row in shortest)
 
 
 def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: "Ranking") -> str:
@@ -145,13 +167,13 @@ def _rank(name: str) -> int:
     return next((place for place, key in enumerate(_LABELS) if key in keys), len(_LABELS))
 
 
-def _name_best(table: "Table") -> str:
+def _name_best(table: "Table") -> list[str]:
     """Return the best run by the most important metric, with its value; empty without one."""
     rows = _rank_best(table)
     if not rows:
-        return ""
+        return []
     label, who, name, value, _ = rows[0]
-    return f"{label.capitalize()}{_name_loop(name)}: {who}, {value}. "
+    return [f"{label.capitalize()}{_name_loop(name)}: {who}, {value}."]
 
 
 def _list_best(table: "Table") -> list[str]:
@@ -193,8 +215,9 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
     kind = tl.measure.find_metric_kind(name)
     # A robot that stays short of its target has no overshoot, however far it stays short.
     is_none = kind is not None and kind.floor == 0.0 and least <= 0.0
-    value = "none" if is_none else format_short(least, unit)
-    return label, best, name, value, f"worst: {worst}, {format_short(most, unit)}"
+    least_text, most_text = format_range(least, most, unit)
+    value = "none" if is_none else least_text
+    return label, best, name, value, f"worst: {worst}, {most_text}"
 
 
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
@@ -334,7 +357,7 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
 
 
 def _describe_robot(found: "RobotComparison") -> str:
-    """Return the median position errors, with those of the simulated robot."""
+    """Return the median position errors of the robot and of the simulated robot."""
     said = []
     for band in found.bands:
         if band.quantity == "position":

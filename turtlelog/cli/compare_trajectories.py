@@ -26,7 +26,7 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
-from turtlelog.display import describe_count, format_short, join_words
+from turtlelog.display import LATEST_S, describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
@@ -109,9 +109,9 @@ class TrajectoryOptions:
                 f"--align {align[:60]}: must be {join_words(ALIGN_IN, 'or')} with --ate and --rpe"
             )
         most_s = 0.01 if self.max_difference is None else self.max_difference
-        if not 0.0 <= most_s < _LONGEST_S:
+        if not 0.0 <= most_s < LATEST_S:
             raise UsageError(
-                f"--max-difference {most_s:g}: must be a time from 0 to {_LONGEST_S:g} s"
+                f"--max-difference {most_s:g}: must be a time from 0 to {LATEST_S:g} s"
             )
         try:
             deltas = tuple(tl.compare.parse_delta(text) for text in self.rpe or ())
@@ -133,13 +133,9 @@ class TrajectoryOptions:
             offset_s = float(self.time_offset or "")
         except ValueError:
             offset_s = math.nan
-        if not abs(offset_s) < _LONGEST_S:
+        if not abs(offset_s) < LATEST_S:
             raise UsageError(f"--time-offset {self.time_offset}: must be a time in s, or start")
         return offset_s
-
-
-_LONGEST_S: Final = 4e9
-"""Largest time since 1970 [s]; in nanoseconds it fits into 64 bits."""
 
 
 class TrajectoryPlace(NamedTuple):

@@ -293,7 +293,7 @@ def format_why(
 def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
     size = tl.explain.format_change(found, one)
     undone = (
-        "" if one.undone is None else f"undone: {tl.explain.format_magnitude(found, one.undone)}"
+        "" if one.undone is None else f"without: {tl.explain.format_magnitude(found, one.undone)}"
     )
     settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
     return one.name, size, settings, undone

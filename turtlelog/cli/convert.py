@@ -9,7 +9,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs, require_there
-from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
+from turtlelog.cli.output import (
+    copy_fields,
+    fill_lines,
+    list_written,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
 from turtlelog.display import describe_count, join_words
@@ -334,17 +341,10 @@ def _recover_file(file: Path, outputs: Sequence[Path], *, json: bool) -> None:
     with show_progress("recovering"):
         report = tl.recover_recording(file, output)
     if json:
-        told = {name: getattr(report, name) for name in _SAME}
-        lost = tuple(
-            LostBytes(start=one.start, end=one.end, reason=one.reason) for one in report.lost
-        )
-        print_json(RecoverAnswer(**told, lost=lost, output=str(output)))
+        lost = tuple(copy_fields(LostBytes, one) for one in report.lost)
+        print_json(copy_fields(RecoverAnswer, report, lost=lost, output=str(output)))
         return
     print_text(fill_lines(_format(report, output), indent=2))
-
-
-_SAME: Final = ("file", "complete", "recovered", "unchecked", "missing", "from_s", "to_s")
-"""Fields of a report that the answer copies."""
 
 
 def _format(report: "RecoveryReport", output: Path) -> list[str]:

@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.explain_answer import build_answer, format_answer, format_details
+from turtlelog.cli.explain_answer import (
+    build_explain_answer,
+    format_explain_answer,
+    format_explain_details,
+)
 from turtlelog.cli.explain_motion import build_motion, format_motion
 from turtlelog.cli.list_names import complete_causes, complete_metrics
 from turtlelog.cli.options import (
@@ -129,7 +133,7 @@ def explain(
                 work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
-    answer = build_answer(
+    answer = build_explain_answer(
         file,
         tl.measure_run(run, only=[metric])[metric],
         found,
@@ -141,10 +145,10 @@ def explain(
     elif motion is not None:
         print_text(format_motion(file, run, motion))
     else:
-        print_text(format_answer(answer, found))
+        print_text(format_explain_answer(answer, found))
         if attribution is not None and run.declaration.list_gains():
             print_text(_GIVEN)
-        print_text(f"\n{format_details(answer, found)}" if options.details else _DETAILS)
+        print_text(f"\n{format_explain_details(answer, found)}" if options.details else _DETAILS)
     if options.rrd is not None:
         _draw(run, found, attribution, options.rrd, require_jobs(options.jobs))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.explain_motion import MotionAnswer
-from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.output import copy_fields, fill_lines, fit_table
 from turtlelog.cli.replay_answer import build_pose_error
 from turtlelog.escapes import escape_controls
 
@@ -110,7 +110,7 @@ class ExplainAnswer:
     motion: MotionAnswer | None
 
 
-def build_answer(
+def build_explain_answer(
     file: Path,
     metric: "Metric",
     found: "Identification",
@@ -125,15 +125,7 @@ def build_answer(
         name=found.name,
         metric=metric.to_dict(),
         identified=tuple(
-            FindingAnswer(
-                key=key,
-                value=one.value,
-                certainty=one.certainty.value,
-                evidence=one.evidence,
-                interval=one.interval,
-                candidates=one.candidates,
-                assumed=one.assumed,
-            )
+            copy_fields(FindingAnswer, one, key=key, certainty=one.certainty.value)
             for key, one in found.findings.items()
         ),
         resimulation=None if again is None else asdict(again) | error,
@@ -207,7 +199,7 @@ _WORDS: Final = {
 """Functions that describe a cause, by the settings that remove it."""
 
 
-def format_answer(answer: ExplainAnswer, found: "Identification") -> str:
+def format_explain_answer(answer: ExplainAnswer, found: "Identification") -> str:
     """Return the value, its causes, what they depend on, and the confidence."""
     name = escape_controls(Path(answer.file).name)
     attribution = answer.attribution
@@ -286,7 +278,7 @@ def _write_differences(found: "Identification") -> str:
     )
 
 
-def format_details(answer: ExplainAnswer, found: "Identification") -> str:
+def format_explain_details(answer: ExplainAnswer, found: "Identification") -> str:
     """Return every cause, the identified settings with evidence, and the tried values."""
     parts = [] if answer.attribution is None else [format_causes(answer.attribution)]
     parts += [format_identification(found), _format_resimulation(found)]
@@ -326,7 +318,7 @@ def _name_unknown(names: list[str]) -> str:
 
 def format_causes(found: "Attribution") -> str:
     """Return a table of the causes that change the value; empty if there are none."""
-    from turtlelog.explain.one_run.attribution import THIS_SEED, THIS_SEED_MEANS
+    from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
 
     unit, parts = found.unit, found.changing
     if all(one.contribution is None and one.alone is None for one in parts):

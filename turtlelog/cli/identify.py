@@ -1,21 +1,28 @@
 """`turtlelog identify`: a robot's gain, dead time and time constant."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.identify_answer import format_robot
 from turtlelog.cli.options import Files, Json, Place, TopicOptions, read_runs, require_there
-from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
+from turtlelog.cli.output import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    copy_fields,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.targets import require_new_target, require_pictures
 
 if TYPE_CHECKING:
     from turtlelog import RobotModel
-    from turtlelog.identify import AxisModel, Estimate, RobotEvent, RobotScenario, TickDelays
+    from turtlelog.identify import AxisModel, RobotScenario, TickDelays
     from turtlelog.run import Clock
 
 
@@ -26,7 +33,7 @@ class WrittenOptions:
 
     Attributes:
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
-        rrd: Write the same as a Rerun recording (.rrd).
+        rrd: Write command, motion, model and residual to this Rerun recording (.rrd).
         scenario: Write the robot as a scenario to this .toml file, which `run` simulates and
             `theory` recommends gains for.
     """
@@ -87,7 +94,7 @@ def identify(
     model = tl.identify_robot(runs)
     robot = None if scenario is None else tl.identify.build_robot_scenario(model, runs)
     if json:
-        print_json(build_answer(files, model, scenario, robot))
+        print_json(build_identify_answer(files, model, scenario, robot))
     else:
         print_text(
             format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
@@ -122,7 +129,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisAnswer:
-    """One axis. The fields are those of `AxisModel`, or None if nothing is known."""
+    """One axis, with the fields of `AxisModel`; a field is None if its value is not known."""
 
     axis: str
     status: str
@@ -158,7 +165,7 @@ class AxisAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventAnswer:
-    """A place in the log that no command explains. The fields are those of `RobotEvent`."""
+    """A place in the log that no command explains, with the fields of `RobotEvent`."""
 
     file: str
     axis: str
@@ -188,7 +195,7 @@ class IdentifyAnswer:
     scenario: ScenarioAnswer | None
 
 
-def build_answer(
+def build_identify_answer(
     files: Sequence[Path],
     model: "RobotModel",
     scenario: Path | None = None,
@@ -203,58 +210,24 @@ def build_answer(
         clock=model.clock,
         axes=[_build_axis(axis) for axis in model.axes],
         tick_delays=model.tick_delays,
-        events=[_build_event(event) for event in model.events],
+        events=[copy_fields(EventAnswer, event) for event in model.events],
         notes=model.notes,
         scenario=written,
     )
 
 
+_MAY_BE_EMPTY: Final = ("reason", "advice", "limit_acts", "bound_acts", "correlation_reason")
+"""Texts of an axis that are null in the answer if they are empty."""
+
+
 def _build_axis(axis: "AxisModel") -> AxisAnswer:
-    return AxisAnswer(
-        axis=axis.axis,
-        status=axis.status,
-        reason=axis.reason or None,
-        advice=axis.advice or None,
-        model=axis.model,
-        gain=_take_interval(axis.gain),
-        dead_time_s=_take_interval(axis.dead_time_s),
-        lag_s=_take_interval(axis.lag_s),
-        total_delay_s=_take_interval(axis.total_delay_s),
-        lag_product_s2=_take_interval(axis.lag_product_s2),
-        rate_limit=_take_interval(axis.rate_limit),
-        limit_acts=axis.limit_acts or None,
-        rate_limit_beside=_take_interval(axis.rate_limit_beside),
-        jerk_time_s=_take_interval(axis.jerk_time_s),
-        bound=_take_interval(axis.bound),
-        bound_acts=axis.bound_acts or None,
-        bound_beside=_take_interval(axis.bound_beside),
-        deadband=_take_interval(axis.deadband),
-        reverse_gain=_take_interval(axis.reverse_gain),
-        friction=_take_interval(axis.friction),
-        doubts=axis.doubts,
-        correlation_delay_s=_take_interval(axis.correlation_delay_s),
-        correlation_reason=axis.correlation_reason or None,
-        silent_stops_s=axis.silent_stops_s,
-        explained=axis.explained,
-        whiteness=axis.whiteness,
-        outliers=axis.outliers,
-        steps=axis.steps,
-        steps_in_all=axis.steps_in_all,
-        changes=axis.changes,
-    )
+    from turtlelog.identify import Estimate
 
-
-def _take_interval(found: "Estimate | None") -> Interval | None:
-    if found is None:
-        return None
-    return Interval(value=found.value, low=found.low, high=found.high)
-
-
-def _build_event(event: "RobotEvent") -> EventAnswer:
-    return EventAnswer(
-        file=event.file,
-        axis=event.axis,
-        time_s=event.time_s,
-        size=event.size,
-        text=event.text,
-    )
+    texts = {name: getattr(axis, name) or None for name in _MAY_BE_EMPTY}
+    found = {one.name: getattr(axis, one.name) for one in fields(axis)}
+    intervals = {
+        name: copy_fields(Interval, value)
+        for name, value in found.items()
+        if isinstance(value, Estimate)
+    }
+    return copy_fields(AxisAnswer, axis, **texts, **intervals)

@@ -56,11 +56,11 @@ def format_robot(
             numbers.
     """
     known = [axis for axis in model.axes if axis.is_known]
-    parts = [fill_lines([tl.identify.write_robot_headline(model.axes, _name_robot(files))])]
+    parts = [fill_lines(tl.identify.write_robot_headline(model.axes, _name_robot(files)))]
     if known:
         brackets = model.brackets
         if any(axis.doubts for axis in known):
-            brackets += ", wider where a doubt is named below"
+            brackets += ", wider for the doubts below"
         told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
         parts += [f"{_format_values(known)}\n{fill_lines([' '.join(told)])}\n"]
         parts += [fill_lines([_describe_motion(known)])]
@@ -121,7 +121,7 @@ def describe_gain(axis: "AxisModel") -> str:
         return f"{does.format('the commanded')} to within {100.0 * off:.2g} %"
     percent = 100.0 * gain.value
     return does.format(
-        f"{percent:.1f} % of the commanded" if off < 0.05 else f"{percent:.0f} % of the commanded"
+        f"{percent:.1f} % of the commanded" if off < _NEAR else f"{percent:.0f} % of the commanded"
     )
 
 
@@ -159,6 +159,10 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         f"{name}: the model explains {100.0 * axis.explained:.0f} % of the variance of"
         f" {axis.steps} steps between poses.{_describe_residual(axis)}"
     )
+    if _is_sum_only(axis):
+        yield (
+            f"{name}: the log does not separate dead time from time constant, it shows their sum."
+        )
     yield from _describe_second_order(axis)
     yield from _describe_acceleration(axis)
     if axis.bound_beside is not None:
@@ -172,6 +176,13 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
     if axis.reverse_gain is not None:
         gain = tl.identify.format_gain(axis.reverse_gain)
         yield f"{name}: commands below 0 have a gain of {gain}."
+
+
+def _is_sum_only(axis: "AxisModel") -> bool:
+    """Return whether dead time and time constant may each be 0, although their sum may not."""
+    parts, total = (axis.dead_time_s, axis.lag_s), axis.total_delay_s
+    is_open = all(part is not None and part.low <= 0.0 for part in parts)
+    return is_open and total is not None and total.low > 0.0
 
 
 def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
@@ -320,7 +331,8 @@ def _list_next(
     words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
     if scenario is not None:
         target = escape_controls(shlex.quote(str(scenario)))
-        yield f"Next: turtlelog theory {target}, turtlelog compare {words} {target}"
+        yield f"Next: turtlelog theory {target}"
+        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
         yield f"Why? turtlelog explain {escape_controls(shlex.quote(str(files[0])))}"

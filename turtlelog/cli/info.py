@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.info_answer import InfoAnswer, RobotTopics, format_answer, format_answers
+from turtlelog.cli.info_answer import InfoAnswer, RobotTopics, format_answers, format_info_answer
 from turtlelog.cli.info_summary import Summary, count_read, summarise
 from turtlelog.cli.options import (
     Files,
@@ -23,6 +23,7 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
+    copy_fields,
     print_error,
     print_json,
     print_text,
@@ -112,7 +113,7 @@ def _format(found: "list[InfoAnswer]", options: InfoOptions) -> str:
     if len(found) > _MOST_IN_FULL and not (options.topics or options.parameters):
         return format_answers(found)
     shown = partial(
-        format_answer,
+        format_info_answer,
         topics=options.topics,
         parameters=options.parameters,
         is_alone=len(found) == 1,
@@ -131,25 +132,16 @@ def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | 
 
 def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:
     """Return the answer as data."""
-    return InfoAnswer(
+    return copy_fields(
+        InfoAnswer,
+        recording,
         file=str(path),
         summary=summary.text,
         ending=summary.ending,
-        format_version=recording.format_version,
-        source=recording.source,
-        name=recording.name,
-        complete=recording.complete,
-        stop_reason=recording.stop_reason,
-        duration_s=recording.duration_s,
         run_duration_s=None if summary.run is None else summary.run.duration_s,
-        scenario=recording.scenario,
-        parameters=recording.parameters,
-        topics=recording.topics,
-        simulated_by=recording.simulated_by,
         absent=_list_absent(recording, summary),
         missing=summary.missing,
         clock=summary.clock,
-        not_understood=recording.not_understood,
         notes={**recording.notes, **summary.notes},
         run=summary.run,
         robots=() if recording.format_version is not None else _list_robots(recording),

@@ -98,7 +98,9 @@ class InfoAnswer:
     robots: tuple[RobotTopics, ...] = ()
 
 
-def format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool) -> str:
+def format_info_answer(
+    answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool
+) -> str:
     """Return the kind of a file, its contents, missing data, and next commands.
 
     Args:
@@ -221,7 +223,7 @@ def _list_notes(answer: InfoAnswer, *, clocks: bool) -> Iterator[tuple[str, str]
 
 
 def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield the robots of a bag with their topics; of many robots, only the first ones."""
+    """Yield the first robots of a bag, with their topics."""
     counts = {topic.topic: topic.count for topic in answer.topics}
     for robot in answer.robots[:_MOST_ENTRIES]:
         held = {"poses": robot.poses, "commands": robot.commands}
@@ -234,7 +236,7 @@ def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
 
 
 def _tell_note(text: str) -> str:
-    """Return a note; of one with several lines, such as a law's source, only their number."""
+    """Return a note, or the number of its lines if it has several, as a law's source has."""
     lines = len(text.splitlines())
     return text if lines <= 1 else f"{lines} lines: --json has them"
 

@@ -219,17 +219,17 @@ def _find_files(context: "CompletionContext", suffixes: set[str]) -> dict[str, s
 
 
 def complete_metrics(context: "CompletionContext") -> dict[str, str]:
-    """Return ids of metrics for a list with commas."""
+    """Return ids of metrics that complete a list separated by commas."""
     return _complete_list(context, "metrics")
 
 
 def complete_figures(context: "CompletionContext") -> dict[str, str]:
-    """Return names of figures for a list with commas."""
+    """Return names of figures that complete a list separated by commas."""
     return _complete_list(context, "figures")
 
 
 def complete_causes(context: "CompletionContext") -> dict[str, str]:
-    """Return names of causes for a list with commas."""
+    """Return names of causes that complete a list separated by commas."""
     return _complete_list(context, "causes")
 
 

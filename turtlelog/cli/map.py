@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Group, Parameter
 
 import turtlelog as tl
-from turtlelog.cli.figure_options import PageOptions
 from turtlelog.cli.list_names import complete_keys
 from turtlelog.cli.map_answer import build_map_answer, list_map_lines, list_sensitivity_lines
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
+from turtlelog.cli.picture_options import PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.errors import TurtlelogError, UsageError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, find_width, print_tables, print_text
-from turtlelog.display import describe_count, format_short, join_words
+from turtlelog.display import describe_count, describe_range, format_short, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
     count = describe_count(len(chosen), "metric")
     if len(summaries) == 1:
         if {"final.position_error", "run.duration"} <= {*chosen}:
-            return fill_lines([f"{who}: {describe_end(summaries[0])}."])
+            return fill_lines([f"{who}: {tl.compare.describe_end(summaries[0])}."])
         known = sum(_find_value(summaries[0], name) is not None for name in chosen)
         return f"{who}: {count}, {known} with a value."
     first = next((name for name in _FIRST if name in chosen), chosen[0])
@@ -161,44 +161,13 @@ def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
     units = tl.compare.list_metric_units([*found.values()])
     if len(units) > 1:
         return f"is in {join_words(units)}"
-    (low, lowest), (high, highest) = min(values), max(values)
-    lacking = len(found) - len(values)
-    rest = f" ({lacking} without a value)" if lacking else ""
-    least, most = format_short(low, units[0]), format_short(high, units[0])
-    # Two values that are printed alike are no range: the reader sees no difference.
-    if least == most:
-        return f"{least} (all){rest}" if len(found) > 1 and not lacking else f"{least}{rest}"
-    return f"{least} ({lowest}) to {most} ({highest}){rest}"
+    text, lacking = describe_range(values, units[0]), len(found) - len(values)
+    return f"{text.removesuffix(' (all)')} ({lacking} without a value)" if lacking else text
 
 
 def _find_value(summary: "RunSummary", name: str) -> float | None:
     metric = summary.metrics.get(name)
     return None if metric is None else metric.value
-
-
-def describe_end(summary: "RunSummary") -> str:
-    """Return place and time of a run's end; without a goal, the length of its path."""
-
-    def show(name: str) -> str | None:
-        metric = summary.metrics.get(name)
-        if metric is None or metric.value is None:
-            return None
-        return format_short(metric.value, metric.unit)
-
-    length, off = show("run.path_length"), show("run.cross_track_max")
-    duration = show("run.duration")
-    if "poses" in summary.lacks:
-        return f"commands for {duration}, no poses"
-    if summary.goal_end is not None:
-        return summary.goal_end.describe()
-    if off is not None and not summary.is_lawless:
-        crossing = [one.name for one in summary.declaration.loops if one.signal == "cross_track"]
-        rms = show(f"{crossing[0]}.rms_error") if crossing else None
-        sizes = f"{off} at most" if rms is None else f"{rms} RMS, {off} at most"
-        return f"cross-track error {sizes}, in {duration}"
-    if length is None:
-        return f"lasts {duration}"
-    return f"the path is {length} long and takes {duration}"
 
 
 def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
@@ -210,7 +179,7 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
         facts: Sentences after the first line.
     """
     essential = _drop_words(summary).metrics
-    head = [f"{who}: {describe_end(summary)}.", *facts]
+    head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]
     loops = [loop.name for loop in summary.declaration.loops]
     shown = [loop for loop in loops if _has_value(summary, loop)]
     remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
@@ -223,7 +192,7 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
     notes = [*said, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
     return "\n".join(
         [
-            fill_lines([*head, *remarks]),
+            fill_lines([*head, *remarks, *_list_why(summary)]),
             _format(table),
             "",
             *([fill_lines(notes, indent=2)] if notes else []),
@@ -240,19 +209,27 @@ def _has_value(summary: "RunSummary", loop: str) -> bool:
     )
 
 
-def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield remarks: place of the end, clipping, oscillation, loops that do not settle."""
+def _list_place(summary: "RunSummary") -> Iterator[str]:
+    """Yield the place of a missed end, and the final heading error."""
     end = summary.goal_end
     if end is not None and end.verdict == "missed" and (place := end.describe_place()):
         yield place
     heading = summary.metrics.get("final.heading_error")
-    if heading is not None and heading.value is not None and summary.goal_end is not None:
+    if heading is not None and heading.value is not None and end is not None:
         yield f"Final heading error: {_show(heading)}."
-    clipped = {loop: _find_value(summary, f"{loop}.saturated_share") or 0.0 for loop in loops}
-    said = [f"{loop} {100.0 * share:.0f} %" for loop, share in clipped.items() if share >= _SEEN]
-    if said:
-        who = "Both loops saturate" if len(said) == 2 == len(loops) else "Saturation"
-        yield f"{who}: {', '.join(said)} of {'its' if len(said) == 1 else 'their'} samples."
+
+
+def _list_why(summary: "RunSummary") -> Iterator[str]:
+    """Yield the command that explains why a run missed its goal."""
+    if summary.goal_end is not None and summary.goal_end.verdict == "missed":
+        if summary.file:
+            yield f"Why? turtlelog explain {escape_controls(shlex.quote(summary.file))}"
+        else:
+            yield "Why? Record the run with -o FILE.mcap, then: turtlelog explain FILE.mcap"
+
+
+def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
+    """Yield remarks on loops that oscillate or do not settle."""
     restless = [loop for loop in loops if _find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
@@ -260,13 +237,6 @@ def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
         metric = summary.metrics.get(f"{loop}.settling_time")
         if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:
             yield f"{loop} does not settle: {metric.reason}."
-    gap, usual = (_find_value(summary, f"run.{one}") for one in ("largest_gap", _OF_WORDS[1]))
-    if gap is not None and usual and gap > _SILENT * usual and not summary.is_lawless:
-        yield f"Longest silence of the controller: {format_short(gap, 's')}."
-
-
-_SEEN: Final = 0.005
-"""Share of the samples from which more than 0 % is printed [1]."""
 
 
 def _list_missing(
@@ -292,7 +262,7 @@ def _show(metric: "Metric | None") -> str:
     if metric is None:
         return "-"
     if metric.value is None:
-        return metric.status.value
+        return metric.status.value.replace("_", " ")
     if metric.id.endswith("_share"):
         return f"{100.0 * metric.value:.0f} %"
     return format_short(metric.value, metric.unit)
@@ -324,6 +294,9 @@ def _describe_rest(summary: "RunSummary") -> list[str]:
         for name in names
         if _find_value(summary, name) is not None
     ]
+    gap, usual = (_find_value(summary, f"run.{one}") for one in ("largest_gap", _OF_WORDS[1]))
+    if gap is not None and usual and gap > _SILENT * usual and not summary.is_lawless:
+        said.append(f"longest silence of the controller {format_short(gap, 's')}")
     return [f"{', '.join(said).capitalize()}."] if said else []
 
 
@@ -340,7 +313,7 @@ def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "T
 
 
 def _name_row(summary: "RunSummary", name: str) -> str:
-    """Return a metric as text. Without samples, its times are those of commands."""
+    """Return a metric as text. Without samples, the text says `command` instead of `sample`."""
     words = _name_metric(name)
     return words.replace("sample", "command") if summary.is_lawless else words
 
@@ -351,10 +324,13 @@ def _is_of_run(name: str) -> bool:
 
 def _list_next(summary: "RunSummary", count: int) -> list[str]:
     """Return the next commands to type."""
+    is_told = any(_list_why(summary))
     if not summary.file:
-        return ["To explain, plot or compare this run, record it: -o FILE.mcap"]
+        return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
     file = escape_controls(shlex.quote(summary.file))
     more = f"All {count} metrics with their ids: turtlelog metrics {file} --all"
+    if is_told:
+        return [more]
     if not summary.is_lawless:
         return [f"Why? turtlelog explain {file}", more]
     if "poses" in summary.lacks:
@@ -437,7 +413,7 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
 
 
 def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
-    """Return the ranges of the runs' final distances from the goal and durations."""
+    """Return two ranges over the runs: final distances from the goal, and durations."""
     ends = [one.goal_end for one in summaries if one.goal_end is not None]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"
     if len(ends) == len(summaries) and all(

@@ -146,20 +146,15 @@ class TopicOptions:
         Raises:
             UsageError: If a value is invalid.
         """
-        return tl.log.ReadChoice(
-            pose_topic=self.pose_topic,
-            robot=self.robot,
-            command_topic=self.command_topic,
-            path_topic=self.path_topic,
-            pose_frame=self.pose_frame,
-            world_frame=self.world_frame,
-            time=self.time,
-            wheel_joints=self.wheel_joints,
-            wheels=None if self.wheels is None else _parse_wheels(self.wheels),
-            wheelbase=None if self.wheelbase is None else _parse_length(self.wheelbase),
-            columns=dict(map(_split_column, self.column or ())),
-            allow_partial=self.partial,
-        )
+        names = {one.name for one in fields(TopicOptions)} & {*tl.log.ReadOptions.__annotations__}
+        values: dict[str, Any] = {name: getattr(self, name) for name in names}
+        values |= {
+            "wheels": None if self.wheels is None else _parse_wheels(self.wheels),
+            "wheelbase": None if self.wheelbase is None else _parse_length(self.wheelbase),
+            "columns": dict(map(_split_column, self.column or ())),
+            "allow_partial": self.partial,
+        }
+        return tl.log.ReadChoice(**values)
 
 
 @Parameter(name="*", group=_READING)
@@ -341,7 +336,10 @@ class WorkOptions:
 
     @contextmanager
     def find_any_place(self) -> "Iterator[int | Executor | None]":
-        """Yield the same as `find_place`, or None if the work itself chooses the fastest way."""
+        """Yield a number of processes, the cluster, or None without both options.
+
+        For None, the work chooses the number of processes.
+        """
         if self.scheduler is None and self.jobs is None:
             yield None
             return
@@ -372,7 +370,7 @@ def count_jobs(
     file_s: float = FILE_S,
     count_read: "Callable[[Path], int] | None" = None,
 ) -> int:
-    """Return the number of processes for files: the given number, or else that of `choose_jobs`."""
+    """Return the number of processes for files: the given number, or else from `choose_jobs`."""
     jobs = require_jobs(asked)
     return choose_jobs(files, file_s=file_s, count_read=count_read) if jobs is None else jobs
 

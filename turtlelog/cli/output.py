@@ -13,9 +13,9 @@ import tempfile
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TextIO
+from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
 from cyclopts import Parameter
 
@@ -73,6 +73,21 @@ class FormatOptions:
             raise UsageError(f"{chosen[0]} and {chosen[1]}: choose one format")
         kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
         return kinds[chosen[0]] if chosen else "txt"
+
+
+Answer = TypeVar("Answer")
+
+
+def copy_fields(kind: type[Answer], source: object, **changed: Any) -> Answer:
+    """Return an answer with the fields that a result of the library has by the same names.
+
+    Args:
+        kind: Dataclass of the answer.
+        source: Result of the library.
+        changed: Fields that the result lacks, or has in another form.
+    """
+    names = [one.name for one in fields(kind) if one.name not in changed]  # type: ignore[arg-type]
+    return kind(**{name: getattr(source, name) for name in names}, **changed)
 
 
 def print_text(text: str, *, is_data: bool = False) -> None:
@@ -205,9 +220,9 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
-def fit_table(table: "Table", *, indent: int = 0) -> str:
+def fit_table(table: "Table") -> str:
     """Return a table that fits a line."""
-    return tl.draw.format_table(table, width=find_width() - indent)
+    return tl.draw.format_table(table, width=find_width())
 
 
 _MOST_ROWS: Final = 20
@@ -235,8 +250,13 @@ def print_note(text: str) -> None:
         _drop(sys.stderr)
 
 
+_HELD: Final[list[str]] = []
+_MOST_HELD: Final = 100
+"""Largest number of notes that wait for the answer; a user of more files sees them one by one."""
+
+
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
-    """Print notes on the reading of third-party files, and on losses."""
+    """Print notes on the reading of third-party files, and on losses, after the answer."""
     # Notes on other files are in recordings that were converted from them.
     told = _OF_SOURCE if "chosen" in notes else ()
     for name in ("preset", *told, "unused", "recovered", "partial"):
@@ -246,7 +266,16 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
                 if name in {"preset", "chosen", "plane", "unused"}
                 else f"{name.replace('_', ' ')}: "
             )
-            print_note(f"{path}: {label}{notes[name]}")
+            _HELD.append(f"{path}: {label}{notes[name]}")
+    if len(_HELD) > _MOST_HELD:
+        print_held_notes()
+
+
+def print_held_notes() -> None:
+    """Print the notes that waited for the answer."""
+    for text in _HELD:
+        print_note(text)
+    _HELD.clear()
 
 
 _OF_SOURCE: Final = (

@@ -11,10 +11,8 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.cli.figure_options import TIMELESS, AskedOptions, PageOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.map import ViewOptions, draw_table, find_sweep_table
-from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import (
     Jobs,
     Json,
@@ -27,6 +25,14 @@ from turtlelog.cli.options import (
     split_names,
 )
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
+from turtlelog.cli.picture_options import (
+    TIMELESS,
+    AskedOptions,
+    MovieOptions,
+    PageOptions,
+    film_runs,
+    require_movie,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
@@ -35,7 +41,7 @@ from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.cli.figure_options import Only
+    from turtlelog.cli.picture_options import Only
     from turtlelog.draw import Page
 
 
@@ -93,8 +99,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
             other. Or one table (.parquet) that `turtlelog sweep` wrote.
         output: Write into this folder, or one figure to this .pdf, .png or .svg file; with --movie
             it may be missing.
-        only: Figures by name, with commas (turtlelog list figures).
-        formats: Some of pdf, png, svg, with commas. Default: pdf.
+        only: Names of figures, separated by commas. turtlelog list figures prints the names.
+        formats: One or more of pdf, png and svg, separated by commas. Default: pdf.
         timeline: Timeline of the movie: sim_time, or PHASE_time, from the start of a later phase of
             each run, as translate_time.
         jobs: Number of processes, on Linux. Default: one for every three figures of a folder, at
@@ -239,7 +245,7 @@ def _build_answer(
 ) -> PlotAnswer:
     return PlotAnswer(
         files=[str(path) for path in files],
-        ending=tl.charts.describe_runs(runs) if runs else None,
+        ending=tl.compare.describe_runs(runs) if runs else None,
         figures=[
             FigureAnswer(
                 file=str(path),

@@ -78,7 +78,7 @@ class ProgressLine:
                     return
 
     def _describe(self) -> str:
-        from turtlelog.simulate.compiled.compiled_loops import COMPILING
+        from turtlelog.simulate.compiled.compiled_code import COMPILING
 
         text = self._label
         if self._total is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
-from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.output import copy_fields, fill_lines, fit_table
 from turtlelog.cli.replay_metrics import MetricChange, build_changes, format_changes
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.escapes import escape_controls
@@ -178,12 +178,7 @@ def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer
     """Return a difference for an answer, with its time from the first sample."""
     if found is None:
         return None
-    return DifferenceAnswer(
-        signal=found.signal,
-        time_s=tell_time(run, found.time_ns),
-        recorded=found.recorded,
-        replayed=found.replayed,
-    )
+    return copy_fields(DifferenceAnswer, found, time_s=tell_time(run, found.time_ns))
 
 
 def build_pose_error(error: "PoseError") -> PoseErrorAnswer:
@@ -226,10 +221,7 @@ def build_loop(
         replay=found.run.name,
         by="tick" if found.by_tick else "sample",
         signals=_build_signals(run, found.signals),
-        counts={
-            name: CountAnswer(recorded=count.recorded, replayed=count.replayed)
-            for name, count in found.counts.items()
-        },
+        counts={name: copy_fields(CountAnswer, count) for name, count in found.counts.items()},
         stop_reason=CountAnswer(recorded=run.stop_reason, replayed=found.run.stop_reason),
         declaration=build_difference(run, found.declaration),
         not_compared=tuple(found.absent),
@@ -323,7 +315,7 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
         end = ", as far as that goes" if goes_on else ""
         columns = "every column that it holds" if found.absent else "every column"
         lines = [
-            f"{name}: the replay is the recording, in {columns}{end}"
+            f"{name}: the replay equals the recording in {columns}{end}"
             f"{_describe_slack(found.signals)}."
         ]
     else:
@@ -337,23 +329,28 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
             lines = [f"{name}: {change}, the replay {departs}"]
             if result:
                 lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
-    lines += [*_list_counts(run, found), *_format_declaration(found)]
+    lines += _format_declaration(found)
     lines += [] if first is None or changes else _describe_software(run, found)
+    counts = [*_list_counts(run, found)]
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"
-    parts = [fill_lines(lines)]
+    parts = [fill_lines(lines if changes else [*lines, *counts])]
     parts += [] if first is None else [f"\n{format_changes(run, found.run)}"]
+    parts += [fill_lines(counts)] if changes and counts else []
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
 
 
 def _describe_result(run: "Run", replayed: "Run") -> str:
     """Return how a replay ended beside the recording, or its most important metric."""
-    ends = [find_goal_end(one) for one in (run, replayed)]
-    if ends[0] is not None and ends[1] is not None:
-        was = format_short(ends[0].error_m, "m")
-        after = f" after {ends[0].duration_s:.3g} s"
-        is_same = (ends[0].error_m, ends[0].duration_s) == (ends[1].error_m, ends[1].duration_s)
-        return f"it {ends[1].describe()}, {'as' if is_same else f'not {was}{after} as'} recorded."
+    first, second = find_goal_end(run), find_goal_end(replayed)
+    if first is not None and second is not None:
+        if (first.error_m, first.duration_s) == (second.error_m, second.duration_s):
+            return f"it {second.describe()}, as recorded."
+        was, now = (format_short(one.error_m, "m") for one in (first, second))
+        if was == now and first.error_m != second.error_m:
+            was, _ = format_pair(first.error_m, second.error_m, "m")
+        after = f"after {first.duration_s:.3g} s"
+        return f"it {second.describe()}, not {was} {after} as recorded."
     both = [one for one in build_changes(run, replayed) if one.difference is not None]
     if not both:
         return ""
@@ -375,12 +372,9 @@ def _format_signals(
 
 def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[SignalAnswer]:
     return [
-        SignalAnswer(
-            signal=found.signal,
-            unit=found.unit,
-            rows=found.rows,
-            differing=found.differing,
-            largest=found.largest,
+        copy_fields(
+            SignalAnswer,
+            found,
             at_s=None if found.at_ns is None else tell_time(run, found.at_ns),
             first_difference=build_difference(run, found.first_difference),
         )

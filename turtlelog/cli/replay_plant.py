@@ -20,7 +20,6 @@ from turtlelog.cli.replay_answer import (
     build_pose_error,
     tell_time,
 )
-from turtlelog.cli.replay_choice import ReplayOptions
 from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import UsageError
@@ -28,6 +27,7 @@ from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Run
+    from turtlelog.cli.replay import ReplayOptions
     from turtlelog.replay import CommandReplay, Jump, PlantReplay
 
 
@@ -218,7 +218,7 @@ class CommandReplayAnswer:
 def replay_commands_alone(
     file: Path,
     run: "Run",
-    mode: ReplayOptions,
+    mode: "ReplayOptions",
     changes: ScenarioOptions | None,
     output: Path | None,
 ) -> tuple[CommandReplayAnswer, str]:
@@ -245,7 +245,7 @@ def replay_commands_alone(
     return answer, _format(file, found, answer)
 
 
-def _require_of_commands(file: Path, mode: ReplayOptions) -> None:
+def _require_of_commands(file: Path, mode: "ReplayOptions") -> None:
     """Refuse options that compare with recorded poses or samples."""
     given = {
         "--law": mode.law is not None,

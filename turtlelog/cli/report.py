@@ -55,8 +55,8 @@ def report(
     """Write a report on runs as one file of HTML, which opens without a network.
 
     The report begins with the result in a sentence: which run ends nearest to its goal, which check
-    fails, what caused the worst run. Then follow the plane with a slider over time, plots to zoom,
-    tables, checks, and the files with their sha256.
+    fails, what caused the worst run. Below this sentence, the report shows the plane with a slider
+    over time, plots that can be zoomed, tables, checks, and the files with their sha256.
 
     The exit code is 1 if a check of --spec fails.
 
@@ -95,7 +95,7 @@ def report(
         )
     verdict = tl.check.join_verdicts(results) if results else None
     answer = ReportAnswer(
-        ending=tl.charts.describe_runs(runs),
+        ending=tl.compare.describe_runs(runs),
         output=str(output),
         bytes=output.stat().st_size,
         runs=[
@@ -196,7 +196,7 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
         return None
     from turtlelog.draw.report import Explanation
     from turtlelog.explain import require_trust
-    from turtlelog.explain.one_run.luck import simulate_what_ifs
+    from turtlelog.explain.luck import simulate_what_ifs
 
     try:
         require_trust(run, trust_law=False)

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.metrics_answer import describe_end, format_run, list_needed
+from turtlelog.cli.metrics_answer import format_run, list_needed
 from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
 from turtlelog.cli.output import (
     EXIT_FINE,
@@ -148,7 +148,7 @@ def scenario(
 ) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
-    The code of a law of your own is not loaded: only those of its keys that were given are printed.
+    The code of a law of your own is not loaded: only the given keys are printed.
 
     Example: turtlelog scenario paper-kp10 > mine.toml
 
@@ -226,7 +226,7 @@ def _answer(
         print_note(f"{name.replace('_', ' ')}: {note}")
     _write(result, record, is_recorded=is_recorded)
     if json:
-        print_json(build_answer(result, output=record.output, rrd=record.rrd))
+        print_json(build_run_answer(result, output=record.output, rrd=record.rrd))
     else:
         print_text(_describe_ending(result, file=record.output, before=before))
     return code
@@ -356,7 +356,7 @@ class RunAnswer:
     metrics: list[dict[str, Any]]
 
 
-def build_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
+def build_run_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
     """Return the answer."""
     end = find_goal_end(run)
     return RunAnswer(
@@ -380,7 +380,7 @@ def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> 
         run, file="" if file is None else str(file), metrics=tl.measure_run(run, only=needed)
     )
     if before is not None:
-        head = fill_lines([f"{name}: {describe_end(summary)}.", *facts])
+        head = fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
         return f"{head}\n\n{describe_change(run, before)}"
     return format_run(summary, name, facts=facts)
 

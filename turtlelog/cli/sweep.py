@@ -22,12 +22,19 @@ from turtlelog.cli.options import (
     choose_step_budget,
     split_names,
 )
-from turtlelog.cli.output import EXIT_FINE, fill_lines, print_json, print_note, print_text
+from turtlelog.cli.output import (
+    EXIT_FINE,
+    copy_fields,
+    fill_lines,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
-from turtlelog.display import describe_count, format_short
+from turtlelog.display import describe_count, format_range
 from turtlelog.errors import SweepError, UsageError
 from turtlelog.files.urls import make_path
 
@@ -266,16 +273,7 @@ def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json:
     for name, reason in found.valueless.items():
         print_note(f"metric {name}: no row has a value ({reason})")
     if json:
-        print_json(
-            SweepAnswer(
-                output=str(found.output),
-                rows=found.rows,
-                failed=found.failed,
-                samples=found.samples,
-                recorded=found.recorded,
-                elapsed_s=elapsed_s,
-            )
-        )
+        print_json(copy_fields(SweepAnswer, found, output=str(found.output), elapsed_s=elapsed_s))
         return
     if found.failed:
         print_note(
@@ -309,8 +307,8 @@ def _describe_best(output: Path) -> str:
             results = tl.sweep.read_swept_results(output, patterns)
             metric = next((one for one in results.metrics if np.isfinite(one.values).any()), None)
             if metric is not None:
-                ends = np.nanmin(metric.values), np.nanmax(metric.values)
-                low, high = (format_short(float(end), metric.unit) for end in ends)
+                ends = float(np.nanmin(metric.values)), float(np.nanmax(metric.values))
+                low, high = format_range(*ends, metric.unit)
                 if low == high:
                     all_have = np.isfinite(metric.values).all()
                     where = "every run" if all_have else "every run that has a value"

@@ -126,8 +126,8 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     Args:
         scenario: A preset, a scenario file (.toml), or a recording, whose period and dead times are
             measured.
-        kp: Gains [1/s], separated by commas, at most 100. Default: 1,2,4,10. With a scenario: one
-            gain to set.
+        kp: Gains [1/s], separated by commas, at most 100. Default: 1,2,4,10. With SCENARIO, give
+            one gain; it replaces all gains of the law.
         terms: Other terms and the plant.
         period: Sampling period [s]. Default: 0.016, turtlesim's tick.
         dead_time: Dead time [ticks], 0 to 1000. Default: 0, the smallest possible.

@@ -1,8 +1,13 @@
 """Text of `turtlelog theory`: recommended gains and limits first, then the loops."""
 
+import math
 import shlex
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import reduce
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
 
 import turtlelog as tl
 from turtlelog.cli.output import fill_lines, find_width
@@ -23,11 +28,13 @@ from turtlelog.cli.theory_loops import (
     tell_motion,
 )
 from turtlelog.cli.theory_tables import describe_sampling, summarise_gains, tabulate_theory
-from turtlelog.display import join_words
+from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.theory import Recommendation, SampledLoop
+
+_Ranges = tuple[tuple[float, float], ...]
 
 _MOST_COLUMNS: Final = 3
 """Largest number of loops side by side in a table; more loops do not fit a line."""
@@ -35,7 +42,7 @@ _MOST_COLUMNS: Final = 3
 _IDEAL: Final = "without command limits"
 """Condition of recommended gains."""
 
-_UNLIMITED: Final = "Commands are not clipped: limits change overshoot and settling time."
+_UNLIMITED: Final = "Theory leaves out command limits, which change overshoot and settling time."
 
 
 def format_integrator(
@@ -130,7 +137,6 @@ def format_file(
     ]
     rest = [
         *list_sources(answers, shows_all=shows_all),
-        _UNLIMITED,
         *_list_run(word, answers, advice),
         *(
             []
@@ -144,7 +150,8 @@ def format_file(
     for one in known:  # loops that are alike share a sentence
         said.setdefault(_describe_loop(one, advice), []).append(one.title)
     head = [f"{join_words(names)}: {text}" for text, names in said.items()]
-    return _join([_conclude(name, advice, wishes), *head], tables, rest)
+    head = [_conclude(name, advice, wishes), *head, *_describe_clipping(known, advice)]
+    return _join(head, tables, rest)
 
 
 class _Advice(NamedTuple):
@@ -189,6 +196,29 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
     return f"{said}; stable for Kp {_show_late_range(answer)}."
+
+
+def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> list[str]:
+    """Return the errors from which limits clip commands, at the recommended gains of P."""
+    sizes = []
+    for one in known:
+        chosen = next(
+            (of.given if of.is_kept else of.best for of in advice if of.loop == one.title), None
+        )
+        gains = None if chosen is None else chosen.gains
+        if one.model is None or math.isinf(one.model.limit):
+            continue
+        if gains is None or gains.ki or gains.kd:
+            return [_UNLIMITED]
+        if gains.kp:
+            unit = "rad" if one.model.loop.command == "turn_rate" else "m"
+            sizes.append(f"{format_short(one.model.limit / gains.kp, unit)} ({one.title})")
+    if not sizes:
+        return []
+    return [
+        f"Commands are clipped for errors above {join_words(sizes)}, which changes overshoot and"
+        " settling time."
+    ]
 
 
 def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:
@@ -260,12 +290,35 @@ def _show_range(answer: LoopAnswer) -> str:
 
 
 def _show_late_range(answer: LoopAnswer) -> str:
-    """Return the stable range of Kp at the most dead time, for which gains are recommended."""
+    """Return the range of Kp that is stable at the most dead time and at those below it.
+
+    Between two samples, a longer dead time may be stable with a larger Kp.
+    """
     model = answer.model
     if model is None or model.most_dead_time_s is None:
         return _show_range(answer)
-    stable = tl.theory.find_stable_gains(model.require()[0], **model.require_latest())
-    return f"{_write_ranges(stable)} at the most dead time, {1e3 * model.most_dead_time_s:.6g} ms"
+    gains, settings = model.require()
+    process, most_s = settings["process"], model.most_dead_time_s
+    found = [
+        tl.theory.find_stable_gains(
+            gains, period_s=settings["period_s"], process=replace(process, dead_time_s=dead_time_s)
+        )
+        for dead_time_s in np.linspace(process.dead_time_s, most_s, _DEAD_TIMES).tolist()
+    ]
+    stable = reduce(_intersect, found)
+    most = f"{1e3 * most_s:.6g} ms"
+    where = f"the most dead time, {most}" if stable == found[-1] else f"dead times up to {most}"
+    return f"{_write_ranges(stable)} at {where}"
+
+
+_DEAD_TIMES: Final = 5
+"""Number of dead times, from the least to the most, at which stability is examined."""
+
+
+def _intersect(first: _Ranges, second: _Ranges) -> _Ranges:
+    """Return the intervals that two lists of intervals have in common."""
+    common = [(max(a, c), min(b, d)) for a, b in first for c, d in second]
+    return tuple((low, high) for low, high in common if low < high)
 
 
 def _write_ranges(ranges: "Sequence[tuple[float, float]]") -> str:

@@ -141,7 +141,7 @@ class Recommended(NamedTuple):
     ramp_s: float = 0.0
 
     def find_best(self, controller: str) -> "Recommendation | None":
-        """Return a controller's first gains for the requirements, or those of P; None if absent."""
+        """Return the first recommended gains of a controller, or else of P; None without either."""
         known = {one.controller: one for one in reversed(self.found) if one.gains}
         return known.get(controller) or known.get("P")
 
@@ -348,7 +348,7 @@ def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) ->
     if not shows_all:
         return
     yield (
-        "Overshoot is that of the motion, between samples too, without limits. SIMC: Skogestad"
+        "Overshoot includes the motion between samples and ignores limits. SIMC: Skogestad"
         " (2003); Ziegler-Nichols (1942): half of the gain at which instability begins."
     )
     reasons: dict[str, list[str]] = {}

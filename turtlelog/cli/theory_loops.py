@@ -169,7 +169,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
 
 
 def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
-    """Return a table with a row for each Kp, without values that are equal at all of them."""
+    """Return a table with a row for each Kp; optional columns with only `-` or 0 are left out."""
     loops = [answer.found for answer in answers if answer.found]
     columns, cells = [], []
     for name, is_optional, write in _ROWS:
@@ -237,8 +237,14 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
             notes.append(
                 f"{of}: the dead time is the least; {model.growth} may let it grow to {most}."
             )
-        if model.left_out:
-            notes.append(f"{of}: theory's linear loop leaves out {', '.join(model.left_out)}.")
+        # A sentence on clipped commands covers the limit.
+        left_out = [
+            one
+            for one in model.left_out
+            if shows_all or one.partition(" = ")[0] != model.loop.limit_key
+        ]
+        if left_out:
+            notes.append(f"{of}: theory's linear loop leaves out {', '.join(left_out)}.")
     return notes
 
 

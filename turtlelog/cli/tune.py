@@ -13,13 +13,20 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
 from turtlelog.cli.targets import require_new_target
-from turtlelog.cli.tune_answer import Answer, build_answer, format_answer
+from turtlelog.cli.tune_answer import build_tune_answer, format_tune_answer
 from turtlelog.errors import UsageError
 from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.scenario import Scenario
-    from turtlelog.sweep.tune import Candidates, SearchedKey, TuningGoal, Variation
+    from turtlelog.sweep.tune import (
+        Candidates,
+        SearchedKey,
+        Spread,
+        TunedScenario,
+        TuningGoal,
+        Variation,
+    )
 
 _MOST_VARIANTS: Final = 1_000_000
 
@@ -193,19 +200,25 @@ def tune(
     scenario, keys = _parse_keys(scenario, goal.grid or [], options, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
     with work.find_any_place() as place:
-        answer = _search(scenario, keys, goal, wanted, seed, place, work=work)
+        found, spread = _search(scenario, keys, goal, wanted, seed, place, work=work), None
         if "name" not in list_given_keys(options):
-            answer.scenario = replace(answer.scenario, name=answer.tell_name())
+            found = replace(found, scenario=replace(found.scenario, name=_name_best(found)))
         if work.output is not None:
             with tl.log.replace_when_complete(work.output) as path:
-                path.write_text(tl.scenario.format_scenario(answer.scenario), "utf-8")
-        if runs and answer.tuned.best.is_feasible:
-            answer.spread = _simulate_variants(answer, runs, more, seed, place, work)
+                path.write_text(tl.scenario.format_scenario(found.scenario), "utf-8")
+        if runs and found.is_feasible:
+            spread = _simulate_variants(found, runs, more, seed, place, work)
     if json:
-        print_json(build_answer(answer))
+        print_json(build_tune_answer(found, spread))
     else:
-        print_text(format_answer(answer))
-    return EXIT_FINE if answer.tuned.best.is_feasible else EXIT_FAILED
+        print_text(format_tune_answer(found, spread))
+    return EXIT_FINE if found.is_feasible else EXIT_FAILED
+
+
+def _name_best(found: "TunedScenario") -> str:
+    """Return a name that contains the best values, like the name after `--set`."""
+    told = [f"{key}={value:.6g}" for key, value in found.values.items()]
+    return " ".join([found.scenario.name, *told])
 
 
 def _parse_keys(
@@ -230,7 +243,7 @@ def _search(  # noqa: PLR0913  (what a search takes)
     place: Any,
     *,
     work: TuneOptions,
-) -> Answer:
+) -> "TunedScenario":
     """Return the best values and their neighbourhood."""
     most = goal.count_evaluations(len(keys))
     expected = most + tl.sweep.tune.NEIGHBOURS * len(keys)
@@ -251,60 +264,43 @@ def _search(  # noqa: PLR0913  (what a search takes)
             tell=_tell_late,
             source="--grid",
         )
-        candidates.require_bounds([tuple(key.low for key in keys), tuple(key.high for key in keys)])
-        is_maximised, around = wanted.is_maximised, None
         try:
-            tuned = tl.sweep.tune.search_best(
-                candidates, keys, evaluations=most, is_maximised=is_maximised, seed=seed
-            )
-            if tuned.best.is_feasible:
-                tuned, around = tl.sweep.tune.explore_best(
-                    candidates, keys, tuned, is_maximised=is_maximised
-                )
+            return tl.sweep.tune.tune_candidates(candidates, keys, evaluations=most, seed=seed)
         except KeyboardInterrupt:
-            _tell_best_so_far(candidates, keys, is_maximised=is_maximised)
+            _tell_best_so_far(candidates, keys)
             raise
-    return Answer(
-        scenario=candidates.build_scenario(tuned.best.point),
-        keys=keys,
-        goal=wanted,
-        tuned=tuned,
-        around=around,
-    )
 
 
 def _tell_late(late: str) -> None:
     print_note(f"{late}. Every such candidate takes as long; --step-budget-ms 100 ends it sooner")
 
 
-def _tell_best_so_far(
-    candidates: "Candidates", keys: "tuple[SearchedKey, ...]", *, is_maximised: bool
-) -> None:
+def _tell_best_so_far(candidates: "Candidates", keys: "tuple[SearchedKey, ...]") -> None:
     if not candidates.evaluations:
         return
-    best = tl.sweep.tune.find_best(candidates, is_maximised=is_maximised)
+    best = tl.sweep.tune.find_best(candidates, is_maximised=candidates.goal.is_maximised)
     values = zip(keys, best.point, strict=True)
     told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
     print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
 
 
 def _simulate_variants(
-    answer: Answer,
+    found: "TunedScenario",
     runs: int,
     more: "list[Variation]",
     seed: int,
     place: Any,
     work: TuneOptions,
-) -> Any:
-    variations = tl.sweep.tune.choose_variations(answer.scenario, runs, more)
+) -> "Spread":
+    variations = tl.sweep.tune.choose_variations(found.scenario, runs, more)
     with show_progress("simulated", runs, "variants", has_rate=True) as progress:
 
         def watch(done: int) -> None:
             progress.done = done
 
         return tl.sweep.tune.simulate_variants(
-            answer.scenario,
-            answer.goal,
+            found.scenario,
+            found.goal,
             variations,
             runs=runs,
             seed=seed,

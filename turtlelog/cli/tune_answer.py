@@ -2,54 +2,18 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.output import copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
+from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
-    from turtlelog.scenario import Scenario
-    from turtlelog.sweep.tune import KeyRange, Neighbourhood, SearchedKey, Spread, Tuned, TuningGoal
-
-
-@dataclass(slots=True, kw_only=True)
-class Answer:
-    """Data of the answer.
-
-    Attributes:
-        scenario: Scenario with the best values.
-        keys: Varied keys.
-        goal: Goal of tuning.
-        tuned: Result of the search.
-        around: Range of each key with good values; None if no candidate fulfils the constraints.
-        spread: Results of the variants; None if no variants were simulated.
-    """
-
-    scenario: "Scenario"
-    keys: "tuple[SearchedKey, ...]"
-    goal: "TuningGoal"
-    tuned: "Tuned"
-    around: "Neighbourhood | None" = None
-    spread: "Spread | None" = None
-
-    @property
-    def unit(self) -> str:
-        """Unit of the objective if it is a metric; else empty."""
-        if self.goal.metric is None:
-            return ""
-        known = tl.measure.list_metrics(tl.simulate.declare_scenario(self.scenario))
-        return known[self.goal.metric].unit
-
-    def tell_name(self) -> str:
-        """Return a name that contains the best values, like the name after `--set`."""
-        told = [
-            f"{key.key}={value:.6g}"
-            for key, value in zip(self.keys, self.tuned.best.point, strict=True)
-        ]
-        return " ".join([self.scenario.name, *told])
+    from turtlelog.sweep.tune import KeyRange, SearchedKey, Spread, TunedScenario, TuningGoal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,23 +92,18 @@ class TuneAnswer:
     spread: SpreadAnswer | None
 
 
-def build_answer(answer: Answer) -> TuneAnswer:
-    """Return the answer for JSON."""
-    tuned, spread = answer.tuned, answer.spread
+def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAnswer:
+    """Return the answer for JSON; `spread` are the results of variants, if any were simulated."""
+    tuned = found.tuned
     return TuneAnswer(
-        best=dict(zip((key.key for key in answer.keys), tuned.best.point, strict=True)),
+        best=found.values,
         objective=tuned.best.objective,
-        minimise=None if answer.goal.is_maximised else answer.goal.objective.text,
-        maximise=answer.goal.objective.text if answer.goal.is_maximised else None,
-        unit=answer.unit or None,
+        minimise=None if found.goal.is_maximised else found.goal.objective.text,
+        maximise=found.goal.objective.text if found.goal.is_maximised else None,
+        unit=found.unit or None,
         is_feasible=tuned.best.is_feasible,
         constraints=[
-            ConstraintAnswer(
-                expression=one.expression,
-                value=one.value,
-                margin=_tell_margin(one.margin),
-                holds=one.holds,
-            )
+            copy_fields(ConstraintAnswer, one, margin=_tell_margin(one.margin))
             for one in tuned.best.constraints
         ],
         evaluations=tuned.evaluations,
@@ -161,9 +120,9 @@ def build_answer(answer: Answer) -> TuneAnswer:
                 low_end=one.low_constraint or one.low_end,
                 high_end=one.high_constraint or one.high_end,
             )
-            for one in (answer.around.ranges if answer.around else ())
+            for one in (found.around.ranges if found.around else ())
         ],
-        slack=answer.around.slack if answer.around else None,
+        slack=found.around.slack if found.around else None,
         spread=None if spread is None else _build_spread(spread),
     )
 
@@ -181,63 +140,91 @@ def _build_spread(spread: "Spread") -> SpreadAnswer:
     )
 
 
-def format_answer(answer: Answer) -> str:
+def format_tune_answer(found: "TunedScenario", spread: "Spread | None") -> str:
     """Return the answer as text. The first line has the best values and their result."""
-    tables = [_tabulate_best(answer)]
-    if answer.tuned.best.constraints:
-        tables.append(_tabulate_constraints(answer))
+    tables = [_tabulate_best(found)]
+    if found.tuned.best.constraints:
+        tables.append(_tabulate_constraints(found))
     texts = [fit_table(table) for table in tables]
-    if answer.spread is not None:
-        texts.append(fit_table(_tabulate_spread(answer, answer.spread)))
-    return "\n".join([fill_lines([_conclude(answer), *_describe_room(answer)]), "", *texts])
+    if spread is not None:
+        texts.append(fit_table(_tabulate_spread(found, spread)))
+    return "\n".join([fill_lines([_conclude(found), *_describe_room(found)]), "", *texts])
 
 
-def _conclude(answer: Answer) -> str:
+def _conclude(found: "TunedScenario") -> str:
     """Return the best values and their result, or that no values fulfil the constraints."""
-    tuned, best = answer.tuned, answer.tuned.best
-    values = ", ".join(
-        f"{key.key} = {format_number(value)}"
-        for key, value in zip(answer.keys, best.point, strict=True)
-    )
-    count, name = describe_count(tuned.evaluations, "candidate"), answer.goal.objective.text
+    tuned, best = found.tuned, found.tuned.best
+    values = ", ".join(f"{key} = {format_number(value)}" for key, value in found.values.items())
+    count, name = describe_count(tuned.evaluations, "candidate"), found.goal.objective.text
     if not best.is_feasible:
         return f"None of {count} fulfils the constraints; {values} comes nearest."
-    value = format_number(best.objective, answer.unit)
+    value = format_number(best.objective, found.unit)
     if tuned.is_flat:
         same = f"all {tuned.feasible} candidates that can be compared"
-        return f"{name} is {value} for {same}: no key changes it."
-    word = "largest" if answer.goal.is_maximised else "smallest"
-    if answer.goal.constraints and tuned.feasible < tuned.evaluations:
+        rest = tuned.evaluations - tuned.feasible
+        told = f"{rest} others have no value or break a constraint" if rest else "no key changes it"
+        return f"{name} is {value} for {same}: {told}."
+    word = "largest" if found.goal.is_maximised else "smallest"
+    if found.goal.constraints and tuned.feasible < tuned.evaluations:
         count = f"the {tuned.feasible} of {count} that fulfil the constraints"
-    elif answer.goal.constraints:
+    elif found.goal.constraints:
         count += ", which all fulfil the constraints"
     return f"{values}: {name} is {value}, the {word} of {count}."
 
 
-def _describe_room(answer: Answer) -> list[str]:
-    """Return how far the keys can go without a much worse objective."""
-    around = answer.around
-    if around is None or not around.ranges or answer.tuned.is_flat:
+def _describe_room(found: "TunedScenario") -> list[str]:
+    """Return which best values are at a bound, and the ranges in which the loss stays small."""
+    around, tuned = found.around, found.tuned
+    if tuned.is_flat:
         return []
-    slack = format_short(around.slack, answer.unit)
-    ways = [
-        f"{one.key} = {format_number(one.low)} to {format_number(one.high)}"
-        for one in around.ranges
+    told = [
+        f"{key.key} is at its bound: beyond {format_number(number)} it may be better."
+        for key, number in zip(found.keys, tuned.best.point, strict=True)
+        if key.key in tuned.at_bounds and _goes_on(found, key, number)
     ]
-    alone = "is" if len(ways) == 1 else "(each changed alone) are"
-    return [f"As far as tried, {join_words(ways)} {alone} worse by {slack} at most."]
+    if around is None or not around.ranges:
+        return told
+    slack = format_short(around.slack, found.unit)
+    ways = [_describe_range(one) for one in around.ranges]
+    alone = "" if len(ways) == 1 else " (each changed alone)"
+    return [
+        *told,
+        f"Every value tried from {join_words(ways)}{alone} is at most {slack} worse than the best.",
+    ]
 
 
-def _tabulate_best(answer: Answer) -> "Table":
-    tuned = answer.tuned
-    around = {one.key: one for one in answer.around.ranges} if answer.around else {}
+def _goes_on(found: "TunedScenario", key: "SearchedKey", number: float) -> bool:
+    """Return whether a scenario may have a value beyond the bound of the search."""
+    if key.key == "kp":  # the gains of all loops
+        return True
+    step = 1 if key.is_whole else 0.01 * max(abs(number), 1.0)
+    beyond = number + (step if number == key.high else -step)
+    with suppress(ScenarioError):
+        tl.override_scenario(found.scenario, {key.key: beyond})
+        return True
+    return False
+
+
+def _describe_range(found: "KeyRange") -> str:
+    """Return the range of a key; beyond a bound nothing was tried."""
+    if found.low == found.high:
+        return f"{found.key} = {format_number(found.low)} alone"
+    ends = (found.low, found.low_end), (found.high, found.high_end)
+    low, high = (
+        format_number(value) + (" (its bound)" if end == "bound" else "") for value, end in ends
+    )
+    return f"{found.key} = {low} to {high}"
+
+
+def _tabulate_best(found: "TunedScenario") -> "Table":
+    around = {one.key: one for one in found.around.ranges} if found.around else {}
     ends: dict[str, tuple[Any, ...]] = {
         key: (one.low, one.high, _tell_end(one, is_low=True), _tell_end(one, is_low=False))
         for key, one in around.items()
     }
     rows = [
-        (key.key, value, *ends.get(key.key, (None, None, None, None)))
-        for key, value in zip(answer.keys, tuned.best.point, strict=True)
+        (key, value, *ends.get(key, (None, None, None, None)))
+        for key, value in found.values.items()
     ]
     columns = ["key", "best", "from", "to", "below", "above"]
     width = len(columns) if around else 2
@@ -245,27 +232,20 @@ def _tabulate_best(answer: Answer) -> "Table":
         title="How far each key can go" if around else "Values of the keys",
         columns=tuple(tl.compare.Column(title=title) for title in columns[:width]),
         rows=tuple(row[:width] for row in rows),
-        notes=tuple(_list_notes(answer)),
+        notes=tuple(_list_notes(found)),
     )
 
 
-def _list_notes(answer: Answer) -> list[str]:
-    tuned, best, unit = answer.tuned, answer.tuned.best, answer.unit
+def _list_notes(found: "TunedScenario") -> list[str]:
+    tuned, best, unit = found.tuned, found.tuned.best, found.unit
     notes = []
-    if answer.around:
-        slack = format_number(answer.around.slack, unit)
+    if found.around:
+        slack = format_number(found.around.slack, unit)
         notes.append(
             "From and to: as far as this key alone can go, in the steps of the search, until the"
             f" objective is worse by {slack}, or a constraint breaks."
         )
-    if not tuned.is_flat:
-        notes += [
-            f"{key.key} is at the bound that was given, {format_number(number)}: beyond, it may be"
-            " better."
-            for key, number in zip(answer.keys, best.point, strict=True)
-            if key.key in tuned.at_bounds
-        ]
-    notes += _tell_sign(answer.goal, best.objective)
+    notes += _tell_sign(found.goal, best.objective)
     if tuned.failed:
         notes.append(
             f"{describe_count(tuned.failed, 'candidate')} failed, the first: {tuned.failure}."
@@ -289,7 +269,7 @@ def _tell_end(one: "KeyRange", *, is_low: bool) -> str:
     return constraint or words[end]
 
 
-def _tabulate_constraints(answer: Answer) -> "Table":
+def _tabulate_constraints(found: "TunedScenario") -> "Table":
     return tl.compare.Table(
         title="Constraints",
         columns=tuple(
@@ -297,7 +277,7 @@ def _tabulate_constraints(answer: Answer) -> "Table":
         ),
         rows=tuple(
             (one.expression, one.value, _tell_margin(one.margin), "yes" if one.holds else "no")
-            for one in answer.tuned.best.constraints
+            for one in found.tuned.best.constraints
         ),
     )
 
@@ -306,7 +286,7 @@ def _tell_margin(margin: float) -> float | None:
     return margin if math.isfinite(margin) else None
 
 
-def _tabulate_spread(answer: Answer, spread: "Spread") -> "Table":
+def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "Table":
     values = {
         "median": spread.median,
         "5 % below": spread.low,
@@ -321,7 +301,7 @@ def _tabulate_spread(answer: Answer, spread: "Spread") -> "Table":
         f"Drawn, each by itself: {'; '.join(varied)}.",
         f"The objective has a value in {spread.with_value} of {spread.runs}.",
     ]
-    if answer.goal.constraints:
+    if found.goal.constraints:
         notes.append(f"All constraints hold in {spread.holds} of {spread.runs}.")
     if not any(one.key == "seed" for one in spread.varied):
         notes.append("The scenario has no random effects: its seed changes nothing.")
@@ -329,7 +309,7 @@ def _tabulate_spread(answer: Answer, spread: "Spread") -> "Table":
         title=f"{describe_count(spread.runs, 'variant')} of the best",
         columns=(
             tl.compare.Column(title="of them"),
-            tl.compare.Column(title=answer.goal.objective.text, unit=answer.unit),
+            tl.compare.Column(title=found.goal.objective.text, unit=found.unit),
         ),
         rows=tuple((name, value) for name, value in values.items()),
         notes=tuple(notes),

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import (
     Connect,
     Files,
@@ -25,6 +24,7 @@ from turtlelog.cli.options import (
     require_there,
 )
 from turtlelog.cli.output import fill_lines, list_written, outlive_reader, print_note, print_text
+from turtlelog.cli.picture_options import MovieOptions, film_runs, require_movie
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -156,7 +156,7 @@ def _require_view(save: Path | None) -> None:
 def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
     """Print how the runs in a file ended, and the written files."""
     if written:
-        ending = [fill_lines([tl.charts.describe_runs(runs)])] if runs else []
+        ending = [fill_lines([tl.compare.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
 
 

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -16,6 +15,7 @@ from turtlelog.cli.output import (
     print_error,
     print_note,
 )
+from turtlelog.display import describe_count
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
@@ -98,16 +98,17 @@ def watch_runs(
 
 
 def describe_change(run: "Run", before: "Run") -> str:
-    """Return the metrics of a run as a table, with the former value of each changed metric."""
-    names = [tl.measure.list_essential_metrics(one.declaration) for one in (run, before)]
-    only = [*dict.fromkeys([*names[0], *names[1]])]
-    measured = [tl.measure_run(one) for one in (run, before)]
-    kept = [{name: one[name] for name in only if name in one} for one in measured]
-    table = tl.compare.tabulate_measured(("now", "before"), kept)
-    rows = [(*row[:-1], "" if row[-1] == row[-2] else row[-1]) for row in table.rows]
-    if all(row[-1] == "" for row in rows):
+    """Return a table of the essential metrics that changed, with their former values."""
+    declarations = run.declaration, before.declaration
+    essential = tl.measure.list_essential_metrics(*declarations)
+    now, was = tl.measure_run(run), tl.measure_run(before)
+    changed = [name for name in essential if now.get(name) != was.get(name)]
+    if not changed:
         return "No metric changed."
-    return fit_table(replace(table, rows=tuple(rows)))
+    kept = [{name: one[name] for name in changed if name in one} for one in (now, was)]
+    text = fit_table(tl.compare.tabulate_measured(("now", "before"), kept))
+    same = len(essential) - len(changed)
+    return f"{text}\n{describe_count(same, 'essential metric')} did not change." if same else text
 
 
 def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bool]) -> Path | None:

@@ -38,6 +38,10 @@ from .robot_comparison import (
 from .robot_prediction import (
     compare_robot as compare_robot,
 )
+from .run_ends import (
+    describe_end as describe_end,
+    describe_runs as describe_runs,
+)
 from .run_names import (
     label_file as label_file,
     name_runs as name_runs,

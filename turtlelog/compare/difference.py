@@ -8,7 +8,7 @@ from turtlelog.compare.alignment import CommonClock, align_runs
 from turtlelog.compare.signal_comparison import compare_aligned_signals, share_track
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.tube import Tolerance
-from turtlelog.display import fit_line, format_answer, format_html, show_angle
+from turtlelog.display import fit_line, format_html, format_notebook, show_angle
 from turtlelog.measure import (
     SIGNALS,
     Metric,
@@ -70,7 +70,7 @@ class RunComparison:
             (found.signal, *show_angle(found.largest, found.unit)[::-1], found.at_s)
             for found in self.signals
         ]
-        return format_answer(f"{self.name}: {self._describe()}", format_html(rows, heads=heads))
+        return format_notebook(f"{self.name}: {self._describe()}", format_html(rows, heads=heads))
 
 
 def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -> RunComparison:
@@ -94,7 +94,7 @@ def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -
 def compare_measured(
     reference: Run, metrics: Mapping[str, Metric], run: Run, *, alignment: str
 ) -> RunComparison:
-    """Do the same as `compare_runs`, for a reference with known metrics."""
+    """Return the comparison of two runs, as `compare_runs` does, with known reference metrics."""
     clock = align_runs(reference, run, alignment)
     start_ns, end_ns = map(clock.read_ns, clock.span)
     names = list_signal_units([reference.declaration, run.declaration])
@@ -112,7 +112,7 @@ def compare_measured(
 
 
 def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[MetricDifference]:
-    """Return the metrics of a run and a reference; those of an undeclared loop have no value."""
+    """Return the metrics of a run and a reference; metrics of undeclared loops have no value."""
     measured = [measure_run(found, only=ids) if ids else {} for found in (reference, run)]
     return [MetricDifference(metric=measured[1][name], reference=measured[0][name]) for name in ids]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import CompareError
-from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
+from turtlelog.identify.axis_motion import AXES, LOOK_S, STANDING, Axis, AxisMotion, get_commands
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
@@ -19,12 +19,6 @@ from turtlelog.simulate.streams import RANDOM_KEYS, list_streams
 
 _FADED: Final = 1e-3
 """Share of an earlier rate below which the rate no longer counts."""
-
-_STANDING: Final = 0.02
-"""Mean rate below which a robot stands still, as a share of the largest command."""
-
-_LOOK_S: Final = 0.3
-"""Time for which a robot must stand still before its first command [s]."""
 
 _BEFORE_S: Final = 60.0
 """Time before the first pose; of earlier commands, only the last is simulated [s]."""
@@ -81,7 +75,7 @@ def find_known(run: Run, scenario: Scenario) -> int:
     poses, first_ns = run.poses, int(run.commands.time_ns[0])
     earlier = poses.time_ns <= first_ns
     seen_s = (poses.time_ns[earlier][-1] - poses.time_ns[0]) / 1e9 if earlier.any() else 0.0
-    if seen_s >= _LOOK_S and all(_stands(run, axis, earlier, seen_s) for axis in AXES):
+    if seen_s >= LOOK_S and all(_stands(run, axis, earlier, seen_s) for axis in AXES):
         return int(poses.time_ns[0])
     delays_s = [
         _find_delay(scenario, axis, float(np.abs(get_commands(run, axis)).max()), _FADED)
@@ -151,7 +145,7 @@ def _stands(run: Run, axis: Axis, earlier: NDArray[np.bool_], seen_s: float) -> 
         moved = float(np.hypot(*(poses.xy_m[earlier][-1] - poses.xy_m[0])))
     else:
         moved = abs(float(subtract_headings(poses.heading_rad[earlier][-1], poses.heading_rad[0])))
-    return not largest or moved <= _STANDING * largest * seen_s
+    return not largest or moved <= STANDING * largest * seen_s
 
 
 Values = NDArray[np.float64]

@@ -38,7 +38,6 @@ def tabulate_measured(
     names: Sequence[str],
     measured: Sequence[Mapping[str, Metric]],
     *,
-    notes: Sequence[str] = (),
     declarations: Sequence[Declaration] = (),
 ) -> Table:
     """Return the table of `tabulate_metrics` for at least one measured run.
@@ -49,7 +48,6 @@ def tabulate_measured(
     Args:
         names: Name of each run.
         measured: Metrics as from `measure_run`.
-        notes: Sentences below the table, before the reasons for missing values.
         declarations: Declarations of their laws, which show equivalent loops.
     """
     groups = group_ids((name for metrics in measured for name in metrics), declarations)
@@ -62,7 +60,7 @@ def tabulate_measured(
             *(Column(title=name) for name in names),
         ),
         rows=tuple(_build_row(name, [metrics.get(name) for metrics in measured]) for name in ids),
-        notes=(*notes, *list_reasons(measured)),
+        notes=list_reasons(measured),
         breaks=tuple(accumulate(map(len, groups[:-1]))),
     )
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import is_lawless
+from turtlelog.measure.measure_settings import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.ending import allow_position
@@ -18,10 +19,6 @@ if TYPE_CHECKING:
 
 CONDITIONS: Final = ("goal", "path", "start", "plant", "limits")
 """Conditions that runs must have in common. Runs under other conditions solved another task."""
-
-_BAND: Final = 0.02
-"""Resolution of a run with unknown tolerances, as a share of the distance to its goal [1]: the
-settling band, within which metrics regard a robot as arrived."""
 
 _HEADING_RAD: Final = 0.02
 """Resolution of a heading with unknown tolerances [rad]: the same share of one radian."""
@@ -206,7 +203,8 @@ def _find_reach(parameters: Mapping[str, Any], distance_m: float) -> tuple[float
     heading_rad = parameters.get("law.heading_tolerance_rad")
     position_m = parameters.get("law.position_tolerance_m")
     if heading_rad is None or position_m is None:
-        return _BAND * distance_m, _HEADING_RAD
+        # Within this band, metrics regard a robot as arrived.
+        return SETTLING_BAND * distance_m, _HEADING_RAD
     return allow_position(heading_rad, position_m, distance_m), float(heading_rad)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.display import describe_count, fit_line, format_answer, format_html
+from turtlelog.display import describe_count, fit_line, format_html, format_notebook
 from turtlelog.identify import AxisTraces
 from turtlelog.run import Clock, PoseColumns
 
@@ -264,7 +264,7 @@ class RobotComparison:
         table = tabulate_robots([self])
         heads = tuple(column.title for column in table.columns)
         answer = f"{self.name} beside {self.scenario}: {self._describe()}"
-        return format_answer(answer, format_html(table.rows, heads=heads))
+        return format_notebook(answer, format_html(table.rows, heads=heads))
 
 
 def tabulate_robots(found: Sequence[RobotComparison]) -> Table:

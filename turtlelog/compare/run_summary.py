@@ -13,7 +13,6 @@ from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line, join_words
 from turtlelog.errors import CompareError, describe_unknown
-from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.measure import (
     Metric,
     Metrics,
@@ -29,7 +28,6 @@ from turtlelog.measure.metric import Status
 from turtlelog.run import Parameter, Run, require_run
 from turtlelog.run.ending import GoalEnd, find_goal_end
 from turtlelog.run.loops import Declaration
-from turtlelog.scenario import Start
 
 TEXTS: Final = ("name", "source", "stop_reason")
 """Texts that filters and orders may use in addition to parameters and metrics."""
@@ -155,6 +153,9 @@ def complete_parameters(run: Run) -> Mapping[str, Parameter]:
     Defaults are unknown if the run does not contain its whole scenario, or if its law is not built
     in.
     """
+    from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS  # who only measures spares them
+    from turtlelog.scenario import Start
+
     kind = run.parameters.get("law.kind")
     if not run.scenario_is_complete or kind not in LAWS:
         return run.parameters
@@ -232,7 +233,7 @@ def summarise_measured(
     run: Run, file: str, metrics: Mapping[str, Metric], *, with_parameters: bool = True
 ) -> RunSummary:
     """Return the summary of a run, with all its parameters or with its gains only."""
-    known = complete_parameters(run)
+    known = complete_parameters(run) if with_parameters else run.parameters
     return RunSummary(
         name=run.name,
         source=run.source,

@@ -152,16 +152,15 @@ def _describe_varied(
     for key in ranking.varied:
         if key not in known:
             shown[key] = [_get_parameter(one, key) for one in summaries]
-    varied = [
-        f", {name} = {_list_values(values)}"
-        for name, cells in shown.items()
-        if len(values := list(dict.fromkeys(cells))) > 1
-    ]
+    lists = {name: list(dict.fromkeys(cells)) for name, cells in shown.items()}
+    lists = {name: values for name, values in lists.items() if len(values) > 1}
+    varied = [f", {name} = {_list_values(values)}" for name, values in lists.items()]
     if besides:
         more = len(besides) - _MOST_NAMED
         keys = [*besides[:_MOST_NAMED], *([f"{more} more"] if more > 0 else [])]
         verb = "differs" if len(keys) == 1 else "differ"
-        varied.append(f" ({join_words(keys)} {verb}{' too' if varied else ''})")
+        due = f" too, so not every difference is due to {join_words([*lists])}" if lists else ""
+        varied.append(f" ({join_words(keys)} {verb}{due})")
     return "".join(varied)
 
 

@@ -1,4 +1,4 @@
-"""Comparison of a run's signals with those of a reference: deviations and tolerances."""
+"""Comparison of the signals of a run and a reference: deviations and tolerances."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -158,7 +158,7 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
 def compare_aligned_signals(
     reference: Run, run: Run, clock: CommonClock, tolerances: Mapping[str, Tolerance]
 ) -> dict[str, SignalDifference]:
-    """Do the same as `compare_signals` for runs on a common clock."""
+    """Return the differences of signals, as `compare_signals` does, for runs on a common clock."""
     found: dict[str, SignalDifference] = {}
     grids: dict[str, Grid] = {}
     phases = _join_phases(reference, run)

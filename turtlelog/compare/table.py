@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-from turtlelog.display import describe_count, fit_line, format_answer, format_html, format_number
+from turtlelog.display import describe_count, fit_line, format_html, format_notebook, format_number
 from turtlelog.run.tables import Tabular
 
 Cell = str | float | int | None
@@ -82,7 +82,7 @@ class Table(Tabular):
         from html import escape  # a notebook alone needs it
 
         notes = [f"<p>{escape(note)}</p>" for note in self.notes]
-        return format_answer(self.title, format_html(self.rows, heads=heads), *notes)
+        return format_notebook(self.title, format_html(self.rows, heads=heads), *notes)
 
 
 def format_cell(cell: Cell, column: Column) -> str:

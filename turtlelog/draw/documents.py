@@ -47,7 +47,7 @@ def document_runs(
 ) -> Mapping[str, str]:
     """Return the documents of a comparison by title: table of runs, metrics, Table 1.
 
-    The arguments are those of `document_run`, for several runs.
+    The arguments are as in `document_run`, for several runs.
     """
     metrics = [measure_run(run) for run in runs] if metrics is None else metrics
     pairs = zip(runs, metrics, strict=True)

@@ -332,12 +332,16 @@ def _join(columns: Sequence[_Column], cells: Sequence[Sequence[str]]) -> Iterato
         yield _GAP.join(placed).rstrip()
 
 
+_PART: Final = re.compile(r"(?:[^\s_./-]|(?<=\d)\.(?=\d))*(?:[\s_/-]|\.(?!\d)|(?<!\d)\.)*")
+"""A part of a name with its punctuation; a decimal point divides no number."""
+
+
 def _break(text: str, width: int) -> list[str]:
     """Return the lines of a name, broken after punctuation if possible, else anywhere."""
     if len(text) <= width:  # unchanged: room for a mark is part of a number
         return [text]
     lines = [""]
-    for part in re.findall(r"[^\s_./-]*[\s_./-]*", text):
+    for part in _PART.findall(text):
         if len(lines[-1]) + len(part.rstrip()) > width and lines[-1]:
             lines.append("")
         lines[-1] += part

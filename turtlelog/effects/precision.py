@@ -1,13 +1,10 @@
 """Precision of published poses: 32-bit or 64-bit floats. The loop itself reads this key."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from turtlelog.parts import Effect
 from turtlelog.run.loops import Cause
-
-FLOAT64: Final = 1
-"""Number of the second value of `pose_precision`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

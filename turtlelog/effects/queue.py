@@ -1,13 +1,10 @@
 """Queues of poses and commands. The loop itself reads these keys."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from turtlelog.parts import Count, Effect
 from turtlelog.run.loops import Cause
-
-NEWEST: Final = 1
-"""Number of the second value of `queue_policy`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

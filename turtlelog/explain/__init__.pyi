@@ -1,31 +1,17 @@
-from .causes import (
-    find_causes as find_causes,
-    simulate_without as simulate_without,
-)
-from .motion_facts import (
-    Delays as Delays,
-    Largest as Largest,
-    MotionFacts as MotionFacts,
-    Periods as Periods,
-    read_motion_facts as read_motion_facts,
-)
-from .one_run.answer_words import (
+from .answer_words import (
     choose_named as choose_named,
     format_contribution as format_contribution,
-    format_value as format_value,
     write_cause_head as write_cause_head,
     write_headline as write_headline,
-    write_main as write_main,
     write_reasons as write_reasons,
     write_sentences as write_sentences,
-    write_value as write_value,
 )
-from .one_run.attribute import (
+from .attribute import (
     attribute_run as attribute_run,
     attribute_scenario as attribute_scenario,
     require_causes as require_causes,
 )
-from .one_run.attribution import (
+from .attribution import (
     Attribution as Attribution,
     CausePart as CausePart,
     Contribution as Contribution,
@@ -36,14 +22,25 @@ from .one_run.attribution import (
     ValueSet as ValueSet,
     choose_metric as choose_metric,
 )
-from .one_run.game import (
+from .causes import (
+    find_causes as find_causes,
+    simulate_without as simulate_without,
+)
+from .game import (
     Work as Work,
 )
-from .one_run.luck import (
+from .luck import (
     Luck as Luck,
     LuckCurve as LuckCurve,
     measure_luck as measure_luck,
     simulate_what_ifs as simulate_what_ifs,
+)
+from .motion_facts import (
+    Delays as Delays,
+    Largest as Largest,
+    MotionFacts as MotionFacts,
+    Periods as Periods,
+    read_motion_facts as read_motion_facts,
 )
 from .scenario_from_log.hypothesis import (
     require_trust as require_trust,
@@ -80,5 +77,4 @@ from .two_runs.run_difference import (
     Depth as Depth,
     choose_common_metric as choose_common_metric,
     explain_difference as explain_difference,
-    require_common_metric as require_common_metric,
 )

@@ -129,13 +129,13 @@ def describe_no_sampling(scenario: Scenario) -> str:
     """Return why the clock cannot be made finer, in one clause; empty if it can be made finer."""
     if list_sample_counters(find_law(scenario.law.kind)) is None:
         return (
-            f"sampling is not taken out, because the law {scenario.law.kind} does not say which of"
+            f"sampling is not removed, because the law {scenario.law.kind} does not say which of"
             " its parameters count samples (counts_samples)"
         )
     if draws_random(scenario):
         return (
-            "sampling is not taken out, because the scenario draws random numbers for each pose or"
-            " command, and a finer clock would draw more"
+            "sampling is not removed, because the scenario draws random numbers for each pose or"
+            " command: a run with a finer clock would have other random numbers"
         )
     return ""
 

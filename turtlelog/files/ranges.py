@@ -12,9 +12,10 @@ from typing import IO, Any, BinaryIO, Final, cast
 from urllib.parse import urlsplit
 
 from turtlelog.errors import RemoteError
+from turtlelog.escapes import show_url
 from turtlelog.files.http_file import HEAD, HttpFile, describe_too_long
 from turtlelog.files.requests import AnswerError, NoRangesError, open_system, try_thrice
-from turtlelog.files.urls import RemoteNote, show_url
+from turtlelog.files.urls import RemoteNote
 
 _TAIL: Final = 2**18
 """Size of the end that is fetched first [bytes]: the summary of several thousand chunks. At 100

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 from urllib.parse import urlsplit
 
 from turtlelog.errors import LibraryError, RemoteError, describe_error
-from turtlelog.files.urls import hide_secrets
+from turtlelog.escapes import hide_secrets
 from turtlelog.libraries import load_library
 
 T = TypeVar("T")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final
 
 from turtlelog.errors import RemoteError, UsageError
-from turtlelog.escapes import URL, hide_secrets as hide_secrets, show_url as show_url
+from turtlelog.escapes import URL, show_url
 
 if TYPE_CHECKING:
     from turtlelog.files.ranges import RemoteFile

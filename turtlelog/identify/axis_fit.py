@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
-from turtlelog.identify.held_response import Response, Values
+from turtlelog.identify.held_response import HeldResponse, Values
 from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, fit_noise
 from turtlelog.identify.robot_structure import FIRST_ORDER, Structure
 
@@ -87,14 +87,16 @@ class StepModel:
         self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
         self.shared = np.concatenate([motion.shared for motion in self.motions])
 
-    def prepare(self, lag_s: float, *extras: float) -> list[Response]:
+    def prepare(self, lag_s: float, *extras: float) -> list[HeldResponse]:
         """Return the response of each run's commands for a time constant and further parameters."""
         return [
             self.structure.respond(motion.commands, lag_s, extras, motion.beside)
             for motion in self.motions
         ]
 
-    def predict(self, dead_time_s: float, *lags: Sequence[Response]) -> list[tuple[Values, Values]]:
+    def predict(
+        self, dead_time_s: float, *lags: Sequence[HeldResponse]
+    ) -> list[tuple[Values, Values]]:
         """Return displacement and rate of each step for each response, with a gain of 1."""
         found: list[list[tuple[Values, Values]]] = [[] for _ in lags]
         for row, motion in enumerate(self.motions):

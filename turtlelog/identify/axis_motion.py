@@ -42,7 +42,7 @@ _MEMORY_S: Final = 3.0
 """Time for which an earlier command matters [s]: the largest dead time plus 1.5 s of time
 constants."""
 
-_STANDING: Final = 0.02
+STANDING: Final = 0.02
 """Mean rate below which a robot is at rest, as a share of the largest command."""
 
 
@@ -171,7 +171,7 @@ def measure_axis_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, 
 def _stands(moved: Values, duration_s: Values, largest: float) -> bool:
     """Return whether a robot is at rest in some steps; False without steps."""
     total_s = float(duration_s.sum())
-    return total_s > 0.0 and abs(float(moved.sum())) <= _STANDING * largest * total_s
+    return total_s > 0.0 and abs(float(moved.sum())) <= STANDING * largest * total_s
 
 
 def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
@@ -216,8 +216,8 @@ _SILENCE_S: Final = 0.4
 """Shortest silence after which a robot may stop by itself [s]: mobile bases wait for at least 0.5
 s."""
 
-_LOOK_S: Final = 0.3
-"""Time before the end of a silence for which the robot must be at rest [s]."""
+LOOK_S: Final = 0.3
+"""Time for which a robot must be at rest before the end of a silence or a first command [s]."""
 
 _JOINED_S: Final = 0.1
 """Time over which rates are averaged [s]; otherwise noise of poses would hide the time of a
@@ -249,7 +249,7 @@ def find_silent_stops(
     if not len(command) or not len(moved):
         return []
     ends_s = np.append(command_s[1:], time_s[-1])
-    silent = np.flatnonzero((ends_s - command_s > _SILENCE_S + _LOOK_S) & (command != 0.0))
+    silent = np.flatnonzero((ends_s - command_s > _SILENCE_S + LOOK_S) & (command != 0.0))
     found = [
         _look_at_silence(
             float(command_s[row]), float(ends_s[row]), abs(float(command[row])), time_s, moved
@@ -265,7 +265,7 @@ def _look_at_silence(
     first, after = np.searchsorted(time_s, [begin_s, end_s])
     way = np.concatenate([[0.0], np.cumsum(moved[first : after - 1])])
     at_s = time_s[first:after]
-    last_s = at_s[-1] - _LOOK_S if len(at_s) else begin_s
+    last_s = at_s[-1] - LOOK_S if len(at_s) else begin_s
     if len(at_s) < 4 or last_s <= begin_s:
         return None
     before = np.interp(at_s - _JOINED_S, at_s, way)
@@ -273,7 +273,7 @@ def _look_at_silence(
     rate = np.abs(way - before)[is_whole] / _JOINED_S
     rate_s = at_s[is_whole] - 0.5 * _JOINED_S
     # The mean, because at a slow command noise of poses looks like motion.
-    left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / _LOOK_S
+    left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / LOOK_S
     largest = float(rate.max(initial=0.0))
     still_moves = left > min(_STOPPED * largest, _OBEYS * held)
     if not largest or still_moves or not _has_moved(way, way[at_s >= last_s], held):

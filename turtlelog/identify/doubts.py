@@ -143,8 +143,8 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     told = ", and between ".join(said)
     what = f" The response differs between {told}." if said else ""
     doubt = (
-        f"No model explains all of the {NAMES[found.axis]}.{what} The intervals are wider for that,"
-        " and advice uses the longer delay."
+        f"No model explains the {NAMES[found.axis]} completely.{what} The intervals are wider for"
+        " that, and advice uses the longer delay."
     )
     return replace(covered, doubts=(*found.doubts, doubt))
 

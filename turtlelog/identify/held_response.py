@@ -209,7 +209,7 @@ def limit_within(
     return integrate_commands(*np.array(rows).T)
 
 
-class Response(Protocol):
+class HeldResponse(Protocol):
     """The displacement of a robot with a gain of 1."""
 
     def place(self, time_s: Values) -> Any:

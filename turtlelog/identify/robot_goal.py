@@ -29,7 +29,7 @@ Part = tuple[dict[str, Any], list[str]]
 """Keys of the scenario, and sentences on them."""
 
 
-def list_places(run: Run) -> Part:
+def find_start_and_goal(run: Run) -> Part:
     """Return the start of a robot, and its goal."""
     x_m, y_m = run.poses.xy_m[0].tolist()
     heading_rad = float(run.poses.heading_rad[0])

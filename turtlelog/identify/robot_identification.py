@@ -152,8 +152,8 @@ def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
 
 def _note_one_size(model: AxisModel) -> str:
     return (
-        f"All commands of the {NAMES[model.axis]} have one size. The log does not show whether"
-        f" the gain holds for smaller ones, nor the largest {NAMES[model.axis]}."
+        f"All {NAMES[model.axis]} commands have the same magnitude. The log does not show"
+        f" whether smaller commands have the same gain, nor the largest {NAMES[model.axis]}."
     )
 
 
@@ -228,8 +228,9 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
     usual = float(np.median(beside))
     if usual and np.mean(np.abs(beside - usual) <= _ALIKE * usual) >= _MOSTLY:
         yield (
-            f"The {NAMES[model.axis]} is commanded with a {NAMES[other]} of {usual:.3g}"
-            f" {UNITS[other]} only. The log does not show whether its gain holds without."
+            f"Nearly all commands of the {NAMES[model.axis]} come together with a {NAMES[other]} of"
+            f" {usual:.3g} {UNITS[other]}. The log does not show the gain of the"
+            f" {NAMES[model.axis]} without this {NAMES[other]}."
         )
 
 

@@ -7,7 +7,7 @@ from html import escape
 from types import MappingProxyType
 from typing import Any, Final, Literal, SupportsFloat
 
-from turtlelog.display import fit_line, format_answer, format_html, join_words
+from turtlelog.display import fit_line, format_html, format_notebook, join_words
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.robot_structure import Bound, Order, Structure
@@ -351,7 +351,7 @@ class RobotModel:
     @property
     def brackets(self) -> str:
         """Meaning of the values in brackets, in words."""
-        return "intervals of 95 %" if self.tick_delays is None else "the least and the largest"
+        return "95 % intervals" if self.tick_delays is None else "the least and the largest"
 
     def __repr__(self) -> str:
         known = [axis.axis for axis in self.axes if axis.is_known]
@@ -362,45 +362,41 @@ class RobotModel:
     def _repr_html_(self) -> str:
 
         rows = [(*list_model_values(axis), axis.reason) for axis in self.axes]
-        answer = write_robot_headline(self.axes, ", ".join(self.files))
+        answer = " ".join(write_robot_headline(self.axes, ", ".join(self.files)))
         doubts = [f"<p>{escape(doubt)}</p>" for axis in self.axes for doubt in axis.doubts]
-        return format_answer(answer, format_html(rows, heads=(*HEADS, "")), *doubts)
+        return format_notebook(answer, format_html(rows, heads=(*HEADS, "")), *doubts)
 
 
 _WHOLE_MS: Final = 10.0
 """Width of an interval from which tenths of a millisecond are not printed [ms]."""
 
 
-def write_robot_headline(axes: Iterable[AxisModel], name: str) -> str:
-    """Return how each axis follows its commands: gain and delay, as text.
+def write_robot_headline(axes: Iterable[AxisModel], name: str) -> list[str]:
+    """Return how each axis follows its commands as sentences: delays, gains, and doubts.
 
     Args:
         axes: Axes of the robot.
         name: Name of the run from which the robot was identified.
     """
     axes = [*axes]
-    said = [
-        f"{NAMES[axis.axis]} {{}}{_write_bound(axis.bound)}with {_write_gain(axis.gain)}total delay"
-        f" {_write_delay(axis.total_delay_s)}"
+    delays = [
+        f"of the {NAMES[axis.axis]} {_write_delay(axis.total_delay_s)}"
         for axis in axes
         if axis.total_delay_s is not None
     ]
-    unknown = [NAMES[axis.axis] for axis in axes if not axis.is_known]
-    if not said:
-        return f"{name}: no axis could be identified."
-    rest = f" The {unknown[0]} could not be identified." if unknown else ""
+    if not delays:
+        return [f"{name}: no axis could be identified."]
+    said = [f"{name}: total delay {', '.join(delays)}."]
+    gains = [_write_gain(axis, axis.gain) for axis in axes if axis.gain is not None]
+    if gains:
+        said.append(f"Gain{'' if len(gains) == 1 else 's'}: {', '.join(gains)}.")
+    said += [
+        f"The {NAMES[axis.axis]} could not be identified." for axis in axes if not axis.is_known
+    ]
     doubted = [_write_doubted(axis) for axis in axes if axis.is_known and axis.doubts]
     if doubted:
-        rest += f" In doubt: {join_words(doubted)}."
-    words = ", ".join(
-        [said[0].format("follows its commands "), *(one.format("") for one in said[1:])]
-    )
-    return f"{name}: {words}.{rest}"
-
-
-def _write_bound(found: Estimate | None) -> str:
-    """Return the rate up to which an axis follows its commands; empty without a bound."""
-    return "" if found is None else f"up to its limit of {found.value:.3g} {found.unit} "
+        said.append(f"In doubt: {join_words(doubted)}.")
+    return said
 
 
 def _write_doubted(axis: AxisModel) -> str:
@@ -411,8 +407,11 @@ def _write_doubted(axis: AxisModel) -> str:
     return f"{NAMES[axis.axis]} (plan with {1e3 * delay_s:.0f} ms)"
 
 
-def _write_gain(found: Estimate | None) -> str:
-    return "" if found is None else f"gain {format_gain(found).partition(' ')[0]} and "
+def _write_gain(axis: AxisModel, gain: Estimate) -> str:
+    """Return the gain of an axis, and the rate up to which the axis follows its commands."""
+    bound = axis.bound
+    limit = "" if bound is None else f" up to its limit of {bound.value:.3g} {bound.unit}"
+    return f"{NAMES[axis.axis]} {format_gain(gain).partition(' ')[0]}{limit}"
 
 
 def _write_delay(found: Estimate) -> str:

@@ -13,7 +13,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
-from turtlelog.identify.robot_goal import DIGITS, Part, choose_tolerances, list_places
+from turtlelog.identify.robot_goal import DIGITS, Part, choose_tolerances, find_start_and_goal
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
 from turtlelog.plants import LAGGED
@@ -124,7 +124,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         _list_periods(runs),
         _list_limits(model, runs),
         _list_noise(model, runs),
-        list_places(runs[0]),
+        find_start_and_goal(runs[0]),
     )
     values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]

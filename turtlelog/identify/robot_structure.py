@@ -10,9 +10,9 @@ import numpy as np
 
 from turtlelog.identify.held_response import (
     HeldInput,
+    HeldResponse,
     LaggedResponse,
     MeanResponse,
-    Response,
     Values,
     integrate_commands,
     limit_changes,
@@ -137,7 +137,7 @@ class Structure:
         lag_s: float,
         extras: Sequence[float],
         beside: HeldInput | None = None,
-    ) -> Response:
+    ) -> HeldResponse:
         """Return the response to commands for a time constant and the further parameters.
 
         Args:

@@ -53,9 +53,10 @@ _SEEN: Final = 1.96
 interval excludes 0."""
 
 _PREDICTED: Final = 1.0
-"""Required decrease of the same for the predicted steps, with the uncertainty of the fitted ones:
-noise alone increases it by 0.7 on average, and decreases it so much in 1 of 27 robots. With 2.0,
-which noise never reached, limits are missed that a log just shows."""
+"""Required decrease of twice the negative log-likelihood for the predicted steps, with the
+uncertainty of the fitted ones. Noise alone increases this number by 0.7 on average, and decreases
+it by 1 in 1 of 27 robots. With 2.0, which noise never reached, limits are missed that a log just
+shows."""
 
 _STARTS_S: Final = (0.1, 0.5)
 """Durations of the largest change of the command at which the search for a limit starts [s]."""

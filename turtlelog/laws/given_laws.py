@@ -123,7 +123,7 @@ _LENT: Final[dict[str, tuple[bytes, int]]] = {}
 
 
 class WorkWithLaws(Generic[T, R]):
-    """Work for other processes, together with the laws of this session that the work needs.
+    """A function for other processes, together with the laws of this session that it needs.
 
     Attributes:
         work: Function of one item, which can be pickled.

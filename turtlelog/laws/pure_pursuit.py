@@ -23,8 +23,8 @@ class PurePursuitParameters:
     Attributes:
         lookahead_m: Distance from the robot to the path point for which it steers [m], > 0.
         speed_m_s: Speed along a path without a speed of its own [m/s], > 0.
-        kp_along: Gain of the error along the path [1/s], >= 0. The product is added to the speed of
-            the path, if it has one.
+        kp_along: Gain of the error along the path [1/s], >= 0. If the path has a speed of its own,
+            the gain times the error is added to this speed.
         end_tolerance_m: Distance from the end of a path within which the path is finished [m], > 0.
             Only for a path without a speed of its own.
     """

@@ -1,8 +1,7 @@
 """Gain schedule: gains from a table over the distance to the goal, or over the heading error."""
 
 import math
-from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Final, Literal, NoReturn
 
@@ -68,13 +67,6 @@ class GainSchedule:
         """Names of the gains that are scheduled."""
         return tuple(name for name in _list_gains(self) if getattr(self, name) is not None)
 
-    def compute_gains(self, place: float) -> Iterator[tuple[str, float]]:
-        """Yield the scheduled gains by name, at a distance [m] or a heading error [rad]."""
-        place, at = abs(place), self.at
-        after = bisect_right(at, place)
-        for name in self.gains:
-            yield name, _interpolate(at, getattr(self, name), place, after)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PIDGainSchedule(GainSchedule):
@@ -91,15 +83,6 @@ class PIDGainSchedule(GainSchedule):
     kd_angular: tuple[float, ...] | None = None
     ki_linear: tuple[float, ...] | None = None
     kd_linear: tuple[float, ...] | None = None
-
-
-def _interpolate(at: Sequence[float], values: Sequence[float], place: float, after: int) -> float:
-    """Return the interpolated value at a place; `after` is the first entry beyond this place."""
-    if after == 0 or after == len(at):
-        return values[min(after, len(at) - 1)]
-    before = after - 1
-    share = (place - at[before]) / (at[after] - at[before])
-    return values[before] + share * (values[after] - values[before])
 
 
 def _list_gains(schedule: GainSchedule) -> list[str]:

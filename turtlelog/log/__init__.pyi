@@ -6,7 +6,7 @@ from .any_file import (
 from .complete_files import (
     replace_when_complete as replace_when_complete,
 )
-from .engine import (
+from .engine.topic_columns import (
     TopicColumns as TopicColumns,
     iter_columns as iter_columns,
     read_columns as read_columns,

@@ -58,16 +58,7 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
 
 
 def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run":
-    with name_file(path, expected="a recording, a bag or a log"):
-        path.stat()
-        if path.suffix.lower() == ".toml":
-            raise LogError(
-                "a scenario or specification, not a recording; turtlelog run FILE.toml -o FILE.mcap"
-                " makes one of a scenario"
-            )
-        is_folder = path.is_dir()
-        has_tables = _may_hold_tables(path) and importers.holds_tables(path)
-    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not is_bag_file(path)
+    has_tables, is_log = _recognise(path)
     if names_topic and (has_tables or is_log):
         found = "tables" if has_tables else "a log"
         raise LogError(
@@ -90,7 +81,7 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     )
     is_usual = is_usual and all(one is None for one in others)
     # A file that should be a recording and is not MCAP gets an error that says so.
-    if is_usual or not (is_folder or is_bag_file(path)):
+    if is_usual or not (path.is_dir() or is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return _note_unused(_aim(path, own, choice), choice, "recording")
@@ -148,37 +139,28 @@ _MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, ROS1_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
-def read_file_info(
-    path: str | Path, choice: ReadChoice | None = None, *, allow_partial: bool = False
-) -> RecordingInfo:
+def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> RecordingInfo:
     """Return the contents of any file that `read_run` reads.
 
     Args:
         path: Path of the file. Logs are read completely; other files as by `read_info` and
             `read_bag_info`.
-        choice: Selection as for `read_run`; only the columns of tables are used.
-        allow_partial: See `read_info`.
+        choice: Selection as for `read_run`; only the columns of tables and `allow_partial` are
+            used.
 
     Raises:
         LogError: If the file cannot be read; one line with the file and the place.
     """
     path, topic = split_topic(path)
-    choice = choice or ReadChoice(allow_partial=allow_partial)
+    choice = choice or ReadChoice()
     if topic is not None:
         return _require_topic(read_file_info(path, choice), topic)
-    with name_file(path, expected="a recording, a bag or a log"):
-        path.stat()
-        if path.suffix.lower() == ".toml":
-            raise LogError(
-                "a scenario or specification, not a recording; turtlelog run FILE.toml -o FILE.mcap"
-                " makes one of a scenario"
-            )
-        is_folder = path.is_dir()
-        has_tables = _may_hold_tables(path) and importers.holds_tables(path)
-    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not is_bag_file(path)
+    has_tables, is_log = _recognise(path)
     if not has_tables and not is_log:
-        is_partial = choice.allow_partial
-        found = ros2.read_bag_info(path) if is_folder else read_info(path, allow_partial=is_partial)
+        if path.is_dir():
+            found = ros2.read_bag_info(path)
+        else:
+            found = read_info(path, allow_partial=choice.allow_partial)
         if found.format_version is None:
             return found  # what a bag does not use depends on its topics, which only reading shows
         unused = describe_unused(choice, "recording")
@@ -203,6 +185,25 @@ def read_file_info(
     )
 
 
+def _recognise(path: Path) -> tuple[bool, bool]:
+    """Return whether a file or folder contains exported tables, and whether it is a log of text.
+
+    Raises:
+        LogError: If there is no such file, or it is a scenario or a specification.
+    """
+    with name_file(path, expected="a recording, a bag or a log"):
+        path.stat()
+        suffix, is_folder = path.suffix.lower(), path.is_dir()
+        if suffix == ".toml":
+            raise LogError(
+                "a scenario or specification, not a recording; turtlelog run FILE.toml -o FILE.mcap"
+                " makes one of a scenario"
+            )
+        # Table readers are loaded only for what may contain tables.
+        has_tables = (suffix in LOG_SUFFIXES or is_folder) and importers.holds_tables(path)
+    return has_tables, suffix in LOG_SUFFIXES and not is_folder and not is_bag_file(path)
+
+
 def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
     """Return a run with a note on requested options that its file does not use."""
     unused = describe_unused(choice, kind, run.notes.get("command_topic", ""))
@@ -215,11 +216,6 @@ def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
         listed = ", ".join(found.topic for found in info.topics)[:300] or "none"
         raise LogError(f"{info.file}: expected a topic {topic}, found {listed}")
     return info
-
-
-def _may_hold_tables(path: Path) -> bool:
-    """Return whether a file or folder may contain tables, so that table readers must be loaded."""
-    return path.suffix.lower() in LOG_SUFFIXES or path.is_dir()
 
 
 def is_bag_file(path: Path) -> bool:

@@ -96,10 +96,8 @@ _USUAL: Final = {name: getattr(ReadChoice(), name) for name in ReadOptions.__ann
 """Options that are not given."""
 
 _OF_TABLES: Final = ("columns",)
-_OF_BAGS: Final = (
-    *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
-    *("time", "robot", "wheel_joints", "wheels", "wheelbase"),
-)
+_OF_EVERY_FILE: Final = ("goal", "allow_partial", "allow_no_poses")
+_OF_BAGS: Final = tuple(name for name in _USUAL if name not in {*_OF_TABLES, *_OF_EVERY_FILE})
 
 
 def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:

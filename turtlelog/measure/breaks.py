@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, join_words
-from turtlelog.measure.corrections import ACCELERATION, find_corrections, measure_steps
+from turtlelog.measure.corrections import ACCELERATION, LATE, find_corrections, measure_steps
 from turtlelog.measure.motion import GAP_STEPS
 from turtlelog.measure.outliers import (
     NEIGHBOURS,
@@ -246,10 +246,6 @@ def _find_far_steps(
     return is_far
 
 
-_LATE: Final = 1.5
-"""Ratio to the usual time from which a step lost poses: the robot may have stopped in it."""
-
-
 def _find_excess_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
     """Return the excess of steps over their neighbours: ahead and aside [m], turned [rad]."""
     steps = measure_steps(poses)
@@ -257,7 +253,7 @@ def _find_excess_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
     if len(step_ns) <= 2 * NEIGHBOURS:
         ahead_m, aside_m, turned_rad = (np.zeros(len(step_ns)) for _ in steps)
         return ahead_m, aside_m, turned_rad
-    is_late = step_ns > _LATE * compute_median(step_ns)
+    is_late = step_ns > LATE * compute_median(step_ns)
     ahead_m, aside_m, turned_rad = (_find_excess(step, step_ns, is_late) for step in steps)
     return ahead_m, aside_m, turned_rad
 

@@ -62,7 +62,7 @@ _OFF: Final = 2.5
 """Deviation of a mean rate from the median, in standard deviations, at which the mean contains
 another correction."""
 
-_LATE: Final = 1.5
+LATE: Final = 1.5
 """Duration of a step, in usual steps, from which poses were lost: the robot may have stopped in
 it."""
 
@@ -139,7 +139,7 @@ def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
         for count in _AVERAGED:
             if count == _AVERAGED[0] or count * usual_s <= _LONGEST_S:
                 found |= _find_by_means(motion, count)
-    return np.asarray(found & (np.diff(time_s) <= _LATE * usual_s))
+    return np.asarray(found & (np.diff(time_s) <= LATE * usual_s))
 
 
 def _measure_noise(steps: Values, step_s: Values) -> tuple[Values, Values]:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from turtlelog.display import (
     describe_count,
     fit_line,
-    format_answer,
-    format_details,
+    format_folded,
     format_html,
+    format_notebook,
     format_number,
 )
 from turtlelog.errors import CheckError, MeasureError, MissingValueError
@@ -258,7 +258,7 @@ class Metric(Numeric):
 
     def _repr_html_(self) -> str:
         value = self.lack if self.value is None else format_number(self.value, self.unit)
-        return format_answer(f"{self._describe()}: {value}")
+        return format_notebook(f"{self._describe()}: {value}")
 
 
 OPERATORS: Final[Mapping[str, Callable[[Any, Any], bool]]] = MappingProxyType(
@@ -361,9 +361,9 @@ class Metrics(_MetricMapping, Tabular):
         told.append(f"{known} of {describe_count(len(self), 'metric')} have a value")
         answer = f"{', '.join(told)}."
         if len(shown) in {0, len(self)}:
-            return format_answer(answer, _format_metrics_html(self.values()))
-        every = format_details(f"All {len(self)} metrics", _format_metrics_html(self.values()))
-        return format_answer(answer, _format_metrics_html(shown), every)
+            return format_notebook(answer, _format_metrics_html(self.values()))
+        every = format_folded(f"All {len(self)} metrics", _format_metrics_html(self.values()))
+        return format_notebook(answer, _format_metrics_html(shown), every)
 
 
 _ANSWERS: Final = ("final.position_error", "run.duration")

@@ -38,7 +38,6 @@ class Rates:
     """The rate of one axis over time; times count from time zero of the run.
 
     Attributes:
-        is_reported: Whether the robot reports the rates; otherwise they are differences of poses.
         time_s: Time of each value [s], shape (n,), strictly increasing.
         values: Rate [m/s or rad/s], shape (n,); backward and clockwise negative.
         edges_s: Boundaries of the intervals of `means` [s], shape (m + 1,).
@@ -46,7 +45,6 @@ class Rates:
         outliers: Number of values that were left out.
     """
 
-    is_reported: bool
     time_s: Values
     values: Values
     edges_s: Values
@@ -92,11 +90,10 @@ def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates
         if applied is None:
             return rates
         time_s = (poses.time_ns - run.start_ns) / 1e9
-        return replace(rates, is_reported=True, time_s=time_s, values=applied, outliers=0)
+        return replace(rates, time_s=time_s, values=applied, outliers=0)
     kept = np.delete(np.arange(len(poses)), find_outliers(poses.time_ns, reported))
     time_s, values = (poses.time_ns[kept] - run.start_ns) / 1e9, reported[kept]
     return Rates(
-        is_reported=True,
         time_s=time_s,
         values=values,
         edges_s=time_s,
@@ -149,7 +146,6 @@ def _difference_poses(run: Run, axis: Axis, spaced: SpacedPoses) -> Rates:
         means = means.copy()
         means[wrong] = (means[wrong - 1] + means[wrong + 1]) / 2.0
     return Rates(
-        is_reported=False,
         time_s=np.delete(middle_s, wrong) if len(wrong) else middle_s,
         values=np.delete(means, wrong) if len(wrong) else means,
         edges_s=edges_s,
@@ -190,7 +186,7 @@ class HeldCommands:
 
 
 def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Values]:
-    """Return commands with the plant's watchdog stop before late commands and at the end."""
+    """Return commands with a 0 at each time at which the plant's watchdog stops the robot."""
     late = np.append(subtract_neighbours(time_s) > holds_s, np.isfinite(holds_s))
     rows = np.flatnonzero(late) + 1
     stops_s = time_s[late] + holds_s

@@ -37,7 +37,7 @@ class CommandStretch:
         values: Commands [rad/s or m/s], shape (m,).
         wanted: Commands before clipping, shape (m,); None if not recorded.
         limit: Magnitude at which commands are clipped; None if not recorded.
-        end_s: End of the last command's hold, from the first sample of the run [s].
+        end_s: Time until which the last command is held, from the first sample of the run [s].
         answered_ns: Time when each pose was answered [ns], shape (m,).
     """
 

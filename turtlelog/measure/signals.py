@@ -14,8 +14,8 @@ from turtlelog.display import (
     NamedValues,
     describe_count,
     fit_line,
-    format_answer,
     format_curve_svg,
+    format_notebook,
     format_number,
 )
 from turtlelog.errors import MeasureError, describe_unknown
@@ -134,7 +134,7 @@ class Signal:
         rows = np.unique(np.linspace(0, max(0, len(self) - 1), _MOST_SHOWN).astype(int))
         curve = self.values[rows] if len(self) else self.values
         picture = format_curve_svg(curve.tolist(), label=f"{self.name} over time")
-        return format_answer(f"{self.name}: {self._describe()}. {self.kind.meaning}", picture)
+        return format_notebook(f"{self.name}: {self._describe()}. {self.kind.meaning}", picture)
 
 
 _MOST_SHOWN: Final = 400

@@ -61,8 +61,9 @@ class TurtleState:
         applied_turn_rate: Turn rate in the last step [rad/s].
         idle_ns: Time since the turtle took a command [ns].
         hit_wall: Whether the last step clamped the position to the world.
-        keeps_32_bits: Whether each step rounds the heading to 32 bits, before wrapping and after
-            it: before Humble, `normalizeAngle` took and returned a `float`.
+        keeps_32_bits: Whether each step rounds the heading to 32 bits twice: before and after
+            wrapping. Releases older than Humble do this, because their `normalizeAngle` takes and
+            returns a `float`.
         along: Direction of the heading.
     """
 

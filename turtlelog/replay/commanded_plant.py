@@ -1,6 +1,7 @@
 """Recorded commands that drive a plant: alone, or through the robot model of the scenario."""
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,14 +9,18 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line, format_short
 from turtlelog.errors import ReplayError
-from turtlelog.plants import PLANTS, find_plant
-from turtlelog.plants.kinds import read_plant
+from turtlelog.parts import NEVER_NS
+from turtlelog.plants import find_plant
+from turtlelog.plants.kinds import PLANTS, read_plant
 from turtlelog.replay.plant_ticks import Gap
 from turtlelog.replay.run_pairs import has_all_commands, has_ticks
 from turtlelog.replay.taken_commands import CommandUse
 from turtlelog.run import CommandColumns, PoseColumns, Run
-from turtlelog.scenario import Scenario, Start, flatten_scenario, restore_scenario
-from turtlelog.simulate.driven import DrivenPlant, State, list_plant_commands
+from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
+from turtlelog.simulate import loop
+from turtlelog.simulate.plain_loop import PlainLoop, describe_runaway
+from turtlelog.simulate.rows import SampleRow, TickRow
+from turtlelog.simulate.streams import DrawnEvents, list_streams
 
 _MOST_S = 3600.0
 """Longest simulated time [s], as for a replay in closed loop."""
@@ -73,14 +78,12 @@ def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
     if math.isfinite(plant.watchdog_ns):
         end_ns += int(plant.watchdog_ns) + plant.period_ns
     ticks = -(-end_ns // plant.period_ns)
-    drive = DrivenPlant(scenario)
-    given = [
-        (at_ns - origin_ns, speed, rate) for at_ns, speed, rate in list_plant_commands(commands)
-    ]
+    drive = _DrivenPlant(scenario)
+    given = [(at_ns - origin_ns, speed, rate) for at_ns, speed, rate in _list_commands(commands)]
     published_ns = commands.time_ns - origin_ns
     # A tick owns the time up to the next: what is published then leaves after its pose.
     bounds = np.searchsorted(published_ns, np.arange(1, ticks + 2) * plant.period_ns).tolist()
-    states: list[State] = []
+    states: list[_State] = []
     put = 0
     for tick in range(ticks + 1):
         for _ in drive.visit(tick):
@@ -164,7 +167,7 @@ def drive_lagged(run: Run) -> LaggedPoses:
     """
     _require_whole(run)
     scenario, plant = restore_scenario(run), find_plant(run)
-    drive, commands = DrivenPlant(scenario), list_plant_commands(run.commands)
+    drive, commands = _DrivenPlant(scenario), _list_commands(run.commands)
     published_ns = run.commands.time_ns
     ticks = run.poses.time_ns // plant.period_ns
     last = int(ticks[-1])
@@ -227,8 +230,8 @@ def sense_driven(
     origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
     sensing = replace(scenario.sensing, dropout_probability=0.0)
     scenario = replace(scenario, start=origin, sensing=sensing)
-    drive, given = DrivenPlant(scenario), list_plant_commands(commands)
-    states: list[State] = []
+    drive, given = _DrivenPlant(scenario), _list_commands(commands)
+    states: list[_State] = []
     ticks = np.arange(-(-int(time_ns[-1]) // period_ns) + 1) * period_ns
     visits = np.searchsorted(time_ns, ticks, side="right").tolist()
     puts = np.searchsorted(commands.time_ns, ticks + period_ns).tolist()
@@ -264,3 +267,110 @@ def _require_whole(run: Run) -> None:
             if len(run.samples)
             else f"{run.name}: no commands {expected}"
         )
+
+
+_State = tuple[float, float, float, float, float]
+"""_State: x, y [m], heading [rad], magnitude of the velocity [m/s], turn rate [rad/s]."""
+
+
+class _DrivenPlant:
+    """The plant of a scenario with its transport, disturbances and sensing.
+
+    Attributes:
+        taken: Number of commands that the plant took so far; a duplicated command counts once.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Start at the scenario's start, on the clock of its plant."""
+        made = PlainLoop(replace(scenario, law=LawChoice()))
+        self._settings, self._state, self._rows = made.settings, made.state, made.rows
+        self._parts, self._now, self.taken = made.parts, made.now, 0
+        # Separate numbers, because poses may be sensed after all ticks, with numbers of their own.
+        drawn = DrawnEvents(scenario.seed, list_streams(scenario), ticks=True)
+        self._sensed_rows = replace(made.rows, drawn_ticks=drawn)
+        self._last = -1
+        self._acts_in_steps = PLANTS[scenario.plant.kind].acts_in_steps
+
+    def put(self, tick: int, time_ns: int, speed: float, turn_rate: float) -> None:
+        """Publish a command in a tick, at a time [ns], with speed [m/s] and turn rate [rad/s]."""
+        number = self._now.samples
+        row = self._rows.samples[number] = SampleRow()
+        row.sequence, row.published_ns = number, time_ns
+        row.speed_m_s, row.turn_rate_rad_s = speed, turn_rate
+        self._now.samples += 1
+        loop.publish(self._settings, self._state, self._rows, self._parts, tick, number)
+
+    def visit(self, tick: int, times_ns: Sequence[int] = ()) -> Iterator[_State]:
+        """Yield the states at times since the previous tick; advance to the time of the tick [ns].
+
+        Raises:
+            SimulationError: If the plant diverges.
+        """
+        scene, until_ns = self._settings.scene, tick * self._settings.scene.period_ns
+        since_ns = until_ns - scene.period_ns
+        self._hold(tick, since_ns, until_ns)
+        times, at_ns = list(times_ns), since_ns
+        is_pushed = scene.is_pushed and (tick > 0 or self._acts_in_steps)
+        if is_pushed and self._acts_in_steps:
+            at_ns = until_ns
+        while is_pushed and at_ns <= until_ns:
+            self._push(tick, at_ns)
+            before_ns, at_ns = at_ns, self._find_next_push(tick, at_ns)
+            while times and times[0] < min(at_ns, until_ns) and times[0] >= before_ns:
+                yield self._move_to(times.pop(0))
+            if self._acts_in_steps or at_ns >= until_ns:
+                break
+        for time_ns in times:
+            yield self._move_to(time_ns)
+        self._move_to(until_ns)
+
+    def read(self) -> _State:
+        """Return the present state of the plant."""
+        state: _State = self._parts.read(self._state.plant)
+        return state
+
+    def sense(self, number: int, pose: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return the sensed pose for a pose, by its number."""
+        row = TickRow(*pose)
+        loop.sense(self._settings, self._state, self._sensed_rows, self._parts, row, number)
+        return row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad
+
+    def _hold(self, tick: int, since_ns: int, until_ns: int) -> None:
+        """Pass arriving commands on to the plant."""
+        settings, state, rows, parts = self._settings, self._state, self._rows, self._parts
+        scene, now = settings.scene, self._now
+        if scene.acts_on_arrival:
+            first = now.commands_arrived
+            loop.hold_arrived(settings, state, rows, parts, until_ns)
+            numbers = range(first, now.commands_arrived)
+            self.taken += sum(rows.samples[number].arrivals > 0 for number in numbers)
+            return
+        until = until_ns + scene.causal_ns if scene.is_timed else tick
+        sample = loop.take(settings, now, rows, until)
+        if sample >= 0:
+            row = rows.samples[sample]
+            parts.hold(settings, state.plant, rows, since_ns, row.speed_m_s, row.turn_rate_rad_s)
+            # Commands keep their order, so duplicates are consecutive.
+            self.taken += sample != self._last
+            self._last = sample
+
+    def _push(self, tick: int, at_ns: int) -> None:
+        loop.push_at(self._settings, self._state, self._rows, self._parts, tick, at_ns)
+
+    def _find_next_push(self, tick: int, at_ns: int) -> int:
+        never = NEVER_NS
+        found: int = self._parts.next_push(
+            self._settings, self._state, self._rows, tick, at_ns, never
+        )
+        return found
+
+    def _move_to(self, time_ns: int) -> _State:
+        if not self._parts.move(self._settings, self._state.plant, self._rows, time_ns):
+            raise describe_runaway(time_ns, self.read())
+        return self.read()
+
+
+def _list_commands(commands: CommandColumns) -> list[tuple[int, float, float]]:
+    """Return time [ns], speed [m/s] and turn rate [rad/s] of commands."""
+    columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
+    return [*zip(*(column.tolist() for column in columns), strict=True)]

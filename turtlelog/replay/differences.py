@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_answer, format_html, show_angle
+from turtlelog.display import format_html, format_notebook, show_angle
 from turtlelog.errors import ReplayError
 from turtlelog.run.angles import wrap_angle
 
@@ -168,4 +168,4 @@ def format_replay_html(
     ]
     heads = ("signal", "unit", "largest difference", "rows that differ", "of")
     table = format_html(rows, heads=heads) if rows else ""
-    return format_answer(f"{name}: {describe_replay(samples, first)}.", table)
+    return format_notebook(f"{name}: {describe_replay(samples, first)}.", table)

@@ -6,6 +6,8 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog import arithmetic
+
 _TURN_RAD = 2.0 * math.pi
 
 
@@ -25,11 +27,7 @@ def wrap_angle(angle_rad: float | NDArray[np.float64]) -> float | NDArray[np.flo
         wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
         inside = (angle_rad >= -np.pi) & (angle_rad < np.pi)
         return np.asarray(np.where(inside, angle_rad, wrapped))
-    if -math.pi <= angle_rad < math.pi:
-        return angle_rad
-    rest = math.fmod(angle_rad, _TURN_RAD)
-    rest -= _TURN_RAD * math.floor((rest + math.pi) / _TURN_RAD)
-    return -math.pi if rest >= math.pi else rest
+    return arithmetic.wrap_angle(angle_rad)
 
 
 @overload

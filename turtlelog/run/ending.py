@@ -11,8 +11,17 @@ if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
 _REACHED: Final = "within_tolerance"
-_MISSED: Final = ("standstill", "settled", "timeout", "max_duration")
-"""Stop reasons of built-in laws in runs that do not reach the goal."""
+_MISSED: Final = (_REACHED, "standstill", "settled", "timeout", "max_duration")
+"""Stop reasons of built-in laws in runs that do not reach the goal; `within_tolerance` of a law
+that reads late or wrong poses."""
+
+_CORNER: Final = math.sqrt(2.0)
+"""Largest distance of a law's own end as a multiple of the position tolerance: x and y are each
+within the tolerance."""
+
+_STAYS_S: Final = 1.0
+"""Time for which a robot that a time limit stops must stay within the tolerances at its last speed
+[s]. A faster robot passes its goal."""
 
 _SMALL: Final = 0.01
 """Share of the error below which a part of it, across or along the line to the goal, is left out:
@@ -80,12 +89,12 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
     if run.goal_xy_m is None or not run.declaration.uses_goal or not len(run.poses):
         return None
     error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), _allow(run)
-    # A law that reads other poses than the robot's stops where it believes the goal to be.
-    is_seen = run.poses.sensed_xy_m is None
-    is_own_end = run.stop_reason == _REACHED and is_seen
-    turned_rad = None if is_own_end or error_m > allowed_m else _find_turned(run)
+    # A law that reads late or wrong poses stops where it believes the goal to be.
+    is_own_end = run.stop_reason == _REACHED and error_m <= _CORNER * allowed_m
+    is_within = is_own_end or (error_m <= allowed_m and _stays(run, error_m, allowed_m))
+    turned_rad = None if is_own_end or not is_within else _find_turned(run)
     verdict: Literal["reached", "missed", "ended"] = "ended"
-    if is_own_end or (error_m <= allowed_m and turned_rad is None):
+    if is_within and turned_rad is None:
         verdict = "reached"
     elif error_m > allowed_m and run.stop_reason in _MISSED and allowed_m:
         verdict = "missed"
@@ -99,6 +108,15 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
         duration_s=run.duration_s,
         turned_rad=turned_rad,
     )
+
+
+def _stays(run: "Run", error_m: float, allowed_m: float) -> bool:
+    """Return whether a robot stopped by a time limit would stay within the tolerances."""
+    if run.stop_reason in {_REACHED, "standstill", "settled"} or len(run.poses) < 2:
+        return True
+    moved_m = math.dist(*run.poses.xy_m[-2:])
+    lasted_s = float(run.poses.time_ns[-1] - run.poses.time_ns[-2]) / 1e9
+    return error_m + moved_m / lasted_s * _STAYS_S <= allowed_m if lasted_s > 0.0 else True
 
 
 def _find_turned(run: "Run") -> float | None:

@@ -5,6 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import CURVE_COLOUR
+
 _SIDE: Final = 220.0
 _ROOM: Final = 12.0
 """Size of the picture, and margin around the path [pixels]."""
@@ -42,13 +44,13 @@ def format_path_svg(xy_m: NDArray[np.float64], goal_xy_m: tuple[float, float] | 
     (left, top), (right, bottom) = way[0], way[-1]
     square = f'width="{_MARK:g}" height="{_MARK:g}" fill="currentColor"'
     marks = f'<rect x="{left - _MARK / 2}" y="{top - _MARK / 2}" {square}/>'
-    marks += f'<circle cx="{right}" cy="{bottom}" r="4" fill="#0082cc"/>'
+    marks += f'<circle cx="{right}" cy="{bottom}" r="4" fill="{CURVE_COLOUR}"/>'
     if goal_xy_m is not None:
         ((x, y),) = place(np.array([goal_xy_m]))
         cross = f"M{x - 5},{y - 5}L{x + 5},{y + 5}M{x - 5},{y + 5}L{x + 5},{y - 5}"
         marks += f'<path d="{cross}" stroke="currentColor" stroke-width="2"/>'
     points = " ".join(f"{x},{y}" for x, y in way)
-    line = f'<polyline points="{points}" fill="none" stroke="#0082cc" stroke-width="1.5"/>'
+    line = f'<polyline points="{points}" fill="none" stroke="{CURVE_COLOUR}" stroke-width="1.5"/>'
     side = f'width="{_SIDE:g}" height="{_SIDE:g}"'
     label = 'role="img" aria-label="path from the start (square) to the end (dot)"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {side} {label}>{line}{marks}</svg>'

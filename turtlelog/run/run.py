@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.display import describe_count, fit_line, format_answer, format_html
+from turtlelog.display import describe_count, fit_line, format_html, format_notebook
 from turtlelog.errors import PathError, RunError
 from turtlelog.run.columns import (
     Clock,
@@ -372,7 +372,7 @@ class Run:
             ("not recorded", ", ".join(self.absent) or "nothing"),
         ]
         picture = format_path_svg(self.poses.xy_m, self.goal_xy_m) if len(self.poses) else ""
-        return format_answer(self._describe_end(), picture, format_html(rows))
+        return format_notebook(self._describe_end(), picture, format_html(rows))
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
         """Return the phases in order; the time without samples after a phase is the phase `pause`.
@@ -424,18 +424,18 @@ def require_run(run: object, name: str = "run") -> None:
     raise RunError(f"{name}: expected a Run, found {run!r:.60}{advice}")
 
 
-def list_runs(runs: object, name: str = "runs") -> list[Run]:
+def list_runs(runs: object) -> list[Run]:
     """Return one run, or the runs of any iterable, as a list.
 
     Raises:
         RunError: If an item is not a run.
     """
     if isinstance(runs, str | os.PathLike) or not isinstance(runs, Iterable):
-        require_run(runs, name)
+        require_run(runs, "runs")
         runs = [runs]
     listed = [*runs]
     for number, run in enumerate(listed):
-        require_run(run, f"{name}[{number}]")
+        require_run(run, f"runs[{number}]")
     return listed
 
 

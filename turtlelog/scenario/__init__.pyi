@@ -4,9 +4,15 @@ from .dotted_keys import (
     nest_parameters as nest_parameters,
 )
 from .model import (
+    Disturbance as Disturbance,
     LawChoice as LawChoice,
     LawTable as LawTable,
+    Limits as Limits,
+    LoopSettings as LoopSettings,
+    PlantChoice as PlantChoice,
     Scenario as Scenario,
+    Sensing as Sensing,
+    Shaping as Shaping,
     Start as Start,
     Target as Target,
 )
@@ -19,23 +25,14 @@ from .overrides import (
     replay_commands as replay_commands,
     unwrap_number as unwrap_number,
 )
+from .presets import PAPER_RUNS as PAPER_RUNS, PRESETS as PRESETS
 from .scenario_file import (
-    PAPER_RUNS as PAPER_RUNS,
-    PRESETS as PRESETS,
     format_scenario as format_scenario,
     get_preset as get_preset,
     iterate_paper_runs as iterate_paper_runs,
     load_scenario as load_scenario,
     parse_scenario as parse_scenario,
     read_scenario as read_scenario,
-)
-from .scenario_tables import (
-    Disturbance as Disturbance,
-    Limits as Limits,
-    LoopSettings as LoopSettings,
-    PlantChoice as PlantChoice,
-    Sensing as Sensing,
-    Shaping as Shaping,
 )
 from .table_conversion import (
     build_scenario as build_scenario,

@@ -1,29 +1,153 @@
 """Scenario: everything that determines a run, frozen and typed."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, make_dataclass
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar, cast
 
 from msgspec import Meta
 
-from turtlelog.display import fit_line, format_answer, format_details, format_html
+from turtlelog.display import fit_line, format_folded, format_html, format_notebook
 from turtlelog.effects import EFFECTS
-from turtlelog.errors import ScenarioError
+from turtlelog.errors import ParameterError, ScenarioError
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
-from turtlelog.parts import Effect, Place, absent
-from turtlelog.plants.turtlesim import SPAWN_XY_M
+from turtlelog.parts import Effect, Place, Plant, absent
+from turtlelog.plants.kinds import PLANTS
+from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
 from turtlelog.run.paths import Path
 from turtlelog.scenario.dotted_keys import DEFAULT_LAW
-from turtlelog.scenario.scenario_tables import (
-    Disturbance,
-    Limits,
-    LoopSettings,
-    PlantChoice,
-    Sensing,
-    Shaping,
-)
+
+_OPTIONS: Final[Any] = {"frozen": True, "slots": True, "kw_only": True}
+
+
+class _Table:
+    """A table whose keys are those of parts."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+        __dataclass_fields__: ClassVar[dict[str, Any]]
+
+        def __init__(self, **values: Any) -> None: ...
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+_AnyTable = TypeVar("_AnyTable", bound=_Table)
+
+
+def _take_keys(table: str) -> Callable[[type[_AnyTable]], type[_AnyTable]]:
+    """Return the class decorator that makes a dataclass of the effects' keys in a table.
+
+    The keys that files always contain come first.
+    """
+
+    def build(kind: type[_AnyTable]) -> type[_AnyTable]:
+        keys = [
+            one for part in EFFECTS if table in part.tables for one in fields(part.tables[table])
+        ]
+        keys.sort(key=lambda one: ABSENT_BY_DEFAULT.keys() <= one.metadata.keys())
+        return _build_table(
+            kind,
+            [
+                (one.name, one.type, field(default=one.default, metadata=one.metadata))
+                for one in keys
+            ],
+        )
+
+    return build
+
+
+def _take_plant_keys(kind: type[_AnyTable]) -> type[_AnyTable]:
+    """Return a dataclass of the keys of all kinds of plant."""
+    kinds: Any = Literal.__getitem__(tuple(PLANTS))
+    keys: dict[str, Any] = {"kind": ("kind", kinds, field(default=TURTLESIM.name))}
+    for part in PLANTS.values():
+        for one in fields(part.Keys):
+            default = field(default=None, metadata=one.metadata)
+            keys.setdefault(one.name, (one.name, cast("type[Any]", one.type) | None, default))
+    return _build_table(kind, keys.values())
+
+
+def _build_table(kind: type[_AnyTable], keys: Iterable[tuple[Any, ...]]) -> type[_AnyTable]:
+    made: Any = make_dataclass(kind.__name__, keys, bases=(kind,), **_OPTIONS)
+    made.__doc__, made.__module__ = kind.__doc__, __name__
+    return cast("type[_AnyTable]", made)
+
+
+@_take_keys("loop")
+class LoopSettings(_Table):
+    """Settings between plant and controller: the table `[loop]`."""
+
+    __slots__ = ()
+
+
+@_take_keys("limits")
+class Limits(_Table):
+    """Limits of the controller's commands: the table `[limits]`."""
+
+    __slots__ = ()
+
+
+@_take_keys("sensing")
+class Sensing(_Table):
+    """Effects between the plant's pose and the pose that is read: the table `[sensing]`."""
+
+    __slots__ = ()
+
+
+@_take_keys("shaping")
+class Shaping(_Table):
+    """Effects on the wanted commands before the limits: the table `[shaping]`."""
+
+    __slots__ = ()
+
+
+@_take_keys("disturbance")
+class Disturbance(_Table):
+    """Disturbances of the plant's rates, after its lag: the table `[disturbance]`."""
+
+    __slots__ = ()
+
+
+@_take_plant_keys
+class PlantChoice(_Table):
+    """The plant: the table `[plant]`.
+
+    The table has the keys of all kinds of plant. A missing key of the plant's own kind gets its
+    default, or stays None if files omit this key. A key of another kind is an error.
+    """
+
+    __slots__ = ()
+
+    kind: str
+
+    def __post_init__(self) -> None:
+        own = {
+            one.name: None if ABSENT_BY_DEFAULT.keys() <= one.metadata.keys() else one.default
+            for one in fields(PLANTS[self.kind].Keys)
+        }
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name in own and value is None:
+                object.__setattr__(self, one.name, own[one.name])
+            elif one.name != "kind" and one.name not in own and value is not None:
+                expected = f"none, for kind is {self.kind}"
+                raise ParameterError(f"{one.name}: expected {expected}, found {value!r}")
+
+    @property
+    def keys(self) -> Any:
+        """The keys of the plant's kind."""
+        kind = PLANTS[self.kind].Keys
+        given = {one.name: getattr(self, one.name) for one in fields(kind)}
+        return kind(**{name: value for name, value in given.items() if value is not None})
+
+    @property
+    def facts(self) -> Plant:
+        """The properties of the plant that the loop needs."""
+        return PLANTS[self.kind].find_facts(self.keys)
+
 
 # No more than a turn either way: more is most likely meant in degrees.
 Heading = Annotated[float, Meta(ge=-2.0 * math.pi, le=2.0 * math.pi)]
@@ -144,9 +268,9 @@ class Scenario:
 
         keys = flatten_scenario(self)
         law = [(key, value) for key, value in keys.items() if key.startswith("law.")]
-        every = format_details(f"All {len(keys)} keys", format_html([*keys.items()]))
+        every = format_folded(f"All {len(keys)} keys", format_html([*keys.items()]))
         goal = f"to ({self.goal.x_m:g}, {self.goal.y_m:g}) m"
-        return format_answer(f"{self.name}: {self.law.kind} {goal}", format_html(law), every)
+        return format_notebook(f"{self.name}: {self.law.kind} {goal}", format_html(law), every)
 
 
 def require_scenario(scenario: object) -> None:

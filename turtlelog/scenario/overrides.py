@@ -1,5 +1,6 @@
 """Changing a scenario by dotted keys: `law.kp_linear=4`."""
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -256,7 +257,11 @@ def _parse_value(text: str) -> Any:
     try:
         return parse_toml(f"value = {text}")["value"]
     except ValueError:
-        return text
+        return float(text) if _SHORT_NUMBER.fullmatch(text) else text
+
+
+_SHORT_NUMBER: Final = re.compile(r"[+-]?(\d+\.|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+"""Numbers that TOML refuses, but people type: `.5` and `5.`."""
 
 
 def _name_goal(xy_m: tuple[float, float]) -> dict[str, float]:

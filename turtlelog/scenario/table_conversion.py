@@ -247,7 +247,7 @@ def describe_unknown_key(key: str, known: list[str]) -> str:
 
 
 def _list_unknown(run: Run) -> str:
-    """Return keys that a run lacks, those of the law first, and the number of keys not listed."""
+    """Return keys that a run lacks, the law's keys first, and the number of keys not listed."""
     keys = sorted(flatten_scenario(Scenario()).keys() - run.parameters.keys())
     keys.sort(key=lambda key: not key.startswith("law."))
     return f"{', '.join(keys[:4])} and {len(keys[4:])} more"

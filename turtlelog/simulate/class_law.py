@@ -229,7 +229,7 @@ def _read_array(found: Any) -> Decision:
 
 
 def read_decision(found: object) -> Decision:
-    """Return a decision with plain numbers.
+    """Return the answer of a law as a `Decision` with numbers of Python, not of numpy.
 
     Raises:
         SimulationError: If the answer is not a decision, or one of its numbers is invalid.

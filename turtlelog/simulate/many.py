@@ -19,7 +19,7 @@ from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops, is_kept
+from turtlelog.simulate.compiled.compiled_code import CompiledCode, is_kept
 from turtlelog.simulate.compiled.compiled_run import CompiledRunner
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
@@ -79,8 +79,8 @@ class ManyRuns(Iterator[Simulated]):
         self._waiting: deque[Simulated | Future[Simulated]] = deque()
         self._pool: ThreadPoolExecutor | None = None
         self._local, self._counting = threading.local(), threading.Lock()
-        self._compared: set[CompiledLoops] = set()
-        self._noted: set[CompiledLoops] = set()
+        self._compared: set[CompiledCode] = set()
+        self._noted: set[CompiledCode] = set()
 
     def __iter__(self) -> "ManyRuns":
         return self
@@ -116,7 +116,7 @@ class ManyRuns(Iterator[Simulated]):
             self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="simulate")
         return self._pool.submit(self._compile, loop, scenario, plant)
 
-    def _compile(self, loop: CompiledLoops, scenario: Scenario, plant: Plant) -> Simulated:
+    def _compile(self, loop: CompiledCode, scenario: Scenario, plant: Plant) -> Simulated:
         if not hasattr(self._local, "runner"):
             self._local.runner = CompiledRunner(self._step_budget_s)
         run: Run | None = None
@@ -132,7 +132,7 @@ class ManyRuns(Iterator[Simulated]):
         return self._simulate(scenario, plant) if run is None else run
 
     def _simulate_both_ways(
-        self, loop: CompiledLoops, scenario: Scenario, plant: Plant
+        self, loop: CompiledCode, scenario: Scenario, plant: Plant
     ) -> Simulated:
         """Simulate a user law in ordinary Python and compiled, and record a difference as a note.
 
@@ -150,7 +150,7 @@ class ManyRuns(Iterator[Simulated]):
             self.notes += describe_difference(scenario.law.kind, found, again)
         return again
 
-    def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledLoops | None) -> Simulated:
+    def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledCode | None) -> Simulated:
         """Simulate in Python, and decide whether a compiled loop is worth loading for others."""
         with self._counting:
             self.interpreted += 1
@@ -162,7 +162,7 @@ class ManyRuns(Iterator[Simulated]):
             self._note_problem(scenario, loop)
         return found
 
-    def _note_problem(self, scenario: Scenario, loop: CompiledLoops) -> None:
+    def _note_problem(self, scenario: Scenario, loop: CompiledCode) -> None:
         with self._counting:
             if loop.problem is not None and loop not in self._noted:
                 self._noted.add(loop)
@@ -176,9 +176,9 @@ class ManyRuns(Iterator[Simulated]):
 
 
 @cache
-def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoops:
+def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledCode:
     """Return the loop of a law and a plant, which is compiled when the work justifies this."""
-    return CompiledLoops(
+    return CompiledCode(
         partial(_load, law, plant, states),
         partial(_is_kept, law, plant, states),
         cost_s=COST_S,
@@ -204,7 +204,7 @@ def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
         return False
 
 
-def find_loop(scenario: Scenario, plant: Plant) -> CompiledLoops | None:
+def find_loop(scenario: Scenario, plant: Plant) -> CompiledCode | None:
     """Return the compiled loop for a scenario with a resolved law; None if there is none."""
     law = find_law(scenario.law.kind)
     if not isinstance(law, LawPart) or (law.needs_path and scenario.path is None):

@@ -251,7 +251,7 @@ class PlainLoop:
                 self._forget()
 
     def _end_failed(self, failure: SimulationError | None) -> SimulationError:
-        """End the run; return the failure of the law, or that of its numbers."""
+        """End the run; return the failure of the law, or of the law's numbers."""
         if self.now.failure != 0:
             failure = self._describe_numbers()
         assert failure is not None
@@ -263,7 +263,7 @@ class PlainLoop:
         return tuple([self.take_states(sample.sequence) for sample in computed])
 
     def answer_pose(self, time_ns: int, number: int, pose: Pose) -> SampleRow:
-        """Return the sample for a pose that is not a result of this loop's motion.
+        """Return the sample for a pose from outside, such as a recorded pose; no plant moves.
 
         Raises:
             SimulationError: If the law fails or gives an invalid answer.

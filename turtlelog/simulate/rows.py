@@ -42,8 +42,8 @@ class Scene:
         end_ns: End of the run plus 1 [ns].
         timer_ns: Period of the controller's timer [ns]; 0: the controller answers poses.
         first_s: Time before the first sample [s].
-        causal_ns: Time after a pose within which an arriving command counts for the pose's step
-            [ns].
+        causal_ns: Offset from the end of a step to the time before which a command must arrive to
+            act in this step [ns]: 0 for turtlesim, 1 minus the period for a robot model.
         start_backlog: Number of poses before the first answer.
         is_exact: Whether poses are published in 64 bits.
         newest_only: Whether the plant takes only the newest command, and drops the others.
@@ -125,7 +125,6 @@ class Progress:
         blocked: Sample whose command waits while the law blocks; -1: no sample.
         free_at: End of the block.
         last_ns: Time of the last answer [ns]; -1: no answer so far.
-        phase_ended: Phase ended by the last sample; -1: no phase.
         poses_first: First pose that may be in the queue.
         poses_count: Number of poses in the queue.
         poses_arrived: First pose that may be on its way.
@@ -158,7 +157,6 @@ class Progress:
     blocked: int = -1
     free_at: int = 0
     last_ns: int = -1
-    phase_ended: int = -1
     poses_first: int = 0
     poses_count: int = 0
     poses_arrived: int = 0

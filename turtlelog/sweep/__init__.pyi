@@ -1,17 +1,8 @@
 from . import tune as tune
-from .file_table.find_recordings import (
+from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
     is_one_recording as is_one_recording,
-)
-from .file_table.recordings import (
-    RecordingTable as RecordingTable,
-    TabulatedFiles as TabulatedFiles,
-    describe_former as describe_former,
-    describe_values as describe_values,
-    hash_recording as hash_recording,
-    plan_metric_table as plan_metric_table,
-    tabulate_recordings as tabulate_recordings,
 )
 from .gain_borders import (
     Border as Border,
@@ -51,6 +42,15 @@ from .sweep_scenario import (
     read_table_results as read_table_results,
     sweep_scenario as sweep_scenario,
 )
+from .table.recording_table import (
+    RecordingTable as RecordingTable,
+    TabulatedFiles as TabulatedFiles,
+    describe_former as describe_former,
+    describe_values as describe_values,
+    hash_recording as hash_recording,
+    plan_metric_table as plan_metric_table,
+    tabulate_recordings as tabulate_recordings,
+)
 from .table.result_table import (
     ResultColumn as ResultColumn,
     ResultTable as ResultTable,
@@ -58,14 +58,14 @@ from .table.result_table import (
     read_result_table as read_result_table,
     write_result_table as write_result_table,
 )
-from .table.sweep_table import (
-    load_row_scenario as load_row_scenario,
-)
 from .table.swept_results import (
     SweptAxis as SweptAxis,
     SweptMetric as SweptMetric,
     SweptResults as SweptResults,
     read_swept_results as read_swept_results,
+)
+from .table.swept_rows import (
+    load_row_scenario as load_row_scenario,
 )
 from .table.swept_views import (
     SweptCells as SweptCells,

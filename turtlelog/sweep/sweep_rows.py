@@ -38,12 +38,7 @@ from turtlelog.sweep.simulate_rows import (
 )
 from turtlelog.sweep.table.kept_parts import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.table.result_table import open_result_table, write_result_table
-from turtlelog.sweep.table.sweep_table import (
-    SweptRows,
-    assemble_table,
-    find_failure,
-    list_valueless,
-)
+from turtlelog.sweep.table.swept_rows import SweptRows, assemble_table, find_failure, list_valueless
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.display import describe_count, fit_line, format_answer, format_html
+from turtlelog.display import describe_count, fit_line, format_html, format_notebook
 from turtlelog.errors import SweepError
 from turtlelog.run.tables import Tabular
 from turtlelog.scenario import Scenario, choose_scenario, parse_scenario, unwrap_number
@@ -84,7 +84,7 @@ class SweepTable(Tabular):
         rest = len(self) - len(rows)
         more = f"<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else ""
         notes = [f"<p>{escape(note)}</p>" for note in self.notes]
-        return format_answer(self._describe(), format_html(rows, heads=heads), more, *notes)
+        return format_notebook(self._describe(), format_html(rows, heads=heads), more, *notes)
 
 
 def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)

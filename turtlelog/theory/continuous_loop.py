@@ -195,9 +195,9 @@ def compute_exact_settling_time(kp: float) -> float:
 def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> float:
     """Return the 2 % settling time [s] of the ideal loop whose command is clipped to a limit.
 
-    While Kp e > limit, the error falls at the rate `limit`; then it decays. With E = limit / Kp <
-    step, the settling time is (step - E) / limit + tau ln(E / (0.02 step)), or 0.98 step / limit if
-    E is within 2 %.
+    While Kp e > limit, the error falls at the rate `limit`; then the error decays. Clipping ends at
+    the error E = limit / Kp < step. The settling time is (step - E) / limit + tau ln(E / (0.02
+    step)), or 0.98 step / limit if E is within 2 %.
 
     Args:
         kp: Gain [1/s].

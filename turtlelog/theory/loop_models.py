@@ -64,6 +64,7 @@ class LoopModel:
         period_s: Sampling period T [s]; None if there is no model.
         most_dead_time_s: Largest possible dead time [s]; None if the dead time cannot grow.
         growth: Possible cause of a longer dead time, in words.
+        limit: Limit of the loop's command [m/s or rad/s]; infinite without a limit.
         ramp_s: Increase of the time constant in large steps due to acceleration limits [s], which
             recommended gains allow for.
         reason: Reason why theory has no model of the loop; empty if there is a model.
@@ -77,6 +78,7 @@ class LoopModel:
     period_s: float | None = None
     most_dead_time_s: float | None = None
     growth: str = "queues"
+    limit: float = math.inf
     ramp_s: float = 0.0
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
@@ -178,6 +180,7 @@ def model_loop(
         period_s=timing.period_s,
         most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
         growth="the age of the poses" if is_timed else "queues",
+        limit=read_number(parameters, loop.limit_key, math.inf),
         ramp_s=_find_ramp_s(loop, parameters),
         sources={**told, **timing.sources},
         left_out=left_out,

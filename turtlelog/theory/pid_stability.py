@@ -64,7 +64,7 @@ class LoopShape:
 
     @property
     def lift(self) -> int:
-        """Power of z that makes z^d A(z) + B(z) a polynomial: 0 or 1."""
+        """Power of z, 0 or 1, by which z^d A(z) + B(z) is multiplied to become a polynomial."""
         return int(self.behind > 0.0 or self.delay < 0)
 
     @property

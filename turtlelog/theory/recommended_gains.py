@@ -127,8 +127,8 @@ def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     """Return whether given gains are as good as recommended ones.
 
     Given gains are as good if they have at most the overshoot, or at least the phase margin, of the
-    recommended gains. They must also settle as early. Recommended gains rounded to three digits
-    count as equal.
+    recommended gains, and settle no later. Recommended gains rounded to three digits count as
+    equal.
 
     Args:
         given: Gains in use.

@@ -66,7 +66,7 @@ def test_a_signal_that_goes_far_beyond_its_limit_is_shown_close_up() -> None:
     run = read(10)
     close = draw(run, violations=(violate(run, "final.position_error <= 0.05"),))
     figure = close.roots["violation-0"]
-    assert figure.title.text == "distance [m], close up: its magnitude goes to 5.6934 m"
+    assert figure.title.text == "distance [m], close up: the signal goes to 5.6934 m"
     assert figure.y_range.start < 0.05
     assert 0.1067 < figure.y_range.end < 0.2
 

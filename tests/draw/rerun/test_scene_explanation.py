@@ -22,7 +22,7 @@ from tests.draw.rerun.rrds import (
 from tests.known import known
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import StepScale
-from turtlelog.charts.looks import choose_turtle_size
+from turtlelog.charts.palette import choose_turtle_size
 from turtlelog.draw import write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.explanation_pictures import choose_ticks, write_tick
 from turtlelog.draw.rerun.ghosts import build_ideal_ghost, find_ideal_poses, list_gaps, measure_gap

@@ -179,6 +179,10 @@ def test_two_programs_a_few_centimetres_apart_are_said(
     assert "two programs seem to publish them; a reported speed is more likely right" in told
 
 
+def test_messages_recorded_twice_are_no_second_program() -> None:
+    assert describe_small_leaps(np.repeat(straight(0.3, 400), 2, axis=0)) is None
+
+
 @pytest.mark.parametrize("size_m", [0.001, 0.01, 0.1])
 @pytest.mark.parametrize("kind", ["normal", "laplace", "lateral", "grid"])
 def test_noise_and_rounding_are_no_second_program(kind: str, size_m: float) -> None:

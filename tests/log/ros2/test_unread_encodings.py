@@ -8,8 +8,7 @@ from mcap.writer import Writer
 import turtlelog as tl
 from tests.log.ros2.bags import START_NS, make_command, make_poses, write_mcap
 from turtlelog.errors import LogError
-from turtlelog.log import read_columns, read_file_info, read_info, read_run
-from turtlelog.log.engine import iter_columns
+from turtlelog.log import iter_columns, read_columns, read_file_info, read_info, read_run
 
 FLAT = (
     "its messages are in the encoding flatbuffer, and turtlelog reads cdr, json, ros1 and protobuf"

@@ -24,7 +24,7 @@ from turtlelog.check.pytest_plugin.session import (
 )
 
 if TYPE_CHECKING:
-    from turtlelog.check.recording import Recording
+    from turtlelog.check.recording_fixture import Recording
     from turtlelog.check.reference import ReferenceFile
 
 _MARKERS = (
@@ -136,7 +136,7 @@ def turtlelog_simulate(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> "Callable[..., Recording]":
     """Simulate, record and read back: `turtlelog_simulate("paper", kp=4)`, also with an own law."""
-    from turtlelog.check.recording import SimulatedRuns
+    from turtlelog.check.recording_fixture import SimulatedRuns
 
     return SimulatedRuns(tmp_path, request.config.stash[SESSION].watch).simulate
 

@@ -10,7 +10,7 @@ from turtlelog.escapes import escape_controls
 from turtlelog.measure import MIRRORED, Metric
 
 if TYPE_CHECKING:
-    from turtlelog.check.recording import Recording
+    from turtlelog.check.recording_fixture import Recording
 
 
 def explain_comparison(operator: str, left: object, right: object) -> list[str] | None:
@@ -33,7 +33,7 @@ def explain_comparison(operator: str, left: object, right: object) -> list[str] 
     return [escape_controls(line) for line in lines]
 
 
-def explain_failures(
+def list_failure_lines(
     recording: "Recording", results: Sequence[CheckResult], *, explains: bool
 ) -> list[str]:
     """Return the complete message for failed checks, with the reason why the recording differs."""

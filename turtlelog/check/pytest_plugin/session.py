@@ -17,7 +17,7 @@ from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.check import ArtifactWriter, CheckResult
-    from turtlelog.check.recording import Recording
+    from turtlelog.check.recording_fixture import Recording
     from turtlelog.check.reference import ReferenceFile
 
 
@@ -41,7 +41,7 @@ class Session:
         **reading: Any,
     ) -> "Recording":
         """Return the recording of a file, one object per file; it is read on first use."""
-        from turtlelog.check.recording import Recording
+        from turtlelog.check.recording_fixture import Recording
 
         if allow_partial is None:
             allow_partial = bool(self._config.getini("turtlelog_allow_partial"))
@@ -95,7 +95,6 @@ class Session:
         return [found for name in self._used for found in self._list_metrics(name)]
 
     def _list_metrics(self, name: str) -> Iterator[tuple[str, object]]:
-        from turtlelog.errors import TurtlelogError
         from turtlelog.measure import measure_run
 
         try:
@@ -135,12 +134,15 @@ class Session:
         failed: "dict[Recording, list[CheckResult]]",
     ) -> None:
         from turtlelog.check import ArtifactWriter
-        from turtlelog.check.pytest_plugin.failure_messages import explain_failures, keep_artifacts
+        from turtlelog.check.pytest_plugin.failure_messages import (
+            keep_artifacts,
+            list_failure_lines,
+        )
 
         lines: list[str] = []
         explains = not self._config.getoption("--turtlelog-no-why")
         for recording, results in failed.items():
-            lines += [*explain_failures(recording, results, explains=explains), ""]
+            lines += [*list_failure_lines(recording, results, explains=explains), ""]
         folder = self._config.getoption("--turtlelog-artifacts")
         if folder:
             place = self._config.invocation_params.dir / folder
@@ -250,12 +252,7 @@ def _is_own(frame: TracebackType) -> bool:
 
 
 _FLAGS: Final = ("allow_partial", "trust_law")
-_SETTINGS: Final = (
-    *_FLAGS,
-    *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
-    *("robot", "wheel_joints", "wheels", "wheelbase", "goal", "time", "columns"),
-)
-"""Settings of the marker besides patterns: fields of a `ReadChoice`, and trust in laws."""
+"""Settings of the marker that are True or False."""
 
 
 def choose_recordings(
@@ -268,10 +265,14 @@ def choose_recordings(
     Raises:
         CollectError: If the marker is wrong, or a pattern matches no file.
     """
+    from turtlelog.log.read_choice import ReadOptions
+
     place = f"{metafunc.definition.nodeid}: recordings"
-    unknown = sorted(marker.kwargs.keys() - {*_SETTINGS})
+    known = dict.fromkeys((*_FLAGS, *ReadOptions.__annotations__))
+    del known["allow_no_poses"]  # a check needs poses
+    unknown = sorted(marker.kwargs.keys() - known.keys())
     if unknown:
-        _refuse(f"{place}: expected one of {', '.join(_SETTINGS)}, found {unknown[0]}")
+        _refuse(f"{place}: expected one of {', '.join(known)}, found {unknown[0]}")
     _require_settings(marker.kwargs, place)
     if not marker.args:
         _refuse(f'{place}: needs a pattern such as "runs/*.mcap"')

@@ -23,10 +23,17 @@ from turtlelog.charts.attribution_steps import (
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
-from turtlelog.charts.looks import SUPPOSED_DASH
+from turtlelog.charts.palette import SUPPOSED_DASH
 from turtlelog.charts.time_axes import label_time
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_lines, label_runs, to_rgb
+from turtlelog.draw.figures.page import (
+    REFERENCE,
+    SIDE_BY_SIDE_INCH,
+    STROKES,
+    choose_lines,
+    label_runs,
+    to_rgb,
+)
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ShowError
 from turtlelog.explain import (
@@ -44,10 +51,6 @@ from turtlelog.run.loops import SIGNAL_WORDS
 Values = NDArray[np.float64]
 
 _WORDS_POINTS: Final = 7.0
-_SIDE_BY_SIDE_INCH: Final = 5.0
-"""Width below which panels are one above the other [inch]. Side by side, both panels would be
-smaller than their text."""
-
 _BAR: Final = 0.62
 """Height of a bar, as a share of its row."""
 
@@ -148,7 +151,7 @@ def draw_attribution(
     waterfall = draw_up_attribution(told.found)
     width = figure.get_figwidth()
     line_inch = 0.27
-    if width < _SIDE_BY_SIDE_INCH:
+    if width < SIDE_BY_SIDE_INCH:
         low = line_inch * (len(waterfall.steps) + 2.0)
         figure.set_size_inches(width, 0.82 * width + low)
         seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
@@ -324,7 +327,7 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Word
     axes.locator_params(nbins=5)
     axes.grid(visible=False)
     width_inch = float(axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
-    share = 0.16 if width_inch >= _SIDE_BY_SIDE_INCH else 0.29
+    share = 0.16 if width_inch >= SIDE_BY_SIDE_INCH else 0.29
     half_mm = np.full(2, 25.4 * share * width_inch)
     return WordSpace(center=center, half=np.full(2, half_m), half_mm=half_mm)
 

@@ -20,7 +20,14 @@ from turtlelog.compare.trajectory_errors import Values
 from turtlelog.draw.figures.attribution_figure import draw_waterfall
 from turtlelog.draw.figures.figure_curves import draw_thinned
 from turtlelog.draw.figures.legend import add_legend
-from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, use_looks
+from turtlelog.draw.figures.page import (
+    MEASURED,
+    MODELLED,
+    REFERENCE,
+    SIDE_BY_SIDE_INCH,
+    Page,
+    use_looks,
+)
 from turtlelog.draw.figures.rates_figure import draw_rates
 from turtlelog.draw.figures.writing import require_figure_path, write_figure
 from turtlelog.errors import ShowError
@@ -94,9 +101,6 @@ _HEIGHT: Final = 1.0
 _STACKED_HEIGHT: Final = 2.6
 """Height of the figure as a share of its width, for panels side by side and stacked."""
 
-_SIDE_BY_SIDE_INCH: Final = 5.0
-"""Width below which panels are stacked [inch]. Side by side, their labels would collide."""
-
 _BAND: Final[Mapping[str, Any]] = MappingProxyType(
     {"alpha": 0.25, "linewidth": 0.0, "label": "central 95 % of simulated errors"}
 )
@@ -121,7 +125,7 @@ def write_prediction_figure(
     path = require_figure_path(path)
     page = page or Page(kind="page")
     with use_looks():
-        is_wide = page.width_inch >= _SIDE_BY_SIDE_INCH
+        is_wide = page.width_inch >= SIDE_BY_SIDE_INCH
         height = _HEIGHT if is_wide else _STACKED_HEIGHT
         size = (page.width_inch, page.width_inch * height)
         figure = Figure(figsize=size, layout="constrained")

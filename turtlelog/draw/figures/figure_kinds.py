@@ -182,9 +182,9 @@ def _panels(figure: str) -> tuple[Panel, ...]:
     return tuple(_panel(name) for name, plot in TIME_PLOTS.items() if plot.figure == figure)
 
 
-def _track(*, is_usual: bool = True) -> Panel:
+def _track() -> Panel:
     """Return the panel of the along-track position, or of the error if all runs have a path."""
-    return replace(_panel("along_track", is_usual=is_usual), draw=_draw_track)
+    return replace(_panel("along_track", is_usual=True), draw=_draw_track)
 
 
 def _draw_track(axes: Axes, runs: Sequence[Run]) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.many_runs import cut_alike
+from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.draw.figures.metric_panels import (
     MetricValues,
     measure_for_figure,
@@ -64,9 +65,11 @@ _ROW_INCH: Final = 1.45
 _OVERSHOOT: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "#b07000", "linewidth": 0.9, "linestyle": STROKES["dashed"]}
 )
-_UNSTABLE: Final[Mapping[str, Any]] = MappingProxyType({"color": "#b3261e", "linewidth": 1.0})
+_UNSTABLE: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": to_hex(UNSTABLE), "linewidth": 1.0}
+)
 _BEYOND: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#b3261e", "alpha": 0.09, "linewidth": 0.0, "zorder": 0.6}
+    {"color": to_hex(UNSTABLE), "alpha": 0.09, "linewidth": 0.0, "zorder": 0.6}
 )
 _OVERSHOOTING: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "#e69f00", "alpha": 0.10, "linewidth": 0.0, "zorder": 0.5}
@@ -209,7 +212,7 @@ def _draw_panel(
         look: dict[str, Any] = {"ms": small, "color": color, "zorder": 3}
         axes.plot(np.full(len(known), place), known, "o", **look)
         if len(known) < len(values):
-            look = {"ms": 5.0, "mew": 1.2, "color": "#b3261e", "label": "no value"}
+            look = {"ms": 5.0, "mew": 1.2, "color": to_hex(UNSTABLE), "label": "no value"}
             axes.plot(place, 0.95, "x", transform=axes.get_xaxis_transform(), **look)
     if is_first and len(runs) <= _MOST_NAMED and len(runs) > 1:
         _name_points(axes, runs, gains, found.values)

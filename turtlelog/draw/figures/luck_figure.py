@@ -18,7 +18,7 @@ from turtlelog.charts.luck_chart import (
     build_luck_picture,
     spread_labels,
 )
-from turtlelog.draw.figures.page import to_rgb
+from turtlelog.draw.figures.page import SIDE_BY_SIDE_INCH, to_rgb
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ExplainError, ShowError
 from turtlelog.explain import Luck, Work, choose_metric, measure_luck, require_causes
@@ -30,10 +30,6 @@ _POINTS: Final = 7.0
 _TITLE_POINTS: Final = 8.0
 _LINE_INCH: Final = 1.3 * _TITLE_POINTS / 72.0
 _LABEL_INCH: Final = 1.25 * _POINTS / 72.0
-
-_SIDE_BY_SIDE_INCH: Final = 5.0
-"""Width below which panels are one above the other [inch]. Side by side, both panels would be
-smaller than their text."""
 
 _PANEL_INCH: Final = 2.4
 """Smallest height of the curves [inch]; five labels beside them take a quarter of it."""
@@ -102,7 +98,7 @@ def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) 
     if shown.plane is None:
         figure.set_size_inches(width, head + high)
         curves = figure.subplots()
-    elif width < _SIDE_BY_SIDE_INCH:
+    elif width < SIDE_BY_SIDE_INCH:
         side = 0.6 * width
         figure.set_size_inches(width, head + side + high)
         plane, curves = figure.subplots(2, 1, height_ratios=[side, high])

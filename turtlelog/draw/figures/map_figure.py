@@ -28,7 +28,7 @@ from turtlelog.charts.map_values import (
     list_branches,
     scale_values,
 )
-from turtlelog.charts.palette import choose_shades
+from turtlelog.charts.palette import UNSTABLE, choose_shades, to_hex
 from turtlelog.draw.figures.page import STROKES, to_rgb
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits
 from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
@@ -59,9 +59,9 @@ _HALO: Final = 1.4
 
 LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        STABILITY: {"color": "#b3261e", "linewidth": 1.2},
+        STABILITY: {"color": to_hex(UNSTABLE), "linewidth": 1.2},
         GROWN: {
-            "color": "#b3261e",
+            "color": to_hex(UNSTABLE),
             "linewidth": 1.0,
             "linestyle": STROKES["dotted"],
         },
@@ -119,7 +119,7 @@ def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis along a side; of many values, every second, third ...
+    """Write the values of an axis along a side: all values, or every second, third ... value.
 
     A few numbers are written at their positions; more numbers get a scale.
     """

@@ -15,9 +15,17 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
-from turtlelog.charts.looks import SUPPOSED_DASH, Dash, Marker, choose_dash, choose_markers
 from turtlelog.charts.many_runs import choose_colors_by_value
-from turtlelog.charts.palette import FEW, Color, choose_run_colors
+from turtlelog.charts.palette import (
+    FEW,
+    SUPPOSED_DASH,
+    Color,
+    Dash,
+    Marker,
+    choose_dash,
+    choose_markers,
+    choose_run_colors,
+)
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
@@ -39,6 +47,10 @@ _PROJECTED_INCH: Final = 40.0 / 3.0
 _SLIDE_DPI: Final = 144.0
 _LOW_ROWS: Final = 3
 """Number of rows of panels from which units on a slide are on a line of their own."""
+
+SIDE_BY_SIDE_INCH: Final = 5.0
+"""Width below which panels are stacked [inch]. Side by side, they would be smaller than their
+text."""
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -172,7 +184,7 @@ _NAMES: Final = frozenset(
         *(AIMED, BEARING_NOW),
     }
 )
-"""Names in figures in addition to those of runs."""
+"""Names in figures that are not names of runs."""
 
 
 PageKind = Literal["column", "page", "slide"]

@@ -17,8 +17,8 @@ Values = NDArray[np.float64]
 GUIDE_ORDER: Final = 1.6
 """Drawing order of guide lines: below all curves."""
 
-_WORDS_POINTS: Final = 6.5
-_LINE_MM: Final = 1.25 * _WORDS_POINTS * 25.4 / 72.0
+WORDS_POINTS: Final = 6.5
+_LINE_MM: Final = 1.25 * WORDS_POINTS * 25.4 / 72.0
 _DOT_MM: Final = 0.8
 _LEADER_MM: Final = 4.0
 """Distance from which a line connects text and its dot [mm]."""
@@ -239,7 +239,7 @@ def _write_table(axes: Axes, place: WordSpace, tables: Sequence[Table]) -> None:
     """Write the first table that has enough room. Each line has the colour of its run."""
     points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
     for table in tables:
-        width_mm = max(measure_text_mm(text, _WORDS_POINTS) for text, _ in table) + 1.0
+        width_mm = max(measure_text_mm(text, WORDS_POINTS) for text, _ in table) + 1.0
         half = np.array([width_mm, _LINE_MM * len(table)]) / 2.0 * place.half / place.half_mm
         low, room = half + 0.01, np.maximum(1.0 - 2.0 * half - 0.02, 0.0)
         middles = [low + room * np.array(at) for at in product(_PLACES[::-1], _PLACES)]
@@ -286,7 +286,7 @@ def _write_placed(axes: Axes, placed: _Placed) -> None:
 def _measure(word: Word) -> Values:
     """Return width and height of text [mm], shape (2,)."""
     lines = word.text.split("\n")
-    width_mm = max(measure_text_mm(line, _WORDS_POINTS) for line in lines) + 1.0
+    width_mm = max(measure_text_mm(line, WORDS_POINTS) for line in lines) + 1.0
     return np.array([width_mm, _LINE_MM * len(lines)])
 
 
@@ -294,7 +294,7 @@ def _write(
     axes: Axes, word: Word, middle: Values, rotation: float = 0.0, side: str = "center"
 ) -> None:
     at = (float(middle[0]), float(middle[1]))
-    words = axes.text(*at, word.text, color=word.color, fontsize=_WORDS_POINTS, rotation=rotation)
+    words = axes.text(*at, word.text, color=word.color, fontsize=WORDS_POINTS, rotation=rotation)
     words.set(transform=axes.transAxes, ha=side, va="center", zorder=4)
     if word.span_s is None:
         words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})
@@ -345,8 +345,9 @@ def place_words(
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})
 
 
-def name_ring(axes: Axes, place: WordSpace, text: str, radius: float, points: float = 6.0) -> None:
+def name_ring(axes: Axes, place: WordSpace, text: str, radius: float) -> None:
     """Write the radius of a ring on the ring, where the text covers least."""
+    points = 6.0
     half = np.array([measure_text_mm(text, points), 1.3 * points * _MM_PER_POINT]) / 2.0
     half *= place.half / place.half_mm
     ring = place.center + radius * np.stack([np.cos(_RING_WAYS), np.sin(_RING_WAYS)], axis=1)

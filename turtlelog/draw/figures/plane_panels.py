@@ -48,11 +48,11 @@ from turtlelog.charts.tracked_path import (
 )
 from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
 from turtlelog.draw.figures.page import AIM, REFERENCE, SENSED, color_runs, label_runs, style_runs
+from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
 
-_WORDS_POINTS: Final = 6.5
 
 _RING: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
@@ -260,13 +260,13 @@ def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: L
 
 def _write(axes: Axes, label: Label, color: Any) -> None:
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
-    words = axes.text(*label.xy_m, label.text, color=color, fontsize=_WORDS_POINTS)
+    words = axes.text(*label.xy_m, label.text, color=color, fontsize=WORDS_POINTS)
     words.set(ha="center", va="center", bbox=box)
 
 
 def _measure_letters(figure: Figure) -> Lettering:
     """Return the size of text for a close-up of about two fifths of the figure's width."""
-    half_points, size = 0.2 * figure.get_figwidth() * 72.0, _WORDS_POINTS
+    half_points, size = 0.2 * figure.get_figwidth() * 72.0, WORDS_POINTS
     return Lettering(
         letter=0.62 * size / half_points, line=1.5 * size / half_points, gap=8.0 / half_points
     )

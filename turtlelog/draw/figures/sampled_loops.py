@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.charts.looks import LOOP_DASHES
 from turtlelog.charts.many_runs import MANY
+from turtlelog.charts.palette import LOOP_DASHES
 from turtlelog.draw.figures.figure_curves import (
     Pole,
     draw_ideal_locus,

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.charts.many_runs import find_gain_unit
+from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.compare.run_names import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.draw.figures.metric_panels import MetricValues, measure_for_figure, set_value_scale
@@ -52,7 +53,7 @@ _BOX: Final[Mapping[str, Any]] = MappingProxyType(
         "capprops": {"linewidth": 0.7, "color": "0.35"},
     }
 )
-_NONE: Final = "#b3261e"
+_NONE: Final = to_hex(UNSTABLE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

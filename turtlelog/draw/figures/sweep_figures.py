@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from turtlelog.charts.map_values import label_metric, scale_values
+from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.draw.figures.legend import count_legend_columns
 from turtlelog.draw.figures.map_figure import draw_map_panel, group_reasons
 from turtlelog.draw.figures.page import LOOKS, REFERENCE, Page, choose_colors, use_looks
@@ -213,7 +214,7 @@ def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
 _MOST_KEYS: Final = 12
 """Largest number of bars in a panel; each bar has 4 mm of a column."""
 
-_NO_VALUE: Final = "#a03020"
+_NO_VALUE: Final = to_hex(UNSTABLE)
 
 _THIN: Final = 0.01
 """Share of the widest bar below which a bar is not visible, and its ends are written as text."""
@@ -225,7 +226,7 @@ _HEIGHT: Final = 0.62
 
 
 def _draw_tornado(axes: Axes, found: Sensitivities) -> None:
-    """Draw a bar for each key: the metric's range along it, or its rank correlation."""
+    """Draw a bar for each key: the metric's range over the key, or the rank correlation of both."""
     keys = found.keys[:_MOST_KEYS]
     title = label_metric(found.metric) if found.chance is None else found.metric.name
     axes.set_title(title, loc="right")  # long names of keys leave no room on both sides

@@ -10,6 +10,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from turtlelog.charts.map_values import (
+    DECADES,
     VERDICT_WORDS,
     is_logarithmic,
     label_metric,
@@ -44,10 +45,6 @@ _MOST_MARKED: Final = 40
 _MOST_DOTS: Final = 500
 """Largest number of sample rows with large dots, which cover a tenth of a panel."""
 
-_DECADES: Final = 100.0
-"""Ratio of largest to smallest value from which the axis is logarithmic. On a linear axis, the
-whole lower decade would be as thin as a line."""
-
 
 def choose_curve_axes(
     view: SweptView, limits: Sequence[LoopLimits]
@@ -60,7 +57,7 @@ def choose_curve_axes(
 
 
 def choose_series(series: SweptAxis | None) -> list[int]:
-    """Return the indices of a second axis that get a line; of many, a few in even steps."""
+    """Return the indices of a second axis that get a line: all, or a few at equal steps."""
     if series is None:
         return [0]
     count = min(len(series), _MOST_LINES)
@@ -233,6 +230,6 @@ def _set_axes(axes: Axes, along: SweptAxis, metric: SweptMetric, values: Values)
     if metric.is_verdict:
         axes.set_yticks([0.0, 1.0], labels=[VERDICT_WORDS[0], VERDICT_WORDS[2]])
         axes.set_ylim(-0.15, 1.2)
-    elif len(known) and known.min() > 0.0 and known.max() / known.min() >= _DECADES:
+    elif len(known) and known.min() > 0.0 and known.max() / known.min() >= DECADES:
         axes.set_yscale("log")
     axes.margins(x=0.03)

@@ -12,14 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts.curves import Curve, find_disturbance
-from turtlelog.charts.looks import LIMIT_DASH, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import (
     MANY,
     choose_colors_by_value,
     describe_restless,
     find_restless,
 )
-from turtlelog.charts.palette import Color
+from turtlelog.charts.palette import LIMIT_DASH, Color, choose_curve_color, choose_dash
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
     POINTS,
@@ -49,6 +48,7 @@ from turtlelog.draw.figures.page import (
     style_runs,
     to_rgb,
 )
+from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.draw.figures.plane_panels import draw_paths, show_all
 from turtlelog.run import Run
 
@@ -107,7 +107,6 @@ _DIMMED: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """Style of a run that never settles, below runs that settle."""
 
-_WORDS_POINTS: Final = 6.5
 
 _OUTLIER_ROOM: Final = 0.15
 """Share of an axis for a line of text on outliers below the curves."""
@@ -144,7 +143,7 @@ def draw_time_plot(
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
         how = "without" if leaves_out(len(runs), plot) else "pale:"
         words = f"{how} {describe_restless(runs)}, not settled"
-        axes.set_title(words, fontsize=_WORDS_POINTS, color="0.3", loc="right", pad=3.0)
+        axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
         _shade(axes, runs[0], plot)
     if plot.command is not None:
@@ -275,7 +274,7 @@ def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
         axes.axvspan(*pushed_s, **PUSHED)
     for start_s, end_s, words in list_seen_gaps(run):
         axes.axvspan(start_s, end_s, **_GAP)
-        text = axes.text((start_s + end_s) / 2.0, 0.5, words, fontsize=_WORDS_POINTS, color="0.3")
+        text = axes.text((start_s + end_s) / 2.0, 0.5, words, fontsize=WORDS_POINTS, color="0.3")
         text.set(transform=axes.get_xaxis_transform(), ha="center", va="center", rotation=90)
         text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8})
 
@@ -296,7 +295,7 @@ def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
     if lines:
         low, high = axes.get_ylim()
         axes.set_ylim(low - _OUTLIER_ROOM * len(lines) * (high - low), high)
-        text = axes.text(0.99, 0.03, "\n".join(lines), fontsize=_WORDS_POINTS, color="0.3")
+        text = axes.text(0.99, 0.03, "\n".join(lines), fontsize=WORDS_POINTS, color="0.3")
         text.set(transform=axes.transAxes, ha="right", va="bottom")
 
 

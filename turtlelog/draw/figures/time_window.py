@@ -107,7 +107,7 @@ def list_time_axes(figure: Figure) -> list[Axes]:
     return found
 
 
-def fit_height(axes: Axes, window_s: tuple[float, float], margin: float = 0.06) -> None:
+def fit_height(axes: Axes, window_s: tuple[float, float]) -> None:
     """Fit the height of an axis to its curves within a time window."""
     values = np.concatenate([*_list_visible(axes, window_s), np.empty(0)])
     is_log = axes.get_yscale() == "log"
@@ -118,7 +118,7 @@ def fit_height(axes: Axes, window_s: tuple[float, float], margin: float = 0.06) 
     if is_log:
         axes.set_ylim(0.6 * low, 1.8 * high)
     else:
-        room = margin * (high - low) or 0.1 * abs(high) or 1.0
+        room = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
         axes.set_ylim(low - room, high + room)
 
 

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.charts.looks import LIMIT_DASH
+from turtlelog.charts import palette
+from turtlelog.charts.palette import LIMIT_DASH
 from turtlelog.charts.time_axes import label_time
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
@@ -22,11 +23,9 @@ from turtlelog.run import Run
 
 Values = NDArray[np.float64]
 
-_RED: Final = "#c62828"
+_RED: Final = palette.to_hex(palette.VIOLATION)
+_GREEN: Final = palette.to_hex(palette.FULFILLED)
 _HEIGHT: Final = 0.5
-_SMALL: Final = 0.12
-"""Share of the axis below which limits and violations would be too close to distinguish."""
-
 _SHORT: Final = 0.01
 """Share of the time axis below which a violation is narrower than its dot of 2 mm."""
 _MOST_STRIPES: Final = 60
@@ -81,11 +80,11 @@ def draw_violation(
     draw_curve(axes, curve, **choose_lines(1)[0], label=label_runs(runs)[0])
     _draw_outside(axes, violated)
     axes.set(xlabel=label_time(runs), ylabel=violated.title.replace("_", " "))
-    axes.margins(x=0.01, y=0.16)
+    axes.margins(x=0.01)
     _keep_band_in_view(axes, violated)
     told = "holds" if holds else "violated"
     title = "\n".join(textwrap.wrap(f"{violated.expected}: {told}", int(_TITLE_LETTERS * width)))
-    axes.set_title(title, color="#00674b" if holds else _RED)
+    axes.set_title(title, color=_GREEN if holds else _RED)
     if holds:
         word = violated.metric or "nearest to the limit:"
         _name_moments(axes, violated, {word: violated.worst})
@@ -158,15 +157,10 @@ def _measure_outside(violated: ViolatedSignal) -> str:
 
 def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
     """Shade the band. If the signal goes far beyond the band, show only the part near it."""
-    low, high = axes.get_ylim()
-    near = _find_near(violated)
-    if np.ptp(near) < _SMALL * (high - low):
-        far = violated.curve.values[int(np.nanargmax(np.abs(violated.curve.values - near.mean())))]
-        room = 0.8 * float(np.ptp(near)) or 0.1 * abs(float(near[0])) or 1.0
-        low, high = float(near.min()) - room, float(near.max()) + room
-        axes.set_ylim(low, high)
-        told = f"close up: the signal goes to {format_number(float(far), violated.unit)}"
-        text = axes.text(0.99, 0.98, told, fontsize=6.5, color="0.4", ha="right", va="top")
+    shown = violated.find_range()
+    low, high = shown.low, shown.high
+    if shown.note:
+        text = axes.text(0.99, 0.98, shown.note, fontsize=6.5, color="0.4", ha="right", va="top")
         text.set_transform(axes.transAxes)
     time_s, whole = violated.curve.time_s, np.ones(len(violated.curve.values))
     below = low * whole if violated.low is None else violated.low
@@ -178,13 +172,6 @@ def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
     else:
         axes.fill_between(time_s, below, above, **_BAND)
     axes.set_ylim(low, high)
-
-
-def _find_near(violated: ViolatedSignal) -> Values:
-    """Return values that must be visible: limits, violations, named moments."""
-    ends = [end[np.isfinite(end)] for end in (violated.low, violated.high) if end is not None]
-    outside = violated.curve.values[violated.outside]
-    return np.concatenate([*ends, outside, [violated.first.value, violated.worst.value]])
 
 
 def _name_moments(
@@ -206,7 +193,7 @@ def _name_moments(
     for moment in named.values():
         place.avoid_point(np.array([moment.time_s, moment.value]))
     for (word, moment), marker in zip(named.items(), ("o", "v"), strict=False):
-        color = _RED if violated.outside.any() else "#00674b"
+        color = _RED if violated.outside.any() else _GREEN
         axes.plot([moment.time_s], [moment.value], marker, ms=5.5, color=color, **_POINT)
         text = f"{word} {format_number(moment.value, violated.unit)}\nat {moment.time_s:.3f} s"
         if moment is violated.worst and (distance := violated.describe_outside(moment)):

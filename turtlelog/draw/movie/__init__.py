@@ -1,4 +1,4 @@
-"""Movies of runs: `film` chooses the time of each picture, `picture` draws it."""
+"""Movies of runs: `movie_file` chooses the time of each picture, `picture` draws it."""
 
 from turtlelog.libraries import load_library
 

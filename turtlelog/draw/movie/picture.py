@@ -6,7 +6,7 @@ Static content is drawn once; for each picture, moving content is drawn over a c
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -23,7 +23,7 @@ from turtlelog.charts.close_up import (
     format_length,
     list_miss_labels,
 )
-from turtlelog.charts.curves import Curve, choose_rows
+from turtlelog.charts.curves import Curve, Values, choose_rows
 from turtlelog.charts.many_runs import shorten_run_names
 from turtlelog.charts.plane_scene import (
     find_origin,
@@ -46,8 +46,10 @@ from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
 from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.figures.page import LOOKS, choose_run_lines, label_runs, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
-from turtlelog.draw.movie.film import Film, Values
 from turtlelog.run import Run
+
+if TYPE_CHECKING:
+    from turtlelog.draw.movie.movie_file import Film
 
 Picture = NDArray[np.uint8]
 """Pixels of a picture, shape (height, width, 3): red, green and blue."""
@@ -138,7 +140,7 @@ class _Stage:
     """The figure with its moving parts. All sequences of runs have the same order."""
 
     figure: Figure
-    film: Film
+    film: "Film"
     places: list[tuple[Values, Values]]
     trails: list[_Growing] = field(default_factory=list)
     near_trails: list[_Growing] = field(default_factory=list)
@@ -152,7 +154,7 @@ class _Stage:
 
 def draw_pictures(
     runs: Sequence[Run],
-    film: Film,
+    film: "Film",
     *,
     size: tuple[int, int],
     on_picture: Callable[[int, int], None] | None = None,
@@ -181,7 +183,7 @@ def draw_pictures(
 Look = dict[str, Any]
 
 
-def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
+def _set_stage(figure: Figure, runs: Sequence[Run], film: "Film") -> _Stage:
     looks = [
         {"color": line["color"], "zorder": line.get("zorder", 2)} for line in choose_run_lines(runs)
     ]
@@ -351,7 +353,7 @@ def _show_goal(stage: _Stage, goal: _Goal, number: int) -> None:
         dot.set_data(*xy_m[number : number + 1].T)
 
 
-def _tell_film(film: Film) -> str:
+def _tell_film(film: "Film") -> str:
     """Return the zero of the time, if it is not the first sample, and the speed of the movie."""
     phase = film.timeline.removesuffix("_time").removeprefix("phase.")
     zero = "" if film.timeline == TIMELINE else f" from the start of {phase}"

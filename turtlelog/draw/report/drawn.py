@@ -72,11 +72,6 @@ class Plots:
     alternatives: dict[str, str] = field(default_factory=dict)
 
 
-def to_hex(color: Color) -> str:
-    """Return a colour in HTML's notation."""
-    return "#{:02x}{:02x}{:02x}".format(*color)
-
-
 def thin(plots: Plots, columns: Sequence[NDArray[Any]], kept: NDArray[Any]) -> list[NDArray[Any]]:
     """Return columns with the rows that give the same drawing, in the smallest suitable type."""
     rows = choose_rows(kept, plots.points)

@@ -3,7 +3,6 @@
 import platform
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from turtlelog.display import describe_count, show_angle
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep
 from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report.report_file import hash_file
-from turtlelog.draw.report.sections import show, write_table
+from turtlelog.draw.report.sections import show, wrap_provenance, write_page, write_table
 from turtlelog.sweep.gain_borders import LoopLimits, find_borders, tell_borders
 from turtlelog.sweep.table.swept_results import SweptMetric
 from turtlelog.sweep.table.swept_views import SweptView, find_best_rows, list_shown_values
@@ -34,7 +33,6 @@ def write_map_report(
     Raises:
         ShowError: If the file cannot be written.
     """
-    results = view.results
     body = "".join(
         (
             _write_conclusion(view, limits),
@@ -43,18 +41,14 @@ def write_map_report(
             _write_provenance(view, command),
         )
     )
-    name = show(Path(results.path).name)
-    style = files("turtlelog.draw.report").joinpath("page.css").read_text("utf-8")
-    text = f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8">{write_policy_tag()}
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
-<title>{name}: turtlelog plot</title><style>{style}
-figure{{margin:0;background:#fff;padding:8px}}
-figure img{{width:100%;max-width:1100px}}</style></head>
-<body><header><h1>{name}</h1></header><main>
-{body}</main></body></html>
-"""
+    text = write_page(
+        Path(view.results.path).name,
+        "plot",
+        f"<main>\n{body}</main>",
+        policy=write_policy_tag(),
+        style="\nfigure{margin:0;background:#fff;padding:8px}\n"
+        "figure img{width:100%;max-width:1100px}",
+    )
     with replace_file(path) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
 
@@ -114,8 +108,6 @@ def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | Non
 
 def _write_provenance(view: SweptView, command: str) -> str:
     file = str(view.results.path)
-    parts = f"<p>turtlelog {__version__}, Python {platform.python_version()}.</p>"
-    if command:
-        parts += f"<p>Written by:</p><pre><code>{show(command)}</code></pre>"
-    parts += f"<p>{show(file)}: sha256 <code>{hash_file(file)}</code></p>"
-    return f'<section id="provenance"><h2>Where this comes from</h2>{parts}</section>'
+    versions = f"turtlelog {__version__}, Python {platform.python_version()}"
+    digest = f"<p>{show(file)}: sha256 <code>{hash_file(file)}</code></p>"
+    return wrap_provenance(versions, command, digest)

@@ -11,11 +11,9 @@ from turtlelog.charts.characteristics import (
     list_mark_texts,
     read_marked_curve,
 )
-from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import ALLOWED, MAIN, Color
+from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
-from turtlelog.display import format_number
-from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
+from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin
 from turtlelog.libraries import load_library
 
 MOST_MARKED: Final = 4
@@ -164,13 +162,7 @@ def _find_middle(figure: Any, mark: Characteristic) -> float:
 MOST_VIOLATIONS: Final = 6
 """Largest number of failed checks with a plot; the table lists all failed checks."""
 
-RED: Final = "#d0342c"
-
-_SMALL: Final = 0.12
-"""Share of the axis below which limits and violations would be too close to distinguish."""
-
-_ROOM: Final = 0.18
-"""Room for text above and below the visible range, as a share of the height."""
+RED: Final = to_hex(VIOLATION)
 
 _CLOSE: Final = 0.3
 """Distance between two moments, as a share of the width, below which their texts would overlap."""
@@ -194,11 +186,10 @@ def _draw_violation(
     plots: Plots, place: str, violated: ViolatedSignal, color: Color, x_range: Any
 ) -> None:
     models = load_library("bokeh.models")
-    low, high, is_cut = _find_height(violated)
+    shown = violated.find_range()
+    low, high = shown.low, shown.high
     title = violated.title.replace("_", " ")
-    if is_cut:
-        furthest = float(np.nanmax(np.abs(violated.curve.values)))
-        title += f", close up: its magnitude goes to {format_number(furthest, violated.unit)}"
+    title = f"{title}, {shown.note}" if shown.note else title
     figure = make_figure(
         plots, place, title, x_range=x_range, height=260, y_range=models.Range1d(low, high),
         x_axis_label="time from the first sample [s]",
@@ -208,10 +199,10 @@ def _draw_violation(
     mode = "after" if curve.holds else None
     time_s, values = thin(plots, [curve.time_s, curve.values], curve.values)
     _draw_line(figure, time_s, values, mode, color=to_hex(color), line_width=1.8)
-    shown = violated.outside.copy()
+    is_red = violated.outside.copy()
     if curve.holds:
-        shown[1:] |= violated.outside[:-1]
-    red = np.where(shown, curve.values, np.nan)
+        is_red[1:] |= violated.outside[:-1]
+    red = np.where(is_red, curve.values, np.nan)
     time_s, red = thin(plots, [curve.time_s, red], red)
     _draw_line(figure, time_s, red, mode, color=RED, line_width=3.5)
     _name_moments(plots, figure, violated, (low, high), x_range.end)
@@ -268,27 +259,6 @@ def _draw_band(
                 text_align="right" if is_late else "left", y_offset=-2 if side == "high" else 2,
                 text_baseline="bottom" if side == "high" else "top",
             )  # fmt: skip
-
-
-def _find_height(violated: ViolatedSignal) -> tuple[float, float, bool]:
-    """Return the range of the plot, and whether the signal exceeds it.
-
-    Limits, violations and named moments are always visible.
-    """
-    ends = [end[np.isfinite(end)] for end in (violated.low, violated.high) if end is not None]
-    values = violated.curve.values
-    moments = [violated.first.value, violated.worst.value]
-    near: Values = np.concatenate([*ends, values[violated.outside], moments])
-    near = near[np.isfinite(near)]
-    known = np.concatenate([near, values[np.isfinite(values)]])
-    low, high = float(known.min()), float(known.max())
-    is_cut = float(np.ptp(near)) < _SMALL * (high - low)
-    if is_cut:
-        low, high = float(near.min()), float(near.max())
-        room = 0.8 * (high - low) or 0.1 * abs(low) or 1.0
-    else:
-        room = _ROOM * (high - low) or 0.1 * abs(low) or 1.0
-    return low - room, high + room, is_cut
 
 
 def _name_moments(

@@ -11,8 +11,8 @@ from turtlelog.charts.captions import describe_plot
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
-from turtlelog.charts.looks import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash
 from turtlelog.charts.many_runs import describe_restless, find_restless
+from turtlelog.charts.palette import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash, to_hex
 from turtlelog.charts.plotted_curves import (
     POINTS,
     CurveKind,
@@ -30,7 +30,7 @@ from turtlelog.charts.robot_curves import list_seen_gaps
 from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
-from turtlelog.draw.report.drawn import MOST_POINTS, RING, Drawn, Plots, make_figure, thin, to_hex
+from turtlelog.draw.report.drawn import MOST_POINTS, RING, Drawn, Plots, make_figure, thin
 from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
 from turtlelog.draw.report.planes import draw_planes
 from turtlelog.libraries import load_library

@@ -7,7 +7,7 @@ import numpy as np
 
 from turtlelog.charts.captions import describe_plane
 from turtlelog.charts.close_up import CloseUp, format_length
-from turtlelog.charts.looks import choose_turtle_size
+from turtlelog.charts.palette import choose_turtle_size, to_hex
 from turtlelog.charts.plane_scene import (
     MEDIAN_LABEL,
     OUTLINE_LABEL,
@@ -18,7 +18,7 @@ from turtlelog.charts.plane_scene import (
 )
 from turtlelog.charts.robot_curves import find_break_rows, part_path
 from turtlelog.charts.tracked_path import list_paths, outline_path
-from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin, to_hex
+from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin
 from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.charts.captions import describe_runs
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.curves import require_near
 from turtlelog.charts.many_runs import choose_colors_by_value, group_equal
@@ -25,6 +24,7 @@ from turtlelog.compare import (
     tabulate_measured,
     tabulate_runs,
 )
+from turtlelog.compare.run_ends import describe_runs
 from turtlelog.display import describe_count, join_words
 from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.output_files import replace_file, write_policy_tag
@@ -36,6 +36,7 @@ from turtlelog.draw.report.sections import (
     sort_checks,
     write_attribution,
     write_checks,
+    write_page,
     write_provenance,
     write_table,
 )
@@ -161,7 +162,7 @@ def write_report(
 
 
 def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
-    """Return the what-ifs as ghosts. Plots over time show the one without all effects."""
+    """Return the what-ifs as ghosts. Plots over time show the ghost with all causes removed."""
     if explanation is None or explanation.attribution is None:
         return []
     colors = choose_cause_colors(explanation.attribution.causes)
@@ -278,21 +279,14 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
     )
     resources = load_library("bokeh.resources").Resources(mode="inline", components=["bokeh"])
     config = plots.config | {"places": {place: one.id for place, one in plots.roots.items()}}
-    room = files("turtlelog.draw.report")
-    style, code = (room.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
+    code = files("turtlelog.draw.report").joinpath("page.js").read_text("utf-8")
     library = _end_no_script("\n".join(resources.js_raw))
-    return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8">{write_policy_tag(library, code)}
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
-<title>{show(title)}: turtlelog report</title><style>{style}</style></head>
-<body><header><h1>{show(title)}</h1></header><main>
-{body}</main>
-<script>{library}</script>
+    scripts = f"""<script>{library}</script>
 <script type="application/json" id="drawing">{_escape(drawing)}</script>
 <script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
-<script>{code}</script></body></html>
-"""
+<script>{code}</script>"""
+    policy = write_policy_tag(library, code)
+    return write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
 
 
 def _end_no_script(code: str) -> str:

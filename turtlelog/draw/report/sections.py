@@ -3,14 +3,15 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib.resources import files
 from typing import Final
 
 from turtlelog.charts.attribution_steps import draw_up_attribution
+from turtlelog.charts.palette import to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.compare import Table, format_cell
 from turtlelog.compare.run_names import list_differing
 from turtlelog.display import describe_count
-from turtlelog.draw.report.drawn import to_hex
 from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, write_sentences
@@ -146,6 +147,33 @@ def _place_violations(lines: Sequence[CheckLine]) -> str:
     return places + (note if left and drawn else "")
 
 
+def write_page(title: str, kind: str, body: str, *, policy: str, style: str = "") -> str:
+    """Return a page with a heading.
+
+    Args:
+        title: Heading, also the title of the window.
+        kind: What turtlelog wrote, for the title of the window.
+        body: HTML below the heading.
+        policy: Content policy as a tag, from `write_policy_tag`.
+        style: Style rules besides those of all pages.
+    """
+    common = files("turtlelog.draw.report").joinpath("page.css").read_text("utf-8")
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8">{policy}
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">
+<title>{show(title)}: turtlelog {kind}</title><style>{common}{style}</style></head>
+<body><header><h1>{show(title)}</h1></header>{body}</body></html>
+"""
+
+
+def wrap_provenance(versions: str, command: str, rest: str) -> str:
+    """Return the section on programs, the command if known, and files in `rest` as HTML."""
+    written = f"<p>Written by:</p><pre><code>{show(command)}</code></pre>" if command else ""
+    parts = f"<p>{show(versions)}.</p>{written}{rest}"
+    return f'<section id="provenance"><h2>Where this comes from</h2>{parts}</section>'
+
+
 def write_provenance(
     runs: Sequence[Run],
     names: Sequence[str],
@@ -162,20 +190,17 @@ def write_provenance(
         versions: Versions of the programs that wrote the report.
         command: Command that creates the report; empty if unknown.
     """
-    parts = [f"<p>{show(', '.join(versions))}.</p>"]
-    if command:
-        parts.append(f"<p>Written by:</p><pre><code>{show(command)}</code></pre>")
-    files = [
+    rows = [
         f'<tr><th scope="row">{show(name)}</th><td>{show(file)}</td><td><code>{show(key)}</code>'
         f"</td><td>{show(run.source)}</td></tr>"
         for run, name, (file, key) in zip(runs, names, sources, strict=True)
     ]
-    parts.append(_wrap_table("Recordings", ["run", "file", "sha256", "source"], files))
+    rest = _wrap_table("Recordings", ["run", "file", "sha256", "source"], rows)
     if len(runs) == 1:
-        parts.append(f"<details><summary>Scenario</summary>{_list_scenario(runs[0])}</details>")
+        rest += f"<details><summary>Scenario</summary>{_list_scenario(runs[0])}</details>"
     else:
-        parts.append(_write_differences(runs, names))
-    return f'<section id="provenance"><h2>Where this comes from</h2>{"".join(parts)}</section>'
+        rest += _write_differences(runs, names)
+    return wrap_provenance(", ".join(versions), command, rest)
 
 
 def _write_differences(runs: Sequence[Run], names: Sequence[str]) -> str:

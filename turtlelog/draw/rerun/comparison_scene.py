@@ -10,7 +10,6 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import name_ends
-from turtlelog.charts.looks import choose_turtle_size
 from turtlelog.charts.many_runs import (
     MANY,
     GainScale,
@@ -22,7 +21,7 @@ from turtlelog.charts.many_runs import (
     join_run_names,
     shorten_run_names,
 )
-from turtlelog.charts.palette import Color
+from turtlelog.charts.palette import Color, choose_turtle_size
 from turtlelog.charts.plane_scene import has_grey_paths, move_near
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import document_runs

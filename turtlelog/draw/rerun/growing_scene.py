@@ -52,7 +52,7 @@ class GrowingStream(rr.RecordingStream):
 
     The functions that draw a finished run also draw a growing run with this stream. Rows and static
     data that were already sent are left out. The path, the places of events and the level lines
-    grow at their ends, and are sent again.
+    become longer during the run, so the complete lines are sent again.
 
     Attributes:
         is_due: Whether the growing static data are sent in this round.

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Level
-from turtlelog.charts.looks import choose_curve_color
-from turtlelog.charts.palette import Color
+from turtlelog.charts.palette import Color, choose_curve_color
 from turtlelog.charts.plotted_curves import (
     OWN,
     POINTS,

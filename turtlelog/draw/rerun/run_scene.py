@@ -109,7 +109,7 @@ def build_run_scene(
     size: tuple[int, int] | None = None,
     surroundings: Surroundings | None = None,
 ) -> RunScene:
-    """Return the drawn content of a run; further arguments are those of `write_run_rrd`."""
+    """Return the drawn content of a run; further arguments are as in `write_run_rrd`."""
     single = replace(build_single(run), surroundings=surroundings)
     if documents is None:
         documents = document_run(run, metrics=single.metrics)

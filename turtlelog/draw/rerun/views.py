@@ -129,7 +129,7 @@ def view_phases(content: Content) -> rrb.View:
 
 
 def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
-    """Return the runs whose phases are shown; of many runs, a few including the first and last."""
+    """Return the runs whose phases are shown: all, or a few that include the first and last."""
     if len(prefixes) <= MANY:
         return ()
     rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)

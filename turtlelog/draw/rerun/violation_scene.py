@@ -22,13 +22,7 @@ from turtlelog.draw.rerun.entities import VIOLATION, join_path
 from turtlelog.draw.rerun.layout import LEGEND_TITLE, build_run_layout, build_violation_layout
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording
 from turtlelog.draw.rerun.run_scene import build_single, draw_single
-from turtlelog.draw.rerun.timelines import (
-    RunStream,
-    Times,
-    Values,
-    add_thinning,
-    build_run_timelines,
-)
+from turtlelog.draw.rerun.timelines import RunStream, Times, add_thinning, build_run_timelines
 from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.run import Event, Run
 
@@ -63,13 +57,6 @@ _STROKE_WIDTH: Final = 3.0
 _FILL_ALPHA: Final = 64
 """Opacity of strokes, of 255. Strokes overlap once or twice, and curves stay brighter than the
 band."""
-
-_ROOM: Final = 0.12
-"""Margin above and below the content for marks, as a share of its height."""
-
-_CLOSE_UP: Final = 4.0
-"""Ratio of the curve's height to the violation's height, from which only the violation is shown.
-Otherwise the band would take less than a quarter of the plot."""
 
 _LONGEST_TITLE: Final = 110
 """Longest title [letters of 6.5 pixels]: in a window 1200 pixels wide, the plot has 850 pixels for
@@ -132,20 +119,18 @@ def write_violation_rrd(
 
 def _view_signal(violated: ViolatedSignal) -> rrb.View:
     """Return the view of the signal, its band, and the part outside."""
-    low, high = _find_range(violated)
-    curve, shown = violated.curve, violated.describe_moment(violated.worst, violated.worst_word)
+    part = violated.find_range()
+    shown = violated.describe_moment(violated.worst, violated.worst_word)
     outside = violated.describe_outside(violated.worst)
     shown = f"{shown}, {outside} outside" if outside else shown
-    values = curve.values[np.isfinite(curve.values)]
-    is_close_up = bool((values < low).any() or (values > high).any())
-    title = f"{violated.title}{', close up' if is_close_up else ''}: {shown}"
+    title = f"{violated.title}{', close up' if part.note else ''}: {shown}"
     title = f"{title}; violates {violated.expected or violated.check}"
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"{join_path(entities.VIOLATED)}/**"],
         name=shorten(title, _LONGEST_TITLE, placeholder="..."),
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=rrb.ScalarAxis(range=(low, high)),
+        axis_y=rrb.ScalarAxis(range=(part.low, part.high)),
         plot_legend=rrb.PlotLegend(visible=False),
     )
 
@@ -164,25 +149,6 @@ def _write_legend(violated: ViolatedSignal) -> str:
         f"red: {_NAMES_OUTSIDE[word]}",
     ]
     return "  \n".join(map(escape_markdown, lines))
-
-
-def _find_range(violated: ViolatedSignal) -> tuple[float, float]:
-    """Return the range of the plot: that of curve and band, or of a much smaller violation."""
-    curve, outside = violated.curve.values, violated.outside
-    ends = [end for end in (violated.low, violated.high) if end is not None]
-    moments = np.array([violated.first.value, violated.worst.value])
-    # A value that was never reached is outside from the start: only its nearest approach matters.
-    shown = curve[:0] if violated.worst_word == "nearest" else curve[outside]
-    near = _span(*ends, shown, moments)
-    whole = _span(*ends, curve, moments)
-    low, high = near if whole[1] - whole[0] > _CLOSE_UP * (near[1] - near[0]) else whole
-    room = _ROOM * (high - low) or 1.0
-    return low - room, high + room
-
-
-def _span(*columns: Values) -> tuple[float, float]:
-    known = np.concatenate([column[np.isfinite(column)] for column in columns])
-    return float(known.min()), float(known.max())
 
 
 def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
@@ -255,10 +221,10 @@ def _draw_line(
 def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
     """Fill the band with vertical strokes; an unbounded band is filled up to the plot's edge."""
     times_ns, rows = _choose_strokes(violated.curve.time_ns)
-    edges = _find_range(violated)
+    part = violated.find_range()
     low, high = (
         np.full(len(rows), edge) if end is None else end[rows]
-        for end, edge in ((violated.low, edges[0]), (violated.high, edges[1]))
+        for end, edge in ((violated.low, part.low), (violated.high, part.high))
     )
     strokes = np.column_stack([low, high, np.full(len(rows), np.nan)]).reshape(-1)
     style = rr.SeriesLines(

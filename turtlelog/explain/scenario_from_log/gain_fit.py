@@ -19,7 +19,7 @@ from turtlelog.explain.scenario_from_log.trace import estimate_trace_noise, find
 
 Values = NDArray[np.float64]
 
-_DIGITS: Final = 17
+DIGITS: Final = 17
 """Significant digits that distinguish all doubles."""
 
 _ROUNDING: Final = 1e-13
@@ -78,12 +78,12 @@ def _find_exact_gain(
     slack = _ROUNDING * float(np.abs(command).max())
     if (np.abs(reproduce(ratio) - command) > slack).any():
         return None
-    digits = _DIGITS if len(np.unique(error)) > 2 else _TYPED_DIGITS
+    digits = DIGITS if len(np.unique(error)) > 2 else _TYPED_DIGITS
     decimals = [float(f"{ratio:.{count}g}") for count in range(1, digits + 1)]
     near = [ratio + step * math.ulp(ratio) for step in range(-_NEIGHBOURS, _NEIGHBOURS + 1)]
     fitting = [gain for gain in {*decimals, *near} if np.array_equal(reproduce(gain), command)]
     typed = [gain for gain in decimals if gain in fitting]
-    if digits < _DIGITS and not typed:
+    if digits < DIGITS and not typed:
         return None
     low, high = (min(fitting), max(fitting)) if fitting else _widen(ratio)
     inside = typed or fitting or [gain for gain in decimals if low <= gain <= high]
@@ -405,7 +405,7 @@ def describe_limit(fit: CommandFit) -> Finding:
     return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands are there")
 
 
-def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:
+def compute_gain_misfit(fit: CommandFit, command: Values, error: Values) -> float:
     """Return the root mean square of the residual of a fit, including clipped commands."""
     gain = math.inf if fit.gain is None else max(fit.gain.value, 0.0)
     limit = fit.largest if fit.gain is None else (fit.limit or math.inf)

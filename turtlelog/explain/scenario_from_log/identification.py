@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.errors import ExplainError, ReplayError
 from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
 from turtlelog.explain.scenario_from_log.resimulation import Resimulation
@@ -83,7 +83,7 @@ def bound_value(value: Any, evidence: str, interval: tuple[float, float]) -> Fin
     return Finding(value=value, certainty=Certainty.BOUNDED, evidence=evidence, interval=interval)
 
 
-def _take_recorded(value: Any, evidence: str) -> Finding:
+def take_recorded(value: Any, evidence: str) -> Finding:
     """Return a finding taken from the recorded scenario."""
     return Finding(value=value, certainty=Certainty.RECORDED, evidence=evidence)
 
@@ -204,7 +204,7 @@ class Identification:
             for key, found in self.findings.items()
         ]
         heads = ("", "value", "confidence", "evidence")
-        return format_answer(self._describe(), format_html(rows, heads=heads))
+        return format_notebook(self._describe(), format_html(rows, heads=heads))
 
 
 def identify_plant(run: Run) -> Identification:
@@ -300,7 +300,7 @@ def take_findings(
         if key in LAW_KEYS and _agrees(finding, recorded[key])
     }
     keys = [key for key in (*LAW_KEYS, *LOOP_KEYS) if key not in kept]
-    taken = {key: _take_recorded(recorded[key], evidence) for key in keys}
+    taken = {key: take_recorded(recorded[key], evidence) for key in keys}
     return {**findings, **taken, **take_seconds(scenario)}
 
 
@@ -310,7 +310,7 @@ def take_seconds(scenario: Scenario) -> dict[str, Finding]:
     found: dict[str, Finding] = {}
     if loop.transport_delay_s:
         more = f"and {loop.transport_delay_s:g} s more"
-        found["loop.transport_delay_ticks"] = _take_recorded(loop.transport_delay_ticks, more)
+        found["loop.transport_delay_ticks"] = take_recorded(loop.transport_delay_ticks, more)
     if loop.period_s is not None:
         asks = f"a timer asks for answers, every {loop.period_s:g} s as recorded"
         found["loop.period_ticks"] = miss(asks, loop.period_ticks)

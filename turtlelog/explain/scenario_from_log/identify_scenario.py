@@ -24,6 +24,7 @@ from turtlelog.explain.scenario_from_log.hypothesis import (
 )
 from turtlelog.explain.scenario_from_log.identification import (
     DEAD_TIME,
+    LAW_KEYS,
     Certainty,
     Finding,
     Identification,
@@ -34,6 +35,7 @@ from turtlelog.explain.scenario_from_log.identification import (
     list_unseen,
     miss,
     take_findings,
+    take_recorded,
 )
 from turtlelog.explain.scenario_from_log.law_identification import (
     PHASES,
@@ -70,7 +72,7 @@ from turtlelog.explain.scenario_from_log.trace import (
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run, require_run, slice_run
-from turtlelog.scenario import DEFAULT_LAW, Scenario
+from turtlelog.scenario import DEFAULT_LAW, Scenario, override_scenario
 from turtlelog.simulate import simulate_run
 
 _MOST_PHASES: Final = 6
@@ -193,10 +195,15 @@ def _identify_recorded(run: Run) -> Identification | None:
 
 
 def _prefer_recorded(run: Run, found: Identification) -> Identification:
-    """Return the recorded scenario if it reproduces the run and the identified one does not."""
+    """Return the recorded scenario if it reproduces the run and the identified one does not.
+
+    If the identified scenario does, it gets the recorded settings that the samples do not show.
+    """
     again = found.resimulation
-    if not run.scenario_is_complete or (again is not None and again.is_exact):
+    if not run.scenario_is_complete:
         return found
+    if again is not None and again.is_exact:
+        return _add_recorded(run, found)
     recorded = check_recorded_scenario(run, mark_breaks(trace_run(run, PHASES)), trust_law=False)
     if recorded.scenario is None or recorded.resimulation is None:
         return found
@@ -207,6 +214,35 @@ def _prefer_recorded(run: Run, found: Identification) -> Identification:
         resimulation=recorded.resimulation,
         is_recorded=True,
         notes=(f"{recorded.reach}; {identified}", *_list_candidates(found.findings)),
+    )
+
+
+def _add_recorded(run: Run, found: Identification) -> Identification:
+    """Return findings with the recorded settings of the law that the samples do not show.
+
+    The scenario with these settings must still reproduce every sample.
+    """
+    recorded = {
+        key: run.parameters[key]
+        for key in LAW_KEYS
+        if key in run.parameters and found.findings[key].certainty is Certainty.UNKNOWN
+    }
+    changed = {key: value for key, value in recorded.items() if value != found.findings[key].used}
+    if found.scenario is None or not changed:
+        return found
+    scenario = override_scenario(found.scenario, changed)
+    again = compare_samples(mark_breaks(trace_run(run, PHASES)), simulate_run(scenario))
+    if not again.is_exact:
+        return found
+    findings = {
+        key: take_recorded(value, f"as recorded: {found.findings[key].evidence}")
+        for key, value in recorded.items()
+    }
+    return replace(
+        found,
+        findings=MappingProxyType({**found.findings, **findings}),
+        scenario=scenario,
+        resimulation=again,
     )
 
 

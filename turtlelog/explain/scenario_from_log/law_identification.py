@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 
 from turtlelog.explain.scenario_from_log.gain_fit import (
+    DIGITS,
     CommandFit,
     Reproduce,
-    compute_misfit,
+    compute_gain_misfit,
     describe_fitted_gain,
     describe_limit,
     fit_command,
@@ -135,8 +136,8 @@ def _choose_wrapping(
         return chosen, find_exactly(chosen, "the heading error exceeds half a turn")
     if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
         return False, miss("the heading error stays within half a turn", assumed=False)
-    left = compute_misfit(wrapped, command, wrap_angle(error))
-    chosen = left < compute_misfit(plain, command, error)
+    left = compute_gain_misfit(wrapped, command, wrap_angle(error))
+    chosen = left < compute_gain_misfit(plain, command, error)
     evidence = "the heading error exceeds half a turn"
     return chosen, fit_value(chosen, evidence)
 
@@ -237,9 +238,6 @@ def _name_bounds(low: float, high: float, unit: str) -> str:
     return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
 
 
-_DIGITS: Final = 17
-"""Significant digits that distinguish all doubles."""
-
 _LEADING: Final = "1528346790"
 """First digits of a number, more common digits first."""
 
@@ -248,7 +246,7 @@ def find_round_number(low: float, high: float) -> float:
     """Return the roundest number in [low, high), 0 < high: fewest digits, then common digits."""
     if low <= 0.0:
         return _find_power_below(high)
-    for digits in range(1, _DIGITS + 1):
+    for digits in range(1, DIGITS + 1):
         exponent = int(np.floor(np.log10(high))) - digits + 1
         found = [
             number

@@ -214,7 +214,7 @@ def _describe_beyond(rule: _Rule) -> Finding:
 
 
 def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
-    """Return the rules that may have ended a run with other values than the defaults."""
+    """Return the stop rules that may have ended a run if their values are not the defaults."""
     likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
     findings = dict(contradicted)
     # A rounder value was more likely typed.

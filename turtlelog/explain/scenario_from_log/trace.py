@@ -31,7 +31,8 @@ class Trace:
     Attributes:
         run: Run of the samples.
         number: Number of each sample in the run, from 0, shape (n,); numbers of lost rows are
-            missing. A log without numbers counts its rows until `mark_breaks` is applied.
+            missing. Without sample numbers in the log, row numbers until `mark_breaks` is
+            applied.
         jumps: Rows whose pose the robot cannot have reached from the pose before; empty until
             `mark_breaks` is applied.
         time_ns: Time of each answer [ns], shape (n,).
@@ -255,7 +256,7 @@ _FAR_TICKS: Final = 1000
 
 
 def mark_breaks(trace: Trace) -> Trace:
-    """Return the trace with its jumps marked, and with numbers that skip missing rows."""
+    """Return the trace with its jumps marked, and with numbers that also count missing rows."""
     jumps = _find_jumps(trace)
     number = trace.number if trace.has_ticks else _number_rows(trace, jumps)
     return replace(trace, jumps=jumps, number=number)
@@ -267,7 +268,7 @@ def list_trace_breaks(trace: Trace) -> list[int]:
 
 
 def describe_trace_breaks(trace: Trace) -> list[str]:
-    """Return sentences on jumps, missing rows and misread poses; of many, on the first ones."""
+    """Return sentences on the first jump, the first missing rows, and misread poses."""
     found = []
     if trace.jumps:
         row = trace.jumps[0]

@@ -6,15 +6,15 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, format_pair, join_words
-from turtlelog.explain.one_run.answer_words import write_joint
-from turtlelog.explain.one_run.attribution import is_clear
+from turtlelog.explain.answer_words import NAMED, write_joint
+from turtlelog.explain.attribution import SAME, is_clear
 from turtlelog.explain.two_runs.explained_difference import ROBOT, SEED
 from turtlelog.explain.two_runs.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
 if TYPE_CHECKING:
-    from turtlelog.explain.one_run.attribution import ValueSet
+    from turtlelog.explain.attribution import ValueSet
     from turtlelog.explain.two_runs.explained_difference import (
         Change,
         EffectShift,
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
         Side,
     )
 
-
-_NAMED: Final = 0.1
-"""Share of the contributions' total magnitude above which one of many changes is named."""
 
 _FEW: Final = 3
 """Largest number of changes that are all named, so that their contributions visibly add up."""
@@ -41,9 +38,6 @@ _FEWEST: Final = 2
 values."""
 
 _MOST_DECIMALS: Final = 9
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _PLURALS: Final = ("gains", "limits", "limits driving", "limits turning", COMMANDS)
 _SPANS: Final = ("pause", "delay", "time span", "sampling period", "queue")
@@ -82,11 +76,11 @@ def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
         _write_resimulated(found),
         *_write_departure(found),
         *_write_obstacle(found),
+        _write_starts(found),
         _write_together(found),
         _write_seeds(found),
         _write_orders(found),
         _write_unclear(found),
-        _write_starts(found),
         _write_effects(found),
         _write_idle(found),
         _write_basis(found),
@@ -102,7 +96,7 @@ def write_difference_headline(found: "ExplainedDifference") -> str:
         return f"{found.metric}: {_write_side(found, first)}; {_write_side(found, second)}."
     apart = second.as_logged - first.as_logged
     sizes = [format_magnitude(found, one) for one in (first.as_logged, second.as_logged)]
-    if abs(apart) <= _SAME * max(abs(first.as_logged), abs(second.as_logged)):
+    if abs(apart) <= SAME * max(abs(first.as_logged), abs(second.as_logged)):
         moves = f"is {sizes[0]} in both runs"
     else:
         moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} to {sizes[1]}"
@@ -131,7 +125,7 @@ def _list_divided(found: "ExplainedDifference") -> list["Change"]:
 
 
 def _is_chance(found: "ExplainedDifference", one: "Change") -> bool:
-    """Return whether a part is chance instead of a cause. Noise set by a scenario is a cause."""
+    """Return whether a change is due to chance. Noise that a scenario sets is a cause instead."""
     return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
 
 
@@ -156,7 +150,7 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
     sides = (found.first, found.second)
     pairs = [(one.as_logged, one.resimulated) for one in sides]
     known = [(a, b) for a, b in pairs if a is not None and b is not None]
-    if len(known) < 2 or all(abs(a - b) <= _SAME * abs(a) for a, b in known):
+    if len(known) < 2 or all(abs(a - b) <= SAME * abs(a) for a, b in known):
         return ""
     values = [format_magnitude(found, value) for _, value in known]
     if found.unexplained is not None:
@@ -173,7 +167,7 @@ def choose_told(found: "ExplainedDifference") -> list["Change"]:
     if len(divided) <= _FEW:
         tiny = _TINY * _sum(divided)
         return [one for one in divided if abs(one.contribution or 0.0) > tiny]
-    least = _NAMED * _sum(divided)
+    least = NAMED * _sum(divided)
     told = [one for one in divided if _is_large(one, least)]
     return divided if len(told) == len(divided) - 1 else told
 
@@ -298,7 +292,7 @@ def _write_together(found: "ExplainedDifference") -> str:
     """Return the part that arises only if several changes act together; empty if it is small."""
     if not found.contributions or _is_negligible(found):
         return ""
-    least = _NAMED * _sum(_list_divided(found))
+    least = NAMED * _sum(_list_divided(found))
     large = [
         one
         for one in sorted(found.together, key=lambda one: -abs(one.value))[:_FEW]
@@ -342,8 +336,8 @@ def _write_starts(found: "ExplainedDifference") -> str:
     within = f"{math.degrees(starts.within_rad):.3g} deg"
     first, second = (_format_span(found, *span) for span in (starts.first, starts.second))
     return (
-        f"The difference depends on single samples: for {starts.count} start headings within"
-        f" +-{within} the first run has {first}, the second {second}."
+        f"The difference depends on single samples. For {starts.count} start headings within"
+        f" +-{within}, {found.metric} is {first} in the first run and {second} in the second."
     )
 
 
@@ -393,7 +387,7 @@ def _write_effects(found: "ExplainedDifference") -> str:
     """Return how the contributions of `explain` differ; empty if the differences are negligible."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
     parts = [_write_shift(found, one) for one in large[:_FEW]]
-    head = "By cause (turtlelog explain), the second run has"
+    head = "By effect instead of by setting (turtlelog explain), the second run has"
     return f"{head} {join_words(parts)}." if parts else ""
 
 

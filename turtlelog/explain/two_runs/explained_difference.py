@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final
 
-from turtlelog.display import fit_line, format_answer, format_html
-from turtlelog.explain.one_run.attribution import Resolution, Together, ValueSet
+from turtlelog.display import fit_line, format_html, format_notebook
+from turtlelog.explain.attribution import Resolution, Together, ValueSet
 from turtlelog.explain.scenario_from_log.resimulation import Departure
 
 SEED: Final = "seed"
@@ -103,9 +103,9 @@ class DifferenceRange:
     """Range of the difference over starts within the turn of one sample.
 
     Attributes:
-        count: Number of starts, at equal distances; the scenarios' own starts are in the middle.
-        within_rad: Angle between the scenarios' own heading and that of the first and last start
-            [rad].
+        count: Number of start headings, equally spaced around each scenario's own heading.
+        within_rad: Angle between the scenarios' own heading and the heading of the first and last
+            start [rad].
         difference: Smallest and largest difference, in the metric's unit.
         first: Smallest and largest metric of the first run.
         second: Smallest and largest metric of the second run.
@@ -130,7 +130,7 @@ class ExplainedDifference:
         unit: Unit of all values.
         first: Run from which the difference is taken.
         second: Other run.
-        difference: The metric of the second run minus that of the first, re-simulated (for robots,
+        difference: Metric of the second run minus metric of the first, re-simulated (for robots,
             as logged); None if a run has no value.
         contributions: Contribution of each group of changed settings, the largest first. The sum is
             `difference`; for robots, it includes `unexplained`. Empty if the contributions are
@@ -203,7 +203,7 @@ class ExplainedDifference:
         ]
         table = format_html(rows, heads=heads) if rows else ""
         rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
-        return format_answer(self.sentences[0], table, *rest)
+        return format_notebook(self.sentences[0], table, *rest)
 
 
 def _write_values(change: Change, values: tuple[Any, ...]) -> str:

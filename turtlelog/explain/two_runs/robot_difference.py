@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import join_words
-from turtlelog.explain.one_run.attribute import divide_game
-from turtlelog.explain.one_run.attribution import Attribution, Contribution, Resolution
-from turtlelog.explain.one_run.game import SEEDS, Coalition, Game, Outcome, Work
-from turtlelog.explain.one_run.shapley import ORDERS, sample_game
+from turtlelog.explain.attribute import divide_game
+from turtlelog.explain.attribution import SAME, Attribution, Contribution, Resolution
+from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
+from turtlelog.explain.shapley import ORDERS, sample_game
 from turtlelog.explain.two_runs.explained_difference import ROBOT, Change, ExplainedDifference, Side
 from turtlelog.explain.two_runs.robot_parts import (
     COMMANDS,
@@ -52,9 +52,6 @@ _MOST_UNEXPLAINED: Final = 1.0 / 3.0
 _ACTS: Final = 1e-3
 """Share of the difference below which a part does not act, when it is changed in either log."""
 
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0."""
-
 _LAW_ACTS: Final = "its controller is known, the other one's is not, so its law counts as commands"
 
 _BY_CHANCE: Final = 2.0
@@ -91,7 +88,7 @@ def explain_robots(
     if one is None or other is None:
         return replace(found, withheld="one log has no value")
     found = replace(found, difference=other - one)
-    if abs(other - one) <= _SAME * max(abs(one), abs(other)):
+    if abs(other - one) <= SAME * max(abs(one), abs(other)):
         return found
     lacking = [run.name for run in runs if not len(run.commands)]
     if lacking:
@@ -236,7 +233,7 @@ def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
 
 
 def _complete(change: Change, share: Contribution) -> Change:
-    """Return a change with its contribution. The error is that of single samples, not of means.
+    """Return a change with its contribution. The standard error is for a single sample.
 
     The standard error of a mean over samples would be too small by the root of the number of
     samples.
@@ -283,7 +280,7 @@ class RobotGame(Game):
         self._ways: dict[object, tuple[Values, Values]] = {}
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:  # noqa: ARG002
-        """Return every seed, because any set of parts of two robots is uncertain."""
+        """Return all seeds, because each seed samples the uncertain parameters of both robots."""
         return SEEDS
 
     def describe_ending(self, name: str) -> str:  # noqa: ARG002

@@ -11,7 +11,7 @@ from typing import Any, Final
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ScenarioError
 from turtlelog.explain.causes import PLANT_CAUSES, draws_random
-from turtlelog.explain.one_run.game import Coalition, Outcome, Play, ScenarioGame, Work
+from turtlelog.explain.game import Coalition, Outcome, Play, ScenarioGame, Work
 from turtlelog.laws import find_law, list_causes
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import (

@@ -7,24 +7,17 @@ from typing import Final
 
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
-from turtlelog.explain.causes import draws_random
-from turtlelog.explain.one_run.attribute import attribute_scenario, divide_game
-from turtlelog.explain.one_run.attribution import (
+from turtlelog.explain.attribute import attribute_scenario, divide_game
+from turtlelog.explain.attribution import (
+    SAME,
     Attribution,
     Contribution,
     Resolution,
     choose_metric,
     find_resolution,
 )
-from turtlelog.explain.one_run.game import SEEDS, Play, Work, iterate_outcomes
-from turtlelog.explain.one_run.shapley import ORDERS, sample_game
-from turtlelog.explain.one_run.starts import (
-    find_steady_span,
-    ranges_over,
-    spread_starts,
-    subtract_values,
-    turn_start,
-)
+from turtlelog.explain.causes import draws_random
+from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
 from turtlelog.explain.scenario_from_log.hypothesis import (
     LONGEST_S,
     check_recorded_scenario,
@@ -33,6 +26,14 @@ from turtlelog.explain.scenario_from_log.hypothesis import (
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.scenario_from_log.resimulation import find_departure
 from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
+from turtlelog.explain.shapley import ORDERS, sample_game
+from turtlelog.explain.starts import (
+    find_steady_span,
+    ranges_over,
+    spread_starts,
+    subtract_values,
+    turn_start,
+)
 from turtlelog.explain.two_runs.explained_difference import (
     SEED,
     Change,
@@ -56,9 +57,6 @@ paper's runs."""
 
 _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the difference between runs."""
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _ROUNDING: Final = 1e-12
 """Share of a value that a mean over equal values may differ by."""
@@ -114,7 +112,7 @@ def explain_difference(
             the last loop.
         trust_law: Whether to run the code of recorded laws that are not built in.
         depth: Amount of simulation. Default: everything.
-        work: Settings of the simulation: processes and progress.
+        work: Number of processes, and a function that receives the progress.
 
     Raises:
         ExplainError: If the metric does not exist for both runs.
@@ -124,7 +122,7 @@ def explain_difference(
     require_run(second, "second")
     depth = depth or Depth()
     metric = metric or choose_common_metric(first, second)
-    require_common_metric(first, second, metric)
+    _require_common_metric(first, second, metric)
     unit = list_metrics(second.declaration)[metric].unit
     if is_robot_log(first) or is_robot_log(second):
         return explain_robots(first, second, metric, unit, work)
@@ -261,7 +259,7 @@ def choose_common_metric(first: Run, second: Run) -> str:
     return next((name for name in chosen if name in known), "run.path_length")
 
 
-def require_common_metric(first: Run, second: Run, metric: str) -> None:
+def _require_common_metric(first: Run, second: Run, metric: str) -> None:
     """Require a metric that both runs have.
 
     Raises:
@@ -439,7 +437,7 @@ def _compare_with_logs(found: ExplainedDifference) -> str:
         for side in (found.first, found.second)
     )
     largest = max(abs(side.as_logged or 0.0) for side in (found.first, found.second))
-    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), _SAME * largest):
+    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), SAME * largest):
         return ""
     return "logs and re-simulations differ by more than a tenth of the difference"
 

@@ -1,8 +1,1 @@
-"""Reading of files as columns: thousands of messages at once instead of one by one.
-
-The public names are in `__init__.pyi` and load on first use.
-"""
-
-from turtlelog.libraries import attach_names
-
-__getattr__, __dir__ = attach_names(__name__, __file__)
+"""Reading of files as columns: thousands of messages at once instead of one by one."""

@@ -318,7 +318,7 @@ def take_few_lists(
     The result is None in the same cases as for `decode_few`.
 
     Args:
-        kind: `TEXT`, or the fields of the nested messages.
+        kind: Type of the nested values: `TEXT`, or the fields of a nested message.
         data: Bytes that contain the messages.
         starts: Start of each message, from which alignment is counted, shape (n,).
         places: Offset of the first nested value in each message, shape (n,).

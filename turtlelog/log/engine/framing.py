@@ -170,7 +170,7 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     opcode, length = _read_head(window, place)
     end = place + RECORD.size + length
     if end > window.size:
-        raise LogError(f"the file ends within a record of {length} bytes")
+        raise LogError(f"the file ends within a record of {length} bytes, and the rest is missing")
     found = measure_record(window, place, opcode, end)
     if found > end or (found < end and not is_padding(window, found, end, opcode)):
         found -= place + RECORD.size

@@ -11,20 +11,18 @@ import msgspec
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.message_types import LONGEST_TEXT, Column
+from turtlelog.log.engine.message_types import DEEPEST, LONGEST_TEXT, MOST_FIELDS, Column
 
 JsonKind = Literal["number", "integer", "boolean", "string", "any"]
 
 LONGEST_MESSAGE: Final = 2**24
 """Largest size of a message [bytes]. Decoded objects may take thirty times as much memory."""
 
-_MOST_FIELDS: Final = 10_000
 _MOST_PARTS: Final = 2**18
 """Largest number of objects, references and choices that are read in a schema.
 
 References to objects with references multiply, even without fields. Reading this number of parts
 takes 0.5 s; a text of 1 MB has fewer objects."""
-_DEEPEST: Final = 64
 
 _KINDS: Final[tuple[JsonKind, ...]] = ("number", "integer", "boolean", "string")
 _EXPECTED: Final[Mapping[str, str]] = MappingProxyType(
@@ -80,8 +78,8 @@ def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
         if field.name in fields:
             raise LogError(f"schema {name}: expected names that differ, found {field.name} twice")
         fields[field.name] = field
-        if len(fields) > _MOST_FIELDS:
-            raise LogError(f"schema {name}: expected up to {_MOST_FIELDS} fields, found more")
+        if len(fields) > MOST_FIELDS:
+            raise LogError(f"schema {name}: expected up to {MOST_FIELDS} fields, found more")
     return tuple(fields.values())
 
 
@@ -137,7 +135,7 @@ class _Schema:
         if not isinstance(properties, dict):
             yield JsonField(path=path, kind=_find_kind(schema))
             return
-        if len(path) > _DEEPEST:
+        if len(path) > DEEPEST:
             expected = "expected types that end, found one that holds itself"
             raise LogError(f"schema {self._name}: {expected}")
         for key, inner in properties.items():
@@ -145,7 +143,7 @@ class _Schema:
 
     def _resolve(self, schema: Any) -> dict[str, Any]:
         """Resolve a schema: the target of a reference, or the only kind apart from null."""
-        for _ in range(_DEEPEST):
+        for _ in range(DEEPEST):
             if not isinstance(schema, dict):
                 return {}
             listed = schema.get("anyOf") or schema.get("oneOf")

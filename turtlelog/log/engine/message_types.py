@@ -16,8 +16,12 @@ from turtlelog.log.engine.parsing import HEADING_FIELDS
 TEXT: Final = "text"
 """Kind of a text; every other kind is a type code of numpy, or the fields of a nested message."""
 
-_MOST_FIELDS: Final = 10_000  # nested types multiply fields; common types have far fewer
-_DEEPEST: Final = 64
+MOST_FIELDS: Final = 10_000
+"""Largest number of fields of a message. Nested types multiply fields; common types have far
+fewer."""
+
+DEEPEST: Final = 64
+"""Largest nesting depth of types."""
 
 LONGEST_TEXT: Final = 2**20
 """Largest size of a definition with all its types [bytes]; the longest known is a tenth of this."""
@@ -232,7 +236,7 @@ class _Resolver:
         return self._known[name]
 
     def _build(self, name: str, inside: tuple[str, ...]) -> tuple[tuple[Field, ...], int]:
-        if name in inside or len(inside) > _DEEPEST:
+        if name in inside or len(inside) > DEEPEST:
             raise LogError(f"schema {name}: expected types that end, found one that holds itself")
         if name not in self._definitions:
             raise LogError(f"schema {name}: its definition is missing")
@@ -244,9 +248,9 @@ class _Resolver:
             is_sequence = found["brackets"] is not None and length is None
             field = Field(name=found["name"], kind=kind, length=length, is_sequence=is_sequence)
             fields.append(field)
-            if count > _MOST_FIELDS:
+            if count > MOST_FIELDS:
                 raise LogError(
-                    f"schema {name}: expected up to {_MOST_FIELDS} fields, found {count} or more"
+                    f"schema {name}: expected up to {MOST_FIELDS} fields, found {count} or more"
                 )
         if len({field.name for field in fields}) < len(fields):
             raise LogError(f"schema {name}: expected names that differ, found one twice")

@@ -1,4 +1,4 @@
-"""Parsing of MCAP records: offsets of messages, and other records as values."""
+"""Parse MCAP records: return the offsets of messages, and the contents of other records."""
 
 import struct
 import zlib

@@ -14,14 +14,12 @@ from typing import Any, Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.json_messages import LONGEST_MESSAGE, JsonField, JsonKind
-from turtlelog.log.engine.message_types import LONGEST_TEXT
+from turtlelog.log.engine.message_types import DEEPEST, LONGEST_TEXT, MOST_FIELDS
 
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
 """Wire types; groups are refused, because proto3 does not have them."""
 
 _LONGEST_VARINT: Final = 10
-_DEEPEST: Final = 64
-_MOST_FIELDS: Final = 10_000
 
 _MESSAGE: Final = 11
 _REPEATED: Final = 3
@@ -162,7 +160,7 @@ def _describe(
     described: dict[str, list[Mapping[int, list[Any]]]], prefix: str, message: Any, depth: int
 ) -> None:
     """Collect the fields of a message type and of the types that it defines."""
-    if depth > _DEEPEST:
+    if depth > DEEPEST:
         raise LogError("expected types within types that end, found more")
     parts = _collect(message)
     name = f"{prefix}.{_read_text(parts, 1)}"
@@ -175,20 +173,20 @@ class _Builder:
     """Builder of types that counts their fields, because nested types multiply fields."""
 
     def __init__(self, described: Mapping[str, Sequence[Mapping[int, list[Any]]]]) -> None:
-        self._described, self._left = described, _MOST_FIELDS
+        self._described, self._left = described, MOST_FIELDS
 
     def build(self, name: str, inside: tuple[str, ...]) -> ProtobufType:
         found = ProtobufType()
         for parts in self._described.get(name, ()):
             self._left -= 1
             if self._left < 0:
-                raise LogError(f"expected up to {_MOST_FIELDS} fields, found more")
+                raise LogError(f"expected up to {MOST_FIELDS} fields, found more")
             number, kind = _read_number(parts, 3), _read_number(parts, 5)
             own, of = _read_text(parts, 1), _read_text(parts, 6)
             is_repeated = _read_number(parts, 4) == _REPEATED
             # Lists of messages are not decoded: a run has none.
             is_inner = kind == _MESSAGE and not is_repeated
-            if is_inner and (of in inside or of == name or len(inside) > _DEEPEST):
+            if is_inner and (of in inside or of == name or len(inside) > DEEPEST):
                 continue
             inner = self.build(of, (*inside, name)) if is_inner else None
             one = ProtobufField(

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from turtlelog.log.error_boundary import DamageError
 
 _TABLE_LEAF, _TABLE_INTERIOR, _INDEX_LEAF, _INDEX_INTERIOR = 13, 5, 10, 2
-_ROWS: Final = (_TABLE_LEAF, _INDEX_LEAF, _INDEX_INTERIOR)
 _PARENTS: Final = (_TABLE_INTERIOR, _INDEX_INTERIOR)
 
 _FILE_HEAD: Final = 100

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import LATEST_S
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import describe_csv_error, iterate_lines
 from turtlelog.laws.sequential_p import DECLARATION
@@ -37,8 +38,6 @@ _NUMBERS: Final = (
     "vel_y_global",
 )
 """The lists of numbers, named as in the JSON layout."""
-
-_LONGEST_S: Final = 4e9  # later than any clock, and well within 64 bits of nanoseconds
 
 _POSE_TIMES: Final = "of the callbacks that read them: in a burst they are later than the poses"
 
@@ -208,9 +207,9 @@ def _sort_rows(
 
 
 def _require_rising(time: NDArray[np.float64], *, is_sorted: bool) -> None:
-    if abs(time).max() > _LONGEST_S:
+    if abs(time).max() > LATEST_S:
         row = int(abs(time).argmax())
-        raise LogError(f"time[{row}]: expected up to {_LONGEST_S:g} s, found {time[row]}")
+        raise LogError(f"time[{row}]: expected up to {LATEST_S:g} s, found {time[row]}")
     wrong = np.diff(time) <= 0
     if wrong.any():
         row = int(wrong.argmax()) + 1

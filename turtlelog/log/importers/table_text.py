@@ -13,12 +13,7 @@ import numpy as np
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.log.error_boundary import open_file
-from turtlelog.log.parquet.parquet_file import (
-    ParquetFile,
-    count_most_rows,
-    describe_rows,
-    list_cells,
-)
+from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
 
 TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """Columns of a TUM trajectory, which has no header: time, position, quaternion."""
@@ -37,7 +32,7 @@ _LONGEST_HEAD: Final = 64 * 1024
 of 60 letters, and the other columns, fit."""
 
 MOST_COLUMNS: Final = 10_000
-"""Largest number of columns: turtlelog's tables have 30, those of robot models hundreds. Names are
+"""Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
 searched once for each quantity, which takes 1 s."""
 
 _MOST_KNOWN: Final = 2**14

@@ -17,7 +17,7 @@ from turtlelog.log.complete_files import mark_live
 from turtlelog.log.interrupts import exit_on_terminate, hold_stop
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
-from turtlelog.log.writing.container import McapFile
+from turtlelog.log.writing.container import McapFile, name_write_error
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick, declare_scenario
 
@@ -213,9 +213,7 @@ class Recorder:
         except OSError as err:
             raise LogError(f"{self._path}: cannot be written: {err.strerror or err}") from err
         except UnicodeEncodeError as err:
-            raise LogError(
-                f"{self._path}: expected text, found characters that UTF-8 lacks: {err}"
-            ) from err
+            raise name_write_error(self._path, err) from err
 
     def _add_head(self, notes: Mapping[str, str]) -> None:
         head = describe_scenario(

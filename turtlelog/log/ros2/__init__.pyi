@@ -33,5 +33,4 @@ from .bag_topics import (
     NoPosesError as NoPosesError,
     choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
-    describe_unread_topics as describe_unread_topics,
 )

@@ -376,7 +376,7 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
 def _find_duplicates(
     time_ns: NDArray[np.int64], contents: Sequence[NDArray[Any]]
 ) -> NDArray[np.bool_]:
-    """Return which rows repeat an earlier row. Only rows at equal times can do so."""
+    """Return which rows repeat an earlier row. Only rows of equal time are compared."""
     repeated = np.zeros(len(time_ns), dtype=bool)
     same = np.flatnonzero(np.diff(time_ns) == 0)
     order = np.union1d(same, same + 1)

@@ -39,7 +39,7 @@ from turtlelog.log.ros2.bag_commands import (
     read_commands_alone,
 )
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
-from turtlelog.log.ros2.bag_references import Track, add_references
+from turtlelog.log.ros2.bag_references import RobotTrack, add_references
 from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
 from turtlelog.log.ros2.bag_topics import TRANSFORMS, NoPosesError, Pick, describe_unread_topics
 from turtlelog.log.ros2.reported_motion import (
@@ -189,7 +189,7 @@ def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
 
 def _build_run(
     path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
-) -> tuple[Run, Track]:
+) -> tuple[Run, RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
     poses = order_topic(found, source.topic, extract_poses)
     has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
@@ -199,7 +199,7 @@ def _build_run(
     commands, dropped_commands = None, 0
     if command_pick is not None:
         commands, dropped_commands = order_commands(found, command_pick.topic, choice)
-    track = Track(
+    track = RobotTrack(
         time_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
         frame=source.frame,

@@ -39,7 +39,7 @@ _MOST_LOOKED_AT: Final = 50
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Track:
+class RobotTrack:
     """Positions of the robot, in the frame of its poses.
 
     Attributes:
@@ -55,7 +55,9 @@ class Track:
     tree: Tree
 
 
-def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice: ReadChoice) -> Run:
+def add_references(
+    run: Run, bag: Bag, source: PoseSource, track: RobotTrack, choice: ReadChoice
+) -> Run:
     """Return a run with the goal and the path in its bag, or the requested ones.
 
     Raises:
@@ -125,7 +127,7 @@ class FoundGoal:
     time_ns: int = 0
 
 
-def find_goal(messages: Sequence[TopicColumns], topic: str, track: Track) -> FoundGoal:
+def find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> FoundGoal:
     """Return the last goal that was set while the robot was recorded.
 
     A goal in another frame is converted to the frame of the poses by the transforms at the time of
@@ -165,7 +167,7 @@ def _name_place(columns: TopicColumns, row: int) -> tuple[str, ...]:
 
 
 def _bring_over(
-    track: Track, frame: str, place_m: Values, turn: Values, time_ns: int
+    track: RobotTrack, frame: str, place_m: Values, turn: Values, time_ns: int
 ) -> tuple[Values, Values, str] | str:
     """Return positions and forward directions in the poses' frame, and the method; or why not."""
     frame, ahead = frame.lstrip("/"), rotate(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
@@ -197,7 +199,7 @@ class FoundPath:
 
 
 def find_path(
-    messages: Sequence[TopicColumns], topic: str, track: Track, *, since_ns: int = 0
+    messages: Sequence[TopicColumns], topic: str, track: RobotTrack, *, since_ns: int = 0
 ) -> FoundPath:
     """Return the first path with a length, preferably after a time.
 
@@ -237,7 +239,9 @@ def find_path(
     return FoundPath(points=points, note=said)
 
 
-def _read_points(columns: TopicColumns, row: int, time_ns: int, track: Track) -> tuple[Values, str]:
+def _read_points(
+    columns: TopicColumns, row: int, time_ns: int, track: RobotTrack
+) -> tuple[Values, str]:
     """Return the points of a path in the frame of the poses, or no points and the reason."""
     try:
         found: list[dict[str, Any]] = columns.fields["poses"][row]
@@ -261,7 +265,7 @@ def _measure(xy_m: Values) -> float:
     return float(np.hypot(*np.diff(xy_m, axis=0).T).sum()) if len(xy_m) > 1 else 0.0
 
 
-def _is_trace(known: Sequence[tuple[int, Values]], track: Track) -> bool:
+def _is_trace(known: Sequence[tuple[int, Values]], track: RobotTrack) -> bool:
     """Return whether paths end at the robot's position at their time of publication."""
     step = -(-len(known) // _MOST_LOOKED_AT)
     shares = []

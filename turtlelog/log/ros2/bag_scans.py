@@ -50,7 +50,7 @@ _MOST_MESSAGES: Final = 20_000
 100 MB."""
 
 _LONGEST_RAY_M: Final = 10_000.0
-"""Range beyond that of any scanner on a robot [m]; `range_max` may be infinite."""
+"""Range that no scanner on a robot reaches [m]; `range_max` may be infinite."""
 
 _LONGEST_GAP_NS: Final = 1_000_000_000
 """Longest gap between poses in which a scan can be placed [ns]."""

@@ -1,4 +1,4 @@
-"""Comparison of path lengths and rates that odometry reports with those of its poses."""
+"""Comparison of the path length and rates that odometry reports with its poses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -203,6 +203,8 @@ def describe_small_leaps(xy_m: Values) -> str | None:
     Args:
         xy_m: Positions in the order of reception [m], shape (n, 2).
     """
+    # Messages that were recorded twice add steps of 0.
+    xy_m = xy_m[np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))]
     if len(xy_m) <= 4 * _ROWS:
         return None
     drive_m = (xy_m[2 * _ROWS :] - xy_m[: -2 * _ROWS]) / (2 * _ROWS)

@@ -17,9 +17,10 @@ from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.file_info import survey_file
-from turtlelog.log.parquet.parquet_file import MOST_ROWS
+from turtlelog.log.parquet_file import MOST_ROWS
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
+from turtlelog.log.writing.container import name_write_error
 from turtlelog.run import TABLES, Run, tabulate_run
 from turtlelog.run.tables import iterate_arrow
 
@@ -183,7 +184,7 @@ def _name_place(path: Path) -> Iterator[None]:
     try:
         yield
     except UnicodeEncodeError as err:
-        raise LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}") from err
+        raise name_write_error(path, err) from err
 
 
 def _write_csv(run: Run, table: str, path: Path) -> None:

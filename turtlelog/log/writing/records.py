@@ -318,14 +318,10 @@ def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> 
         body += packer.pack(0 if value is None else value)
 
 
-def cut_chunks(
-    channels: Sequence[ChannelRecords], *, chunk_bytes: int = CHUNK_BYTES
-) -> Iterator[ChunkRows]:
+def cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
     """Yield chunks of all records in order of log time; at equal times, channel by channel.
 
-    Args:
-        channels: Channels with records in order of log time.
-        chunk_bytes: Largest size of a chunk [bytes]; a larger record gets its own chunk.
+    The records of each channel are in order of log time. A record larger than a chunk gets its own.
     """
     filled = [content for content in channels if len(content.sizes)]
     if not filled:
@@ -337,7 +333,7 @@ def cut_chunks(
     starts = np.empty_like(ends)
     starts[order] = ends - sizes[order]
     placed = list(_split(filled, starts))
-    for first, last in _find_borders(ends, chunk_bytes):
+    for first, last in _find_borders(ends):
         start = int(ends[first - 1]) if first else 0
         yield _fill_chunk(placed, start, int(ends[last]), (int(times[first]), int(times[last])))
 
@@ -360,11 +356,11 @@ def _split(channels: Sequence[ChannelRecords], starts: Numbers) -> Iterator[_Pla
         first += len(sizes)
 
 
-def _find_borders(ends: Numbers, chunk_bytes: int) -> Iterator[tuple[int, int]]:
+def _find_borders(ends: Numbers) -> Iterator[tuple[int, int]]:
     """Yield the first row of every chunk, and the row after its last."""
     first, start = 0, 0
     while first < len(ends):
-        after = int(np.searchsorted(ends, start + chunk_bytes, side="right"))
+        after = int(np.searchsorted(ends, start + CHUNK_BYTES, side="right"))
         last = max(after - 1, first)
         yield first, last
         first, start = last + 1, int(ends[last])

@@ -122,7 +122,7 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
 def _find_dead_time_samples(
     theory: str, context: RunContext, response: Response, period_s: float
 ) -> int | Missing:
-    """Return the dead time of a theory in samples: 0, the setting, or that of the recording."""
+    """Return the dead time of a theory in samples: 0, the setting, or found in the run."""
     if theory == "sampled":
         return 0
     asked = context.settings.dead_time_ticks

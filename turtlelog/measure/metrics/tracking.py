@@ -35,7 +35,7 @@ its lap goes one sample beyond the next lap's first corner: 16 mm at 1 m/s."""
 
 
 def _has_lag(loop: ControlLoop) -> bool:
-    """Return whether the reference depends on time, unlike that of a distance."""
+    """Return whether the reference depends on time. The reference of a distance does not."""
     is_error = loop.signal == "distance" or (loop.signal, loop.reference) == ("cross_track", "path")
     return loop.moves and not is_error
 
@@ -111,7 +111,7 @@ def find_shift(time_s: Values, reference: Values, error: Values, memory: Any) ->
 
 
 def _tell_shift(number: int, count: int, apart_s: float, most_s: float) -> float:
-    """Return one of some shifts at equal distances, from -`most_s` to `most_s` [s]."""
+    """Return one of `count` equally spaced shifts, from -`most_s` to `most_s` [s]."""
     return most_s if number == count - 1 else number * apart_s - most_s
 
 

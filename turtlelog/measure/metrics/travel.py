@@ -247,7 +247,7 @@ def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
     below the threshold.
 
     Args:
-        speed: Speeds at equal distances in time, shape (n,), not all 0.
+        speed: Speeds at equally spaced times, shape (n,), not all 0.
         rate_hz: Values per second [Hz].
     """
     count = 2 ** (int(np.ceil(np.log2(len(speed)))) + _PADDING)

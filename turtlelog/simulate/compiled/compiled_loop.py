@@ -21,7 +21,7 @@ from turtlelog.simulate import loop
 from turtlelog.simulate.assemble import Function, Parts, bind_parts, bind_states, bind_step
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled import compiled_entry
-from turtlelog.simulate.compiled.compiled_loops import remove_others
+from turtlelog.simulate.compiled.compiled_code import remove_others
 from turtlelog.simulate.compiled.twins import (
     TwinError,
     Twins,

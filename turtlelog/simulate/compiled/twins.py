@@ -4,8 +4,8 @@ A function is rebuilt with the functions that it calls replaced by their twins. 
 call named functions of a module, functions of `math`, and builtins. Objects that numba would freeze
 silently (other modules, objects, closures, defaults) are rejected.
 
-Some functions of `arithmetic` have different compiled code with the same values. This code is
-compiled into the loops that call them; ordinary Python never uses it.
+Some functions of `arithmetic` have a second implementation that returns the same values. Compiled
+loops contain the second implementation; ordinary Python never calls it.
 """
 
 import builtins

@@ -23,6 +23,7 @@ from turtlelog.simulate.assemble import Function, compile_text
 from turtlelog.simulate.compiled.compiled_loop import PIECE, SAMPLE, TICK, compile_entry
 from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
 from turtlelog.sweep.batch import batch_kernel, path_kernel
+from turtlelog.sweep.batch.batch_entry import measure_row
 from turtlelog.sweep.batch.batch_kernel import (
     PATH,
     REFERENCES,
@@ -93,14 +94,14 @@ class Coverage:
 
     Attributes:
         name: Name of the measurement in numba's cache.
-        module: Module that compiles it when it is imported.
+        compiler: Function that compiles it, as `module:function`.
         curves: Names of the metrics in `CURVES` that a loop of these laws may have.
         functions: Functions that the outermost function calls for the inputs of metrics.
         uses: Number of rows of `Memory.numbers`.
     """
 
     name: str
-    module: str
+    compiler: str
     curves: tuple[str, ...]
     functions: Mapping[str, Function]
     uses: int
@@ -119,7 +120,7 @@ def _choose_curves(references: Collection[str]) -> tuple[str, ...]:
 
 GOALS: Final = Coverage(
     "goal",
-    "turtlelog.sweep.batch.goal_measurement",
+    f"{__name__}:compile_goals",
     _choose_curves(REFERENCES[:-1]),
     {
         "PREPARE_ROW": batch_kernel.prepare_row,
@@ -133,7 +134,7 @@ GOALS: Final = Coverage(
 
 PATHS: Final = Coverage(
     "path",
-    "turtlelog.sweep.batch.path_measurement",
+    f"{__name__}:compile_paths",
     _choose_curves([PATH]),
     {
         "PREPARE_ROW": path_kernel.prepare_path_row,
@@ -230,8 +231,20 @@ def name_measurement(coverage: Coverage) -> str:
     return f"measure_{coverage.name}_{_bind(coverage)[1]}"
 
 
-def compile_measurement(entry: Function, coverage: Coverage) -> Any:
-    """Return the compiled function that measures a row; `entry` is the outermost function."""
+@cache
+def compile_goals() -> Any:
+    """Return the compiled measurement of laws with a goal."""
+    return _compile_measurement(GOALS)
+
+
+@cache
+def compile_paths() -> Any:
+    """Return the compiled measurement of laws that track a path."""
+    return _compile_measurement(PATHS)
+
+
+def _compile_measurement(coverage: Coverage) -> Any:
+    """Return the compiled function that measures a row."""
     functions, stamp = _bind(coverage)
 
     def bind(compiler: Any) -> dict[str, Any]:
@@ -239,7 +252,7 @@ def compile_measurement(entry: Function, coverage: Coverage) -> Any:
         scope = {name: twins.compile(function) for name, function in functions.items()}
         return {**scope, "ROW": Row, "CURVES": len(coverage.curves), "STAMP": int(stamp[:12], 16)}
 
-    return compile_entry(entry, name_measurement(coverage), bind, type_measurement(coverage))
+    return compile_entry(measure_row, name_measurement(coverage), bind, type_measurement(coverage))
 
 
 _ANY_PATH: Final = Path(kind="line", points=((0.0, 0.0), (1.0, 0.0)))

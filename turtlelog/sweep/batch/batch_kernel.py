@@ -179,7 +179,7 @@ def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
 def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> None:
     """Add the samples of one phase.
 
-    Samples right after a loop's samples or a pause belong to it.
+    A loop's segment includes a pause, and ends at the first sample of another phase.
     """
     if loop.phases >> phase & 1 != 0:
         if span.first < 0:

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
-from turtlelog.parts import Plant
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops, import_beside, is_kept
+from turtlelog.simulate.compiled.compiled_code import CompiledCode, call_beside, is_kept
 from turtlelog.simulate.compiled.compiled_run import CompiledRunner, draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
@@ -46,7 +45,7 @@ from turtlelog.sweep.batch.batch_columns import (
     type_measurement,
 )
 from turtlelog.sweep.batch.batch_kernel import NO_PHASE
-from turtlelog.sweep.batch.batch_rows import (
+from turtlelog.sweep.batch.batch_settings import (
     Kind,
     PreparedRows,
     find_column_kind,
@@ -67,7 +66,7 @@ _STRETCH: Final = 32
 together."""
 
 
-_COMPARED: Final[set[CompiledLoops]] = set()
+_COMPARED: Final[set[CompiledCode]] = set()
 """Compiled loops of user laws that this process has already compared with plain runs."""
 
 
@@ -79,13 +78,13 @@ class Batch(NamedTuple):
 
 
 @cache
-def _find_batch(kind: Kind, coverage: Coverage) -> CompiledLoops:
-    return CompiledLoops(
+def _find_batch(kind: Kind, coverage: Coverage) -> CompiledCode:
+    return CompiledCode(
         partial(_load, kind, coverage),
         partial(_is_kept, kind, coverage),
         cost_s=COST_S,
         first_s=FIRST_S + _MEASURING_S,
-        beside=(coverage.module,),
+        beside=(coverage.compiler,),
     )
 
 
@@ -93,8 +92,8 @@ def _load(kind: Kind, coverage: Coverage) -> Batch:
     from turtlelog.simulate.compiled.compiled_loop import compile_loop, compile_rows
 
     loop = compile_loop(*kind)
-    measurement = import_beside(coverage.module)
-    return Batch(loop, compile_rows(loop, measurement.MEASURE, type_measurement(coverage)))
+    measure = call_beside(coverage.compiler)
+    return Batch(loop, compile_rows(loop, measure, type_measurement(coverage)))
 
 
 def _is_kept(kind: Kind, coverage: Coverage) -> bool:
@@ -108,7 +107,7 @@ def _is_kept(kind: Kind, coverage: Coverage) -> bool:
     return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
 
 
-def find_batch(base: Scenario) -> CompiledLoops | None:
+def find_batch(base: Scenario) -> CompiledCode | None:
     """Return the compiled code for rows that vary keys of a scenario; None if the law has none."""
     try:
         scenario = resolve_scenario(base)
@@ -148,7 +147,6 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     columns: Mapping[str, Sequence[Any]],
     metrics: Sequence[str],
     *,
-    plant: Plant | None = None,
     threads: int | None = None,
     first: int = 0,
     ahead: int = 0,
@@ -160,7 +158,6 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
         base: Scenario that the rows vary; its law may run.
         columns: Values of each varied key, one per row.
         metrics: Metric ids, no patterns.
-        plant: Plant whose clock is used. Default: each row uses its own plant.
         threads: Number of threads. Default: one per core.
         first: Number of the first row; the name of the row's scenario contains it.
         ahead: Approximate number of rows still to be done by this process, which decides whether
@@ -174,7 +171,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
-    work = _Work(base, columns, metrics, plant, first, step_budget_s)
+    work = _Work(base, columns, metrics, first, step_budget_s)
     rest: Sequence[int] = range(work.count)
     batch = find_batch(base) if all(map(is_covered, metrics)) else None
     if batch is not None:
@@ -214,13 +211,12 @@ class _Work:
         base: Scenario,
         columns: Mapping[str, Sequence[Any]],
         metrics: Sequence[str],
-        plant: Plant | None,
         first: int,
         step_budget_s: float,
     ) -> None:
         self.count = count = len(next(iter(columns.values())))
         self._base, self._columns, self._metrics = base, columns, tuple(metrics)
-        self._plant, self._first, self._step_budget_s = plant, first, step_budget_s
+        self._first, self._step_budget_s = first, step_budget_s
         self._is_own = False
         self.notes: list[str] = []
         self._compiled = 0
@@ -252,7 +248,7 @@ class _Work:
         result = self.result
         try:
             scenario = self._build_scenario(row)
-            run = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+            run = simulate_run(scenario, step_budget_s=self._step_budget_s)
         except TurtlelogError as err:
             if isinstance(err, SimulationError) and err.run is not None:
                 result.samples[row] = len(err.run.samples)
@@ -270,7 +266,7 @@ class _Work:
         return resolve_scenario(scenario)
 
     def run_compiled(
-        self, batch: CompiledLoops, kernel: Batch, rows: Sequence[int], threads: int
+        self, batch: CompiledCode, kernel: Batch, rows: Sequence[int], threads: int
     ) -> Sequence[int]:
         """Simulate and measure compiled rows; return the rows that are not compiled."""
         self._is_own = not is_built_in(kernel.loop.law)
@@ -287,12 +283,11 @@ class _Work:
         """Note how much a row of a user's law differs between compiled and ordinary code."""
         try:
             scenario = self._build_scenario(row)
-            plain = simulate_run(scenario, self._plant, step_budget_s=self._step_budget_s)
+            plain = simulate_run(scenario, step_budget_s=self._step_budget_s)
         except TurtlelogError:  # the row has the reason
             return
-        plant = scenario.plant.facts if self._plant is None else self._plant
         runner = CompiledRunner(self._step_budget_s)
-        compiled = runner.simulate(kernel.loop, scenario, plant)
+        compiled = runner.simulate(kernel.loop, scenario, scenario.plant.facts)
         if compiled is not None:
             self.notes += describe_difference(scenario.law.kind, plain, compiled)
 
@@ -302,7 +297,7 @@ class _Work:
         assert coverage is not None
         self._declaration, self._coverage = declaration, coverage
         self._places = {name: find_column(name, declaration, coverage) for name in self._metrics}
-        prepared = prepare_rows(base, self._columns, rows, self._plant)
+        prepared = prepare_rows(base, self._columns, rows)
         cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known in advance, unless a disturbance moves the waiting
         # robot.

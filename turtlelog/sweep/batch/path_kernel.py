@@ -43,7 +43,7 @@ class PathMemory(NamedTuple):
         rows: Row numbers.
         spans: A `SPAN` for each loop.
         path: Numbers of the path, shape (1,).
-        pieces: Its pieces.
+        pieces: Pieces of the path.
         corners: As in `Track`.
         seam_rad: As in `Track`.
     """
@@ -100,7 +100,7 @@ def _find_reference(samples: Any, first: int, is_heading: bool) -> int:  # noqa:
 
 @called
 def _hold_samples(samples: Any, held: Any, is_heading: bool) -> None:  # noqa: FBT001
-    """Enter the sample whose reference is held at each pose; before the first, that one."""
+    """Enter the sample whose reference is held at each pose; at first, the first such sample."""
     after = _find_reference(samples, 0, is_heading)
     last, read = after, -1
     for row in range(len(held)):
@@ -111,7 +111,7 @@ def _hold_samples(samples: Any, held: Any, is_heading: bool) -> None:  # noqa: F
 
 
 def find_path_stretch(row: Row, number: int) -> tuple[int, int, int]:
-    """Do as `find_stretch`; the path's own speed gives the reference along it."""
+    """Return the result of `find_stretch`, or that a loop has no reference on the path."""
     first, after, reason = find_stretch(row, number)
     signal = row.loops[number].signal
     has_none = _find_reference(row.samples, 0, signal == HEADING) == len(row.samples)

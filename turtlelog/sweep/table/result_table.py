@@ -14,7 +14,7 @@ from turtlelog.files.urls import is_there
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.parquet.parquet_file import ParquetFile, list_cells
+from turtlelog.log.parquet_file import ParquetFile, list_cells
 from turtlelog.version import __version__
 
 ColumnType = Literal["whole", "real", "text", "truth"]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
 from turtlelog.files.text_files import parse_toml
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.parquet.parquet_file import list_cells
+from turtlelog.log.parquet_file import list_cells
 from turtlelog.run.loops import ControlLoop
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
@@ -27,7 +27,7 @@ from turtlelog.sweep.table.result_table import (
     list_values,
     open_result_table,
 )
-from turtlelog.sweep.table.sweep_table import STATUS
+from turtlelog.sweep.table.swept_rows import STATUS
 
 Values = NDArray[np.float64]
 

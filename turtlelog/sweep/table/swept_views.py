@@ -100,7 +100,6 @@ def choose_view(
     y: str | None = None,
     at: Mapping[str, Any] | None = None,
     gains: Sequence[str] = (),
-    most_axes: int = 2,
 ) -> SweptView:
     """Return the rows to be shown in a chart with one or two axes.
 
@@ -110,7 +109,6 @@ def choose_view(
         y: Key of the vertical axis. Default: chosen automatically.
         at: Values of fixed keys.
         gains: Keys that get the vertical axis when shown together with another key.
-        most_axes: Largest number of axes, 1 or 2.
 
     Raises:
         SweepError: If a key does not vary, or a value does not occur.
@@ -125,7 +123,7 @@ def choose_view(
             raise SweepError(f"{option}: expected a key that --at does not hold, found {one.name}")
     if asked[0] is not None and asked[0] is asked[1]:
         raise SweepError(f"--y: expected another key than --x, found {asked[0].name}")
-    shown = _choose_axes(results, asked, held, gains, most_axes)
+    shown = _choose_axes(results, asked, held, gains)
     return _hold_others(results, shown, held)
 
 
@@ -171,7 +169,6 @@ def _choose_axes(
     asked: Sequence[SweptAxis | None],
     held: Mapping[SweptAxis, int],
     gains: Sequence[str],
-    most: int,
 ) -> list[SweptAxis]:
     """Return the x axis, and the y axis if two axes are shown."""
     first, second = asked
@@ -182,10 +179,9 @@ def _choose_axes(
     free = [axis for axis in free if axis.keys != (SEED,)] or ([] if given else free)
     if not free and not given:
         free = [axis for axis in results.axes if axis not in held] or [results.axes[0]]
-    most = 2 if second is not None else most
     # Texts have few places: they are fixed rather than a range of numbers.
     ranked = sorted(free, key=lambda axis: not axis.is_number)
-    added = ranked[: max(most - len(given), 0)]
+    added = ranked[: 2 - len(given)]
     if second is not None:
         if first is None and not added:
             raise SweepError(f"--y: expected a second key that varies, found {second.name} alone")

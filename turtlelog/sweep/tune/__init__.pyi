@@ -31,5 +31,6 @@ from .tune_scenario import (
     FOR_EACH_KEY as FOR_EACH_KEY,
     TunedScenario as TunedScenario,
     complete_searched as complete_searched,
+    tune_candidates as tune_candidates,
     tune_scenario as tune_scenario,
 )

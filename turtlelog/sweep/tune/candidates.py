@@ -112,7 +112,7 @@ class Candidates:
         resolved = resolve_scenario(base, trust_law=trust_law)
         self._parameters: Mapping[str, Any] = flatten_scenario(resolved)
         self._source = source
-        self._goal, self._base = goal, format_scenario(base)
+        self.goal, self._base = goal, format_scenario(base)
         self._jobs, self._expected = jobs, expected
         self._watch = watch or (lambda _: None)
         self._step_budget_s, self._tell = step_budget_s, tell
@@ -224,7 +224,7 @@ class Candidates:
             keys=self._list_set_keys(),
             first=0,
             values=tuple(map(self._spread, points)),
-            metrics=self._goal.metrics,
+            metrics=self.goal.metrics,
             ahead=max(self._expected - self.evaluations, 0),
             threads=threads,
             step_budget_s=self._step_budget_s,
@@ -243,13 +243,13 @@ class Candidates:
             **self._parameters,
             **dict(zip(self.keys, point, strict=True)),
             **dict(zip(self._list_set_keys(), self._spread(point), strict=True)),
-            **dict.fromkeys(self._goal.metrics),
+            **dict.fromkeys(self.goal.metrics),
             **found,
         }
         failed = results.failed[place] or ""
         if failed.startswith(_ROWS):
             failed = f"{self._source}: {failed.removeprefix(_ROWS)}"
-        objective = None if failed else self._goal.compute_objective(values)
+        objective = None if failed else self.goal.compute_objective(values)
         if objective is not None and not math.isfinite(objective):
             objective = None
         missing = ""
@@ -257,13 +257,13 @@ class Candidates:
             reasons = [
                 f"{name}: {cells.statuses[place]}"
                 for name, cells in results.metrics.items()
-                if name in self._goal.objective.names and cells.values[place] is None
+                if name in self.goal.objective.names and cells.values[place] is None
             ]
             missing = ", ".join(reasons) or "it has no finite value"
         return Candidate(
             point=point,
             objective=objective,
-            constraints=self._goal.judge(values),
+            constraints=self.goal.judge(values),
             failed=failed,
             missing=missing,
         )

@@ -70,7 +70,8 @@ class TuningGoal:
     def compute_objective(self, values: Values) -> float | None:
         """Return the value of the objective; None if the objective has no value.
 
-        A metric is limited at the value below which lower is no better, such as 0 for an overshoot.
+        Some metrics have a floor: an overshoot below 0 is no better than 0. If such a metric is
+        minimised, the floor replaces all values below it.
 
         Raises:
             ExpressionError: If the objective contains an unknown name.

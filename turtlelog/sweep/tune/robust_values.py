@@ -339,7 +339,7 @@ def simulate_variants(
         goal: Objective and constraints.
         variations: Keys to sample, each uniformly from its range and independently.
         runs: Number of variants.
-        seed: Seed of the sampling; the seeds of the scenario increase by one.
+        seed: Seed of the sampling. The scenario's seed, if varied, rises by one per variant.
         jobs: Number of processes, as in `Candidates`.
         more: Further options, as in `Candidates`.
     """

@@ -227,17 +227,18 @@ class _Search:
         if generations < 1 or len(known) < 5:  # scipy requires five
             return
         shares = (np.array([one.point for one in known], float) - self._low) / self._width
-        differential_evolution(
-            lambda columns: self._score(self._place(columns.T)),
-            [(0.0, 1.0)] * count,
-            init=np.clip(shares, 0.0, 1.0),
-            maxiter=generations,
-            rng=np.random.default_rng(seed + 1),
-            polish=False,
-            vectorized=True,
-            updating="deferred",
-            tol=1e-6,
-        )
+        with np.errstate(over="ignore"):  # scipy squares the sizes of violations
+            differential_evolution(
+                lambda columns: self._score(self._place(columns.T)),
+                [(0.0, 1.0)] * count,
+                init=np.clip(shares, 0.0, 1.0),
+                maxiter=generations,
+                rng=np.random.default_rng(seed + 1),
+                polish=False,
+                vectorized=True,
+                updating="deferred",
+                tol=1e-6,
+            )
 
     def refine(self) -> None:
         """Search around the best point along keys and diagonals, with steps that halve."""

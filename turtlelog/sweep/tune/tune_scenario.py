@@ -7,10 +7,10 @@ from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.display import fit_line, format_answer, format_html, format_number
+from turtlelog.display import fit_line, format_html, format_notebook, format_number
 from turtlelog.errors import TuneError
 from turtlelog.expressions import parse_expression
-from turtlelog.measure import find_metric_kind
+from turtlelog.measure import list_metrics
 from turtlelog.scenario import (
     Scenario,
     choose_scenario,
@@ -68,13 +68,19 @@ class TunedScenario:
         return math.nan if found is None else found
 
     @property
+    def unit(self) -> str:
+        """Unit of the objective if it is a metric; else empty."""
+        if self.goal.metric is None:
+            return ""
+        return list_metrics(declare_scenario(self.scenario))[self.goal.metric].unit
+
+    @property
     def is_feasible(self) -> bool:
         """Whether the constraints hold at the best values."""
         return self.tuned.best.is_feasible
 
     def _describe(self) -> str:
-        kind = None if self.goal.metric is None else find_metric_kind(self.goal.metric)
-        value = format_number(self.objective, "" if kind is None else kind.unit)
+        value = format_number(self.objective, self.unit)
         told = ", ".join(f"{key} = {one:.5g}" for key, one in self.values.items())
         no = "" if self.is_feasible else "no candidate fulfils the constraints, "
         return f"{no}{self.goal.objective.text} is {value} with {told}"
@@ -90,7 +96,7 @@ class TunedScenario:
             found = ranges.get(one.key)
             ends = (None, None) if found is None else (found.low, found.high)
             rows.append((one.key, self.values[one.key], *ends, one.low, one.high))
-        return format_answer(self._describe(), format_html(rows, heads=heads))
+        return format_notebook(self._describe(), format_html(rows, heads=heads))
 
 
 def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
@@ -148,11 +154,31 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         step_budget_s=step_budget_s,
         source="ranges",
     )
+    return tune_candidates(candidates, keys, evaluations=most, seed=seed)
+
+
+def tune_candidates(
+    candidates: Candidates, keys: tuple[SearchedKey, ...], *, evaluations: int, seed: int = 0
+) -> TunedScenario:
+    """Search for the best candidate, and for the range of each key around it.
+
+    Args:
+        candidates: Evaluator of candidates.
+        keys: Keys with their search ranges.
+        evaluations: Approximate largest number of candidates of the search.
+        seed: Seed of the search; the same seed gives the same result.
+
+    Raises:
+        TuneError: If the objective has no value for any candidate.
+        ScenarioError: If a bound makes no valid scenario.
+    """
     candidates.require_bounds([tuple(one.low for one in keys), tuple(one.high for one in keys)])
-    is_maximised, around = goal.is_maximised, None
-    tuned = search_best(candidates, keys, evaluations=most, is_maximised=is_maximised, seed=seed)
+    goal, around = candidates.goal, None
+    tuned = search_best(
+        candidates, keys, evaluations=evaluations, is_maximised=goal.is_maximised, seed=seed
+    )
     if tuned.best.is_feasible:
-        tuned, around = explore_best(candidates, keys, tuned, is_maximised=is_maximised)
+        tuned, around = explore_best(candidates, keys, tuned, is_maximised=goal.is_maximised)
     best = candidates.build_scenario(tuned.best.point)
     return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
 

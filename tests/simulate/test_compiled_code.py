@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from turtlelog.simulate.compiled.compiled_loops import CompiledLoops, is_kept, remove_others
+from turtlelog.simulate.compiled.compiled_code import CompiledCode, is_kept, remove_others
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
 COMPILED = """
@@ -18,6 +18,10 @@ import numba
 @numba.njit("i8(i8)", cache=True)
 def double(value):
     return 2 * value
+
+
+def get():
+    return double
 """
 
 
@@ -32,7 +36,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def find_cost_s(function: str = "") -> float:
     kept = partial(is_kept, "some_loops", function)
-    return CompiledLoops(object, kept, cost_s=1.0, first_s=9.0).cost_s
+    return CompiledCode(object, kept, cost_s=1.0, first_s=9.0).cost_s
 
 
 def test_loops_cost_more_before_they_are_in_the_cache(module: Path) -> None:
@@ -64,7 +68,7 @@ def test_loops_cost_more_where_a_file_beside_them_has_changed_since(module: Path
 
 
 def test_loops_that_cost_the_same_either_way_are_loaded_at_once(module: Path) -> None:
-    loops = CompiledLoops(object, lambda: is_kept(module.stem), cost_s=1.0)
+    loops = CompiledCode(object, lambda: is_kept(module.stem), cost_s=1.0)
     assert loops.expect(1, 0.9) is None
     assert loops.find() is None
 
@@ -119,7 +123,7 @@ def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path
 
 def test_loops_are_loaded_once_all_work_together_is_worth_it() -> None:
     pytest.importorskip("numba")
-    loops = CompiledLoops(lambda: "loaded", lambda: True, cost_s=1.0)
+    loops = CompiledCode(lambda: "loaded", lambda: True, cost_s=1.0)
     assert (loops.expect(999, 1e-3), loops.find()) == (None, None)
     assert (loops.expect(2, 1e-3), loops.find()) == ("loaded", "loaded")
 
@@ -128,7 +132,7 @@ def test_loops_that_could_not_be_loaded_are_not_tried_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tries: list[None] = []
-    loops = CompiledLoops(object, lambda: True, cost_s=1.0)
+    loops = CompiledCode(object, lambda: True, cost_s=1.0)
     monkeypatch.setattr(loops, "load", lambda: tries.append(None))
     assert [loops.expect(1, 1.0) for _ in range(3)] == [None] * 3
     assert len(tries) == 1
@@ -138,7 +142,7 @@ def test_there_are_no_loops_without_numba_or_where_it_compiles_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     numba = pytest.importorskip("numba")
-    loops = CompiledLoops(object, lambda: True, cost_s=1.0)
+    loops = CompiledCode(object, lambda: True, cost_s=1.0)
     assert loops.load() is not None
     monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
     assert loops.load() is None
@@ -154,13 +158,13 @@ def test_without_numba_no_work_is_worth_loops_and_no_cache_is_looked_for(
     def is_kept() -> bool:
         raise AssertionError("the cache is looked for")
 
-    loops = CompiledLoops(object, is_kept, cost_s=1.0)
+    loops = CompiledCode(object, is_kept, cost_s=1.0)
     assert (loops.expect(10**9, 1.0), loops.cost_s) == (None, math.inf)
 
 
 def test_loops_that_cannot_be_compiled_say_why() -> None:
     pytest.importorskip("numba")
-    loops = CompiledLoops(lambda: int("no number"), lambda: True, cost_s=1.0)
+    loops = CompiledCode(lambda: int("no number"), lambda: True, cost_s=1.0)
     assert (loops.problem, loops.expect(2, 1.0), loops.find()) == (None, None, None)
     assert loops.problem == "invalid literal for int() with base 10: 'no number'"
 
@@ -170,7 +174,7 @@ def test_a_numba_that_cannot_load_or_keep_loops_is_no_problem(error: type[Except
     def load() -> None:
         raise error
 
-    loops = CompiledLoops(load, lambda: True, cost_s=1.0)
+    loops = CompiledCode(load, lambda: True, cost_s=1.0)
     assert (loops.load(), loops.problem) == (None, None)
 
 
@@ -203,29 +207,25 @@ def test_loops_are_found_where_numba_keeps_them(
 PARTS = """
 from importlib import import_module
 
-from turtlelog.simulate.compiled.compiled_loops import (
-    COMPILING,
-    CompiledLoops,
-    import_beside,
-    is_kept,
-)
+from turtlelog.simulate.compiled.compiled_code import COMPILING, CompiledCode, call_beside, is_kept
 
 PARTS = "first_part", "second_part"
+BESIDE = f"{PARTS[1]}:get"
 
 def load():
-    return import_module(PARTS[0]), import_beside(PARTS[1])
+    return import_module(PARTS[0]).get(), call_beside(BESIDE)
 
 if __name__ == "__main__":
-    loops = CompiledLoops(
+    loops = CompiledCode(
         load,
         lambda: all(map(is_kept, PARTS)),
         cost_s=1.0,
         first_s=9.0,
-        beside=PARTS[1:],
+        beside=[BESIDE],
     )
     cost_s, whole = loops.cost_s, loops.load()
     assert not COMPILING.is_set()
-    hits = (sum(part.double.stats.cache_hits.values()) for part in whole)
+    hits = (sum(double.stats.cache_hits.values()) for double in whole)
     print(cost_s, *hits)
 """
 

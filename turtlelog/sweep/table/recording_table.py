@@ -16,8 +16,8 @@ from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.log.error_boundary import open_file
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
-from turtlelog.sweep.file_table.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
-from turtlelog.sweep.file_table.find_recordings import FoundRecording, list_contents
+from turtlelog.sweep.find_recordings import FoundRecording, list_contents
+from turtlelog.sweep.table.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
 from turtlelog.sweep.table.kept_parts import KeptParts
 from turtlelog.sweep.table.result_table import (
     has_result_file,
@@ -46,8 +46,8 @@ class RecordingTable:
         kind: See `ResultTable`.
         facts: Settings on which rows depend, apart from the content of files, as texts.
         work: Function that returns the rows of a file, at least one; it must be picklable. For a
-            file that cannot be read, the function returns a row with `ERROR`. Its exceptions end
-            the work.
+            file that cannot be read, the function returns a row with `ERROR`. A `LibraryError`
+            gives such a row too; any other exception ends the call.
         order: Function that returns the keys of columns, without those of `HEAD`. The arguments are
             the existing keys and the keys that have a cell with a value.
     """

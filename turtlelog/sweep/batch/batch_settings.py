@@ -145,7 +145,7 @@ class _Case:
 
 
 def prepare_rows(
-    base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int], plant: Plant | None
+    base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int]
 ) -> PreparedRows:
     """Return rows as arrays, with a separate list of rows that the loop of `base` cannot simulate.
 
@@ -153,7 +153,6 @@ def prepare_rows(
         base: Scenario with a resolved law.
         columns: Values of each varied key, one per row.
         rows: Row numbers.
-        plant: Plant whose clock is used. Default: each row uses its own plant.
     """
     kind = find_column_kind(base)
     may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns
@@ -170,9 +169,7 @@ def prepare_rows(
             others.append(row)
             continue
         if key not in cases:
-            cases[key] = _judge_case(
-                base, kind, dict(zip(joint, (v for _, v in key), strict=True)), plant
-            )
+            cases[key] = _judge_case(base, kind, dict(zip(joint, (v for _, v in key), strict=True)))
         case = cases[key]
         # The memory of the loop holds one table and one path.
         has_other = case is not None and bool(found) and not is_alike(case, found[0])
@@ -227,15 +224,13 @@ def _gather(
     )
 
 
-def _judge_case(
-    base: Scenario, kind: Kind | None, changes: Mapping[str, Any], plant: Plant | None
-) -> _Case | None:
+def _judge_case(base: Scenario, kind: Kind | None, changes: Mapping[str, Any]) -> _Case | None:
     """Return a combination; None if it is not a valid scenario or has no compiled loop."""
     try:
         scenario = resolve_scenario(build_row_scenario(base, [*changes], [*changes.values()], 0))
     except TurtlelogError:
         return None
-    clock = scenario.plant.facts if plant is None else plant
+    clock = scenario.plant.facts
     if kind is None or find_column_kind(scenario) != kind or find_loop(scenario, clock) is None:
         return None
     if declare_scenario(scenario).loops != declare_scenario(base).loops:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from turtlelog.display import join_words
-from turtlelog.explain.causes import RANDOM_EFFECTS
-from turtlelog.explain.one_run.attribution import (
+from turtlelog.explain.attribution import (
+    SAME,
     Attribution,
     Contribution,
     SeedRange,
@@ -15,16 +15,14 @@ from turtlelog.explain.one_run.attribution import (
     ValueSet,
     is_clear,
 )
+from turtlelog.explain.causes import RANDOM_EFFECTS
 
-_NAMED: Final = 0.1
+NAMED: Final = 0.1
 """Share of the contributions' total magnitude above which a cause or joint part is named. A design
 parameter is named above the same share of the value."""
 
 _MOST_TOGETHER: Final = 3
 """Largest number of joint parts in one sentence; four causes have eleven joint parts."""
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference between log and re-simulation is not mentioned."""
 
 _ALIKE: Final = 1.25
 """Largest ratio of contributions that count as about equal."""
@@ -37,23 +35,37 @@ def write_sentences(found: Attribution) -> tuple[str, ...]:
     """Return sentences on the value, its causes, their dependences, and other causes of change."""
     parts = [write_part(found, one) for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
-    return (write_value(found), *causes, *write_reasons(found))
+    return (_write_value(found), *causes, *write_reasons(found))
 
 
 def write_headline(found: Attribution) -> str:
-    """Return the value with the largest contributions, or the value alone if no cause is named.
+    """Return the value with the largest contributions, or that no effect changes the value.
 
-    The re-simulation's value follows in brackets if it differs from the log's.
+    The re-simulation's value follows in brackets if it differs from the log's. Without
+    contributions, the value stands alone.
     """
-    if not choose_named(found):
-        return write_value(found)
+    is_divided = not (found.without_value or found.withheld)
+    if not is_divided or None in (found.as_logged, found.resimulated):
+        return _write_value(found)
     known = [one for one in (found.as_logged, found.resimulated) if one is not None]
-    sizes = [*dict.fromkeys(format_value(found, one) for one in known)]
+    sizes = [*dict.fromkeys(_format_value(found, one) for one in known)]
     again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
-    return f"{found.metric} is {sizes[0]}{again}: {write_main(found)}"
+    main = _write_main(found) if choose_named(found) else _write_no_cause(found)
+    return f"{found.metric} is {sizes[0]}{again}: {main}"
 
 
-def write_value(found: Attribution) -> str:
+def _write_no_cause(found: Attribution) -> str:
+    """Return that no effect changes the value, or none by more than the resolution or chance."""
+    if not found.acting:
+        return "no effect changes it"
+    if _is_negligible(found):
+        added = _sum_effects(found)
+        does = "add" if added >= 0.0 else "lower it by"
+        return f"effects {does} only {_format_value(found, abs(added))}"
+    return "no effect is distinguishable from chance"
+
+
+def _write_value(found: Attribution) -> str:
     """Return the value of the log, and the re-simulated value if it differs."""
     logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
@@ -61,16 +73,16 @@ def write_value(found: Attribution) -> str:
     if logged is None:
         in_log = f", and has no value in the log: {found.reason}" if found.reason else ""
         again = " re-simulated" * bool(in_log)
-        return f"{found.metric} is {format_value(found, built)}{again}{in_log}."
-    size = format_value(found, logged)
+        return f"{found.metric} is {_format_value(found, built)}{again}{in_log}."
+    size = _format_value(found, logged)
     if built is None:
         return f"{found.metric} is {size} in the log; re-simulated it has no value."
-    if abs(logged - built) <= _SAME * abs(built):
+    if abs(logged - built) <= SAME * abs(built):
         return f"{found.metric} is {size}, in the log and re-simulated."
-    if size == format_value(found, built):
-        apart = format_value(found, abs(logged - built))
+    if size == _format_value(found, built):
+        apart = _format_value(found, abs(logged - built))
         return f"{found.metric} is {size}, in the log and re-simulated; they differ by {apart}."
-    return f"{found.metric} is {size} in the log, and {format_value(found, built)} re-simulated."
+    return f"{found.metric} is {size} in the log, and {_format_value(found, built)} re-simulated."
 
 
 def write_cause_head(found: Attribution) -> str:
@@ -78,7 +90,7 @@ def write_cause_head(found: Attribution) -> str:
     named = choose_named(found)
     sizes = [one.contribution or 0.0 for one in named]
     count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
-    left = max(found.resolution.size, _NAMED * abs(found.divided))
+    left = max(found.resolution.size, NAMED * abs(found.divided))
     is_whole = min(sizes) > 0.0 and abs(found.without_all or 0.0) <= left
     does = "cause" if is_whole else "change"
     head = f"{count} {_name_kinds(found, named)} {does}"
@@ -107,13 +119,18 @@ def _is_wide(found: Attribution) -> bool:
     return found.starts is not None and found.starts.is_wide
 
 
-def write_main(found: Attribution) -> str:
-    """Return the largest contribution, and contributions about equal to it."""
+def _write_main(found: Attribution) -> str:
+    """Return the largest contributions; for causes that mostly act together, only their total."""
     named = choose_named(found)
     largest = abs(named[0].contribution or 0.0)
     main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
     label = "mainly " if len(main) < len(named) else ""
     mean = " in the mean over seeds" if found.seeds is not None else ""
+    added = math.fsum(one.contribution or 0.0 for one in named)
+    if added > 0.0 and len(named) == len(found.acting) and _need_each_other(found, named):
+        # Parts of what only arises together would read as if each cause alone added its part.
+        names = join_words([one.cause for one in named])
+        return f"{names} add {_format_value(found, added)}{mean}"
     return label + ", ".join(write_part(found, one) for one in main) + mean
 
 
@@ -140,7 +157,7 @@ def write_part(found: Attribution, one: Contribution) -> str:
 def format_contribution(found: Attribution, one: Contribution) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
     value = one.contribution or 0.0
-    return f"{'+' if value >= 0.0 else ''}{format_value(found, value, one.standard_error)}"
+    return f"{'+' if value >= 0.0 else ''}{_format_value(found, value, one.standard_error)}"
 
 
 def write_reasons(found: Attribution) -> tuple[str, ...]:
@@ -208,10 +225,10 @@ def _write_rest(found: Attribution) -> str:
         change = "change" if len(names) > 1 else "changes"
         who = f"Together, {join_words(names)}" if len(names) > 1 else _capitalise(names[0])
         return (
-            f"{who} {change} it by {format_value(found, added)}. This is within the resolution of"
+            f"{who} {change} it by {_format_value(found, added)}. This is within the resolution of"
             f" {_describe_resolution(found)}."
         )
-    whole = f"without {_name_acting(found)} {{}}{format_value(found, found.without_all)}"
+    whole = f"without {_name_acting(found)} {{}}{_format_value(found, found.without_all)}"
     single = _write_singles(found)
     without = f"{single}, {whole.format('')}" if single else whole.format("it would be ")
     without = _capitalise(without)
@@ -230,7 +247,7 @@ def _name_acting(found: Attribution) -> str:
 
 
 def _describe_resolution(found: Attribution) -> str:
-    return f"{format_value(found, found.resolution.size)} ({found.resolution.reason})"
+    return f"{_format_value(found, found.resolution.size)} ({found.resolution.reason})"
 
 
 def _write_bound(found: Attribution) -> str:
@@ -240,13 +257,13 @@ def _write_bound(found: Attribution) -> str:
     if not is_bounded or found.without_all is None or found.without_all > found.resolution.size:
         return ""
     if "tolerance" in found.resolution.reason:
-        return f"; the tolerances alone allow {format_value(found, found.resolution.size)}"
+        return f"; the tolerances alone allow {_format_value(found, found.resolution.size)}"
     return f", not more than {_describe_resolution(found)}"
 
 
 def _list_large(found: Attribution) -> list[Contribution]:
     ordered = sorted(found.contributions, key=lambda one: -abs(one.contribution or 0.0))
-    least = _NAMED * _sum_contributions(found)
+    least = NAMED * _sum_contributions(found)
     return [one for one in ordered if abs(one.contribution or 0.0) > least]
 
 
@@ -262,14 +279,14 @@ def _write_together(found: Attribution) -> str:
     parts = [
         _write_case(found, case)
         for case in largest
-        if abs(case.value) > _NAMED * _sum_contributions(found)
+        if abs(case.value) > NAMED * _sum_contributions(found)
         and is_clear(case.value, case.standard_error)
     ]
     return " ".join(parts)
 
 
 def _write_case(found: Attribution, case: Together) -> str:
-    size = format_value(found, abs(case.value), case.standard_error)
+    size = _format_value(found, abs(case.value), case.standard_error)
     return write_joint(case.causes, case.value, size)
 
 
@@ -281,8 +298,8 @@ def _write_singles(found: Attribution) -> str:
         return ""
     (first, value), (second, other) = alone.items()
     return (
-        f"without {first} it would be {format_value(found, value)},"
-        f" without {second} {format_value(found, other)}"
+        f"without {first} it would be {_format_value(found, value)},"
+        f" without {second} {_format_value(found, other)}"
     )
 
 
@@ -297,7 +314,7 @@ def write_joint(names: Sequence[str], value: float, size: str) -> str:
     them = _capitalise(join_words(names))
     if value > 0.0:
         both = "both" if len(names) == 2 else "all of them"
-        return f"{them} need each other: {size} of their contributions arises only if {both} act."
+        return f"{them} act together: {size} of what they add arises only if {both} act."
     apart = "their parts, alone and in smaller groups"
     if len(names) == 2:
         apart = f"{names[0]} alone plus {names[1]} alone"
@@ -314,12 +331,12 @@ def _write_seeds(found: Attribution) -> str:
     of = f"{seeds.count} seeds"
     if seeds.used < seeds.count:
         of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
-    mean = format_value(found, seeds.mean, seeds.standard_error)
-    low, high = format_value(found, seeds.low), format_value(found, seeds.high)
+    mean = _format_value(found, seeds.mean, seeds.standard_error)
+    low, high = _format_value(found, seeds.low), _format_value(found, seeds.high)
     # Values that round to equal digits have no range that these digits show.
     within = f"lie between {low} and {high}"
     if low == high:
-        within = f"span {format_value(found, seeds.high - seeds.low)}"
+        within = f"span {_format_value(found, seeds.high - seeds.low)}"
     return (
         f"The value depends on the random seed. Over {of} its mean is {mean} (one standard error),"
         f" and the central 95 % {within}. Contributions are means over the seeds."
@@ -351,7 +368,7 @@ def _write_unclear(found: Attribution) -> str:
     if found.seeds is None or not unclear:
         return ""
     parts = [
-        f"{one.cause} ({format_value(found, one.contribution, one.standard_error)})"
+        f"{one.cause} ({_format_value(found, one.contribution, one.standard_error)})"
         for one in unclear
     ]
     return f"The contribution of {join_words(parts)} may be chance."
@@ -361,9 +378,9 @@ def _write_this_seed(found: Attribution) -> str:
     value = found.this_seed
     if value is None or found.seeds is None or not found.seeds.varies:
         return ""
-    size = format_value(found, abs(value))
+    size = _format_value(found, abs(value))
     where = "above" if value >= 0.0 else "below"
-    return f"With the seed of this run it is {size} {where} the mean over the seeds."
+    return f"With this run's seed, the value is {size} {where} the mean over the seeds."
 
 
 def _write_starts(found: Attribution) -> str:
@@ -389,13 +406,14 @@ def _write_parts(starts: StartRange) -> str:
         f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
         for part in starts.parts[: len(names) - 1]
     ]
-    return f" {_capitalise(join_words(parts))} of what {join_words(names)} add." if parts else ""
+    total = f"of the total that {join_words(names)} add."
+    return f" {_capitalise(join_words(parts))} {total}" if parts else ""
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:
     """Return a range with one unit."""
-    least, most = f"{low:.4g}", format_value(found, high)
-    return most if format_value(found, low) == most else f"{least} to {most}"
+    least, most = f"{low:.4g}", _format_value(found, high)
+    return most if _format_value(found, low) == most else f"{least} to {most}"
 
 
 def _write_others(found: Attribution) -> list[str]:
@@ -410,9 +428,9 @@ def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
     names = join_words([one.cause for one in lowering])
     mean = "" if found.seeds is None else " in the mean"
     if len(lowering) == 1:
-        value = format_value(found, lowering[0].alone)
+        value = _format_value(found, lowering[0].alone)
         return f"Not a cause: {names}. Without it the value is larger{mean}: {value}."
-    each = [f"without {one.cause} ({format_value(found, one.alone)})" for one in lowering]
+    each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
     return f"Not a cause: {names}. The value is larger{mean} {join_words(each)}."
 
 
@@ -421,7 +439,7 @@ def _is_told(found: Attribution, one: Contribution) -> bool:
     if one.alone is None:
         return True
     change = abs(one.alone - found.divided)
-    is_large = change > found.resolution.size and change > _NAMED * abs(found.divided)
+    is_large = change > found.resolution.size and change > NAMED * abs(found.divided)
     return is_large and is_clear(change, one.standard_error)
 
 
@@ -439,10 +457,10 @@ def _write_alone(found: Attribution, one: Contribution) -> str:
         return f"{without} there is no value: {one.ending}."
     if one.ending:
         return f"{without}, {one.ending}."
-    return f"{without} the value is {format_value(found, one.alone)}{mean}."
+    return f"{without} the value is {_format_value(found, one.alone)}{mean}."
 
 
-def format_value(
+def _format_value(
     found: Attribution, value: float | None, standard_error: float | None = None
 ) -> str:
     """Return a value with four digits, the metric's unit, and a given standard error."""

@@ -6,6 +6,15 @@ from dataclasses import replace
 from typing import Final
 
 from turtlelog.errors import ExplainError
+from turtlelog.explain.attribution import (
+    SAME,
+    Attribution,
+    Contribution,
+    Together,
+    ValueSet,
+    choose_metric,
+    find_resolution,
+)
 from turtlelog.explain.causes import (
     LOOP_CAUSES,
     PLANT_CAUSES,
@@ -15,29 +24,7 @@ from turtlelog.explain.causes import (
     find_causes,
     list_effects,
 )
-from turtlelog.explain.one_run.attribution import (
-    Attribution,
-    Contribution,
-    Together,
-    ValueSet,
-    choose_metric,
-    find_resolution,
-)
-from turtlelog.explain.one_run.game import (
-    Coalition,
-    Game,
-    Outcome,
-    ScenarioGame,
-    Work,
-    list_coalitions,
-)
-from turtlelog.explain.one_run.shapley import (
-    Worth,
-    compute_contributions,
-    compute_dividends,
-    find_smallest,
-)
-from turtlelog.explain.one_run.starts import describe_alone, divide_over_seeds, vary_start
+from turtlelog.explain.game import Coalition, Game, Outcome, ScenarioGame, Work, list_coalitions
 from turtlelog.explain.scenario_from_log.hypothesis import require_trust
 from turtlelog.explain.scenario_from_log.identification import (
     LOOP_KEYS,
@@ -46,6 +33,8 @@ from turtlelog.explain.scenario_from_log.identification import (
     Identification,
 )
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
+from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends, find_smallest
+from turtlelog.explain.starts import describe_alone, divide_over_seeds, vary_start
 from turtlelog.laws import LAWS, find_law, list_causes
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run, require_run
@@ -60,9 +49,6 @@ Random effects need 32 times as many simulations; each further cause doubles the
 _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the effects' total. With a larger
 difference, the re-simulation does not represent the log."""
-
-_SAME: Final = 1e-6
-"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _OUTSIDE: Final = (
     "the log's value lies outside of the central 95 % over seeds, its own is not known"
@@ -92,7 +78,7 @@ def attribute_run(
         causes: Causes that take part. Default: every effect in the scenario.
         identified: Result of `identify_run`, if already known.
         trust_law: Whether to run the code of a recorded law that is not built in.
-        work: Settings of the simulation: processes and progress.
+        work: Number of processes, and a function that receives the progress.
 
     Raises:
         ExplainError: If no scenario reproduces the run, or as in `attribute_scenario`.
@@ -308,9 +294,9 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
         is_central = found.seeds.low <= logged <= found.seeds.high
         return "" if is_central else _OUTSIDE
     added, apart = abs(built - without), abs(logged - built)
-    if added <= _SAME * abs(logged):
-        same = f"{100.0 * _SAME:g} % of the value"
-        agrees = apart <= _SAME * abs(logged)
+    if added <= SAME * abs(logged):
+        same = f"{100.0 * SAME:g} % of the value"
+        agrees = apart <= SAME * abs(logged)
         reason = f"log and re-simulation differ by more than {same}, and the effects add less"
         return "" if agrees else reason
     agrees = apart <= _AGREEMENT * added

@@ -13,12 +13,7 @@ from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.libraries import load_library
 from turtlelog.log.engine.limits import SMALL_FILE, grow_bound
 from turtlelog.log.error_boundary import DamageError, open_file
-from turtlelog.log.parquet.parquet_counts import (
-    ChunkClaim,
-    PageClaim,
-    iterate_pages,
-    read_footer_claims,
-)
+from turtlelog.log.parquet_counts import ChunkClaim, PageClaim, iterate_pages, read_footer_claims
 
 MOST_ROWS: Final = 350_000
 """Largest number of rows of a small file, two hours at 50 poses per second.

@@ -5,12 +5,15 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Final
 
-from turtlelog.display import fit_line, format_answer, format_html
+from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.measure import list_metrics
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.ending import allow_position
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario
+
+SAME: Final = 1e-6
+"""Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _SHARE: Final = 0.01
 """Share of a value that is negligible if neither a tolerance nor a clock bounds it. A phase of the
@@ -195,9 +198,9 @@ class StartRange:
     """Range of a value over starts within the turn of one sample.
 
     Attributes:
-        count: Number of starts, at equal distances; the scenario's own start is in the middle.
-        within_rad: Angle between the scenario's own heading and that of the first and last start
-            [rad].
+        count: Number of start headings, equally spaced around the scenario's own heading.
+        within_rad: Angle between the scenario's own heading and the heading of the first and last
+            start [rad].
         low: Smallest value, in the metric's unit.
         high: Largest value.
         without_value: Number of starts without a value.
@@ -310,7 +313,7 @@ class Attribution:
 
     def __post_init__(self) -> None:
         """Write the sentences."""
-        from turtlelog.explain.one_run.answer_words import write_sentences
+        from turtlelog.explain.answer_words import write_sentences
 
         this_seed = None
         if self.seeds is not None and self.resimulated is not None:
@@ -356,7 +359,7 @@ class Attribution:
         return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
 
     def _repr_html_(self) -> str:
-        from turtlelog.explain.one_run.answer_words import write_headline
+        from turtlelog.explain.answer_words import write_headline
 
         unit = self.unit
         heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
@@ -373,7 +376,7 @@ class Attribution:
                 rows.insert(sum(one.contribution is not None for one in self.changing), row)
         table = format_html(rows, heads=heads)
         rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
-        return format_answer(write_headline(self), table, *rest)
+        return format_notebook(write_headline(self), table, *rest)
 
 
 def choose_metric(declaration: Declaration) -> str:

@@ -15,26 +15,19 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line, join_words
 from turtlelog.errors import ExplainError
+from turtlelog.explain.attribute import attribute_run
+from turtlelog.explain.attribution import Attribution, choose_metric
 from turtlelog.explain.causes import simulate_without
-from turtlelog.explain.one_run.attribute import attribute_run
-from turtlelog.explain.one_run.attribution import Attribution, choose_metric
-from turtlelog.explain.one_run.game import (
-    SEEDS,
-    Outcome,
-    Play,
-    ScenarioGame,
-    Work,
-    iterate_outcomes,
-)
-from turtlelog.explain.one_run.starts import (
+from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
+from turtlelog.explain.scenario_from_log.identification import Identification
+from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
+from turtlelog.explain.starts import (
     find_steady_span,
     ranges_over,
     spread_starts,
     subtract_values,
     turn_start,
 )
-from turtlelog.explain.scenario_from_log.identification import Identification
-from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.run import Run
 from turtlelog.scenario import resolve_scenario
 from turtlelog.simulate import simulate_run
@@ -123,7 +116,7 @@ def measure_luck(
         identified: Result of `identify_run`, if already known.
         found: Result of `attribute_run` for this metric, if already known.
         trust_law: Whether to run the code of a recorded law that is not built in.
-        work: Settings of the simulation: processes and progress.
+        work: Number of processes, and a function that receives the progress.
 
     Raises:
         ExplainError: If no scenario reproduces the run, if the re-simulation disagrees with the

@@ -17,7 +17,7 @@ COMPILING: Final = Event()
 """Set during compilation, which takes seconds once, so that a progress bar can show this."""
 
 
-class CompiledLoops:
+class CompiledCode:
     """Compiled code, loaded as soon as the expected work justifies its cost.
 
     With this rule, no process takes more than twice as long as with perfect knowledge of its work.
@@ -44,8 +44,8 @@ class CompiledLoops:
             is_kept: Function that returns whether numba's cache contains the code.
             cost_s: Time to import numba and load the code from its cache [s].
             first_s: Time if the code is not in the cache [s]; None: hardly more.
-            beside: Modules that compile the required code on import, each in a process; `load`
-                imports them by `import_beside`.
+            beside: Functions that compile parts of the code, as `module:function`, each called in a
+                process; `load` calls them by `call_beside`.
         """
         self._load, self._is_kept, self._cached_s = load, is_kept, cost_s
         self._first_s = cost_s if first_s is None else first_s
@@ -122,30 +122,35 @@ def _pause_garbage_collection() -> Iterator[None]:
 
 
 _BESIDE: Final[dict[str, Any]] = {}
-"""Processes that compile a module, by the name of the module."""
+"""Processes that compile what a function returns, by `module:function`."""
 
-_IMPORT: Final = "import gc, sys; gc.disable(); sys.path[:] = sys.argv[2:]; __import__(sys.argv[1])"
+_CALL: Final = (
+    "import gc, sys; gc.disable(); sys.path[:] = sys.argv[2:];"
+    " from pkgutil import resolve_name; resolve_name(sys.argv[1])()"
+)
 
 
-def _start(modules: Sequence[str], processes: ExitStack) -> None:
-    """Compile the contents of modules into numba's cache, each in a process, and wait for them."""
+def _start(functions: Sequence[str], processes: ExitStack) -> None:
+    """Compile what functions return into numba's cache, each in a process, and wait for them."""
     import subprocess  # most commands do not need it
 
-    for module in modules:
-        # If a process does not start or fails, the module compiles when it is imported.
+    for function in functions:
+        # If a process does not start or fails, the function compiles when it is called here.
         with suppress(OSError, ValueError):
-            command = [sys.executable, "-c", _IMPORT, module, *sys.path]
+            command = [sys.executable, "-c", _CALL, function, *sys.path]
             nowhere = subprocess.DEVNULL
-            _BESIDE[module] = processes.enter_context(
+            _BESIDE[function] = processes.enter_context(
                 subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
             )
 
 
-def import_beside(module: str) -> Any:
-    """Return a module after the end of the process that compiles its contents, if any."""
-    if (process := _BESIDE.pop(module, None)) is not None:
+def call_beside(function: str) -> Any:
+    """Return what a function compiles, after the end of the process that compiles it, if any."""
+    from pkgutil import resolve_name
+
+    if (process := _BESIDE.pop(function, None)) is not None:
         process.wait()
-    return import_module(module)
+    return resolve_name(function)()
 
 
 def is_kept(module: str, function: str = "") -> bool:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.one_run.attribution import (
+from turtlelog.explain.attribution import (
     Attribution,
     CausePart,
     Contribution,
@@ -18,8 +18,8 @@ from turtlelog.explain.one_run.attribution import (
     Together,
     find_sample_period_s,
 )
-from turtlelog.explain.one_run.game import Coalition, Game, Outcome, ScenarioGame, list_coalitions
-from turtlelog.explain.one_run.shapley import Worth, compute_contributions, compute_dividends
+from turtlelog.explain.game import Coalition, Game, Outcome, ScenarioGame, list_coalitions
+from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run

@@ -14,8 +14,8 @@ from itertools import pairwise
 from statistics import fmean, stdev
 from typing import Final
 
-from turtlelog.explain.one_run.attribution import Attribution, Contribution
-from turtlelog.explain.one_run.game import SEEDS, Coalition, Game, list_coalitions
+from turtlelog.explain.attribution import Attribution, Contribution
+from turtlelog.explain.game import SEEDS, Coalition, Game, list_coalitions
 
 Worth = Mapping[Coalition, float]
 """Value of every coalition."""

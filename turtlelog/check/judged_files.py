@@ -1,0 +1,191 @@
+"""Checking of files, one after another, in this process or others."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Final
+
+from turtlelog.check.judge_run import fail_recording, judge_run
+from turtlelog.check.named_values import TrajectoryJudge
+from turtlelog.check.reference import MetricsFile, read_metrics_file
+from turtlelog.check.result import CheckResult
+from turtlelog.check.spec import Spec
+from turtlelog.errors import LogError
+from turtlelog.log import ReadChoice, read_as_chosen
+from turtlelog.log.recording.head import LOSS_NOTES
+from turtlelog.measure import Metric, measure_run
+from turtlelog.run import Run
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedFile:
+    """The results of one recording.
+
+    Attributes:
+        file: Name of the recording.
+        results: Results in the order of the specification.
+        metrics: Metrics by id; empty if the recording could not be measured.
+        details: Text for failures, by name of the check.
+        started: Start time of the checks; None: the report has no time of day.
+        took_s: Time for reading, measuring and checking [s].
+        each_s: Time for each check [s], in the order of the results.
+    """
+
+    file: str
+    results: tuple[CheckResult, ...]
+    metrics: Mapping[str, Metric] = field(default_factory=dict)
+    details: Mapping[str, str] = field(default_factory=dict)
+    started: datetime | None = None
+    took_s: float = 0.0
+    each_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedFile:
+    """The results of one file, notes on its reading, and its run if the run is kept."""
+
+    checked: CheckedFile
+    notes: Mapping[str, str]
+    run: Run | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileJudge:
+    """A judge of files against a specification, in this process or another."""
+
+    spec: Spec
+    reference: Run | MetricsFile | None
+    trajectories: TrajectoryJudge | None
+    choice: ReadChoice
+    allow_partial: bool
+    is_described: bool
+    keeps_runs: bool
+
+    def read_reference(self) -> Run | MetricsFile | None:
+        """Return the reference, even if no check uses it."""
+        if self.reference is not None or self.spec.reference is None:
+            return self.reference
+        metrics = read_metrics_file(self.spec.reference)
+        return metrics or read_as_chosen(self.spec.reference, self.choice)
+
+    def look_closer(self, path: Path, file: JudgedFile) -> JudgedFile:
+        """Return the results of a file with its run, if a check fails."""
+        has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
+        return replace(self, keeps_runs=True, is_described=False)(path) if has_failed else file
+
+    def build_explainer(self) -> "FailureExplainer | None":
+        """Return the explainer of failed recordings; None without a reference."""
+        # A true trajectory contains the robot's positions, but no settings.
+        is_truth = self.trajectories is not None and not self.spec.tolerances
+        if self.spec.reference is None or is_truth:
+            return None
+        return FailureExplainer(judge=self, place=str(self.spec.reference))
+
+    def judge_file(self, path: str) -> tuple[CheckResult, ...]:
+        """Return the results of a file."""
+        return self(Path(path)).checked.results
+
+    def __call__(self, path: Path) -> JudgedFile:
+        """Return the results of a file, with its run if runs are kept."""
+        file, started, clock = str(path), datetime.now(UTC), _Clock()
+        try:
+            run, notes = read_to_judge(path, self.choice)
+        except LogError as err:
+            failed = (fail_recording(file, str(err).removeprefix(f"{path}: ")),)
+            checked = CheckedFile(file=file, results=failed, started=started, took_s=clock.read())
+            return JudgedFile(checked=checked, notes={})
+        found = judge_run(
+            self.spec,
+            self.reference,
+            run,
+            file=file,
+            allow_partial=self.allow_partial,
+            trajectories=self.trajectories,
+        )
+        timed = [(result, clock.lap()) for result in found]
+        results = tuple(result for result, _ in timed)
+        more = _describe(run, results) if self.is_described else {}
+        took_s = clock.read()
+        if not self.keeps_runs:
+            # `judged` may contain the reference, which is only needed together with the run.
+            results = tuple(replace(one, judged=None, reference=None) for one in results)
+        checked = CheckedFile(
+            file=file,
+            results=results,
+            started=started,
+            took_s=took_s,
+            each_s=tuple(each_s for _, each_s in timed),
+            **more,
+        )
+        return JudgedFile(checked=checked, notes=notes, run=run if self.keeps_runs else None)
+
+
+_MOST_EXPLAINED: Final = 3
+"""Largest number of explained recordings per command, because a series usually fails for one
+reason."""
+
+
+@dataclass(slots=True, kw_only=True)
+class FailureExplainer:
+    """An explainer of the differences between the first failed recordings and the reference."""
+
+    judge: FileJudge
+    place: str
+    explained: int = 0
+
+    def __call__(self, path: Path, file: JudgedFile) -> JudgedFile:
+        """Return the results of a file; if one fails, with the reason, for the first files."""
+        has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
+        if not has_failed or self.explained == _MOST_EXPLAINED:
+            return file
+        from turtlelog.check.difference_reason import explain_failures
+
+        # Failed files that another process has judged are read once more here.
+        closer = self.judge.look_closer(path, file) if file.run is None else file
+        reference = self.judge.read_reference()
+        if closer.run is None or reference is None:
+            return file
+        self.explained += 1
+        found = explain_failures(closer.run, reference, closer.checked.results, place=self.place)
+        whys = {one.check: one.why for one in found if one.why}
+        results = tuple(replace(one, why=whys.get(one.check, ())) for one in file.checked.results)
+        details = {
+            name: "\n".join([text, *whys.get(name, ())])
+            for name, text in file.checked.details.items()
+        }
+        return replace(file, checked=replace(file.checked, results=results, details=details))
+
+
+class _Clock:
+    """A clock of the checks, whose first lap includes the time to read."""
+
+    def __init__(self) -> None:
+        self._began_s = self._last_s = perf_counter()
+
+    def lap(self) -> float:
+        """Return the time since the last lap [s]."""
+        last_s, self._last_s = self._last_s, perf_counter()
+        return self._last_s - last_s
+
+    def read(self) -> float:
+        """Return the time since the beginning [s]."""
+        return perf_counter() - self._began_s
+
+
+def _describe(run: Run, results: Sequence[CheckResult]) -> dict[str, Any]:
+    """Return the additional data of a report: all metrics, and the details of failures."""
+    from turtlelog.check.failure_report import describe_failure
+
+    failed = [result for result in results if result.verdict == "FAIL"]
+    details = {result.check: "\n".join(describe_failure(run, result)) for result in failed}
+    return {"metrics": measure_run(run), "details": details}
+
+
+def read_to_judge(path: Path, choice: ReadChoice) -> tuple[Run, dict[str, str]]:
+    """Return a run, complete or not, and the notes on its reading."""
+    # An incomplete recording fails its check, which gives the reason.
+    run = read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))
+    told = {name: text for name, text in run.notes.items() if name not in LOSS_NOTES}
+    return run, told

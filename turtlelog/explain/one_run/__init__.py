@@ -1,1 +1,0 @@
-"""Why one run has its value: causes, contributions, luck."""

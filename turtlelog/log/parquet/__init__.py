@@ -1,1 +1,0 @@
-"""Reading of Parquet files: checked before Arrow allocates memory."""

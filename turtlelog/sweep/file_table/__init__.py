@@ -1,1 +1,0 @@
-"""One table with the metrics of many recordings."""
