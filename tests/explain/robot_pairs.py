@@ -17,11 +17,13 @@ CHANGES: Final[Mapping[str, Callable[[Limited], Limited]]] = MappingProxyType(
     {
         "dead time": lambda robot: replace(robot, dead_time_s=robot.dead_time_s + 0.04),
         "gain": lambda robot: replace(robot, gain=0.9 * robot.gain),
-        "limits": lambda robot: replace(robot, bound=0.5 * robot.bound),
+        "limits": lambda robot: replace(robot, bound=0.6 * robot.bound),
         "noise": lambda robot: robot,
     }
 )
-"""What the second robot has otherwise than the first, by the part that it is; noise: nothing."""
+"""What the second robot has otherwise than the first, by the part that it is; noise: nothing.
+
+With half of the limit, no positive command of the log is below it, and the gain is not shown."""
 
 METRICS: Final[Mapping[str, str]] = MappingProxyType(
     {
