@@ -18,8 +18,8 @@ class Answer:
 
     @property
     def flat(self) -> str:
-        """What was printed in one line, wherever its lines end."""
-        return " ".join(self.out.split())
+        """What was printed in one line, wherever its lines end and commands continue."""
+        return " ".join(self.out.replace(" \\\n", " ").split())
 
     @property
     def json(self) -> Any:

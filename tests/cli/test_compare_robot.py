@@ -86,7 +86,7 @@ def test_without_noise_there_is_no_share(call: Call, bag: Path, tmp_path: Path) 
     quiet = write_scenario(tmp_path / "quiet.TOML", PLANT)
     (run,) = call("compare", bag, quiet, "--json").json["runs"]
     assert {error["within_share"] for error in run["errors"]} == {None}
-    words = " ".join(call("compare", bag, quiet).out.split())
+    words = call("compare", bag, quiet).flat
     assert "there is no band" in words
     assert words.endswith(f"Curves: turtlelog compare {bag} {quiet} --plot FILE.pdf")
 

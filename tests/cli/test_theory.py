@@ -1,4 +1,5 @@
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,7 @@ def test_gains_to_try_are_of_one_controller(call: Call, tmp_path: Path) -> None:
     assert re.search(
         r"--set law.kp_angular=\S+ --set law.ki_angular=0 --set law.kd_angular=0"
         r" --set law.kp_linear=\S+ --set law.ki_linear=[1-9.]",
-        " ".join(answer.out.split()),
+        answer.flat,
     )
 
 
@@ -467,3 +468,15 @@ def test_no_size_of_clipped_errors_is_told_for_an_integral_term(call: Call) -> N
     words = " ".join(call("theory", "lagged", *pid).out.split())
     assert "Theory leaves out command limits, which change overshoot and settling time." in words
     assert "are clipped for errors" not in words
+
+
+def test_a_command_of_two_lines_can_be_pasted(call: Call) -> None:
+    lines = call("theory", "paper-kp10").out.splitlines()
+    (first,) = [number for number, line in enumerate(lines) if line.startswith("Try them: ")]
+    command = "\n".join(lines[first : first + 2]).removeprefix("Try them: ")
+    # In a shell, a backslash before the end of a line joins two lines.
+    words = shlex.split(command.replace("\\\n", " "))
+    assert words == [
+        *("turtlelog", "run", "paper-kp10", "--set", "law.kp_angular=4.95"),
+        *("--set", "law.kp_linear=4.95"),
+    ]

@@ -190,17 +190,27 @@ def find_width() -> int:
 
 
 def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
-    """Return sentences as wrapped lines. Words, commands and formulas stay whole."""
-    return "\n".join(
-        textwrap.fill(
-            escape_controls(hide_secrets(line)),
-            min(find_width(), _LINE),
-            subsequent_indent=" " * indent,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for line in lines
+    """Return sentences as wrapped lines. Words and formulas stay whole.
+
+    A command at the end of a line continues after a backslash, so that it can be pasted.
+    """
+    return "\n".join(_fill(escape_controls(hide_secrets(line)), indent) for line in lines)
+
+
+def _fill(line: str, indent: int) -> str:
+    width = min(find_width(), _LINE)
+    head, mark, command = line.partition(": turtlelog ")
+    is_alone = ", " not in command and not command.endswith(".")
+    is_command = bool(mark) and is_alone and len(head) < width // 2
+    end = " \\" if is_command else ""
+    filled = textwrap.wrap(
+        line,
+        width - len(end) if len(line) > width else width,
+        subsequent_indent=" " * max(indent, 2 * is_command),
+        break_long_words=False,
+        break_on_hyphens=False,
     )
+    return f"{end}\n".join(filled)
 
 
 def list_written(paths: Iterable[object]) -> list[str]:
