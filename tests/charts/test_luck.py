@@ -64,7 +64,7 @@ def test_the_sentences_tell_the_values_and_whether_luck_decides(kp10: LuckPictur
             "textbook",
             METRIC,
             (
-                f"{METRIC}: 5.6 to 5.7 mm with all effects; no effect changes it.",
+                f"{METRIC}: 5.6 to 5.7 mm with all effects; no effect is in this run.",
                 "It depends little on the start.",
             ),
         ),
