@@ -54,8 +54,8 @@ def test_the_first_line_is_how_late_the_robot_follows(call: Call, bag: Path) -> 
     text = call("identify", bag).out
     lines = text.splitlines()
     first = (
-        r"robot\.mcap: total delay of the speed ([\d.]+) ms \(.*\),"
-        r" of the turn rate ([\d.]+) ms \(.*\)\. Gains: speed 0\.\d+, turn rate 0\.\d+\."
+        r"robot\.mcap: total delay of speed ([\d.]+) ms \(.*\),"
+        r" of turn rate ([\d.]+) ms \(.*\)\. Gains: speed 0\.\d+, turn rate 0\.\d+\."
     )
     found = re.match(first, " ".join(lines[:3]))
     assert found is not None
@@ -108,7 +108,7 @@ def test_an_axis_without_a_value_has_a_reason_and_what_to_drive(call: Call, tmp_
     answer = call("identify", bag)
     text = " ".join(answer.out.split())
     assert answer.code == 0
-    assert text.startswith("turns.mcap: total delay of the turn rate ")
+    assert text.startswith("turns.mcap: total delay of turn rate ")
     assert "The speed could not be identified." in text
     assert (
         "Speed: not identifiable: the speed is never commanded. To know it, step the speed ten"
@@ -141,9 +141,7 @@ def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> No
         for found in (answer, alone)
     )
     assert all(together < one for together, one in zip(width, width_alone, strict=True))
-    assert call("identify", bag, other).out.startswith(
-        "2 runs of one robot: total delay of the speed"
-    )
+    assert call("identify", bag, other).out.startswith("2 runs of one robot: total delay of speed")
 
 
 @pytest.mark.thorough
@@ -193,7 +191,7 @@ def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
     delays = answer["tick_delays"]
     assert (delays["least_s"], delays["median_s"], delays["largest_s"]) == (0.016, 0.112, 0.112)
     text = call("identify", kp10).out
-    told = "kp10.mcap: total delay of the speed 96 ms (0 to 96), of the turn rate 64 ms"
+    told = "kp10.mcap: total delay of speed 96 ms (0 to 96), of turn rate 64 ms"
     assert text.startswith(told)
     assert "In brackets: the least and the largest." in " ".join(text.split())
     assert "least 16.0 ms, median 112.0 ms, largest 112.0 ms" in " ".join(text.split())

@@ -27,7 +27,7 @@ def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
 
 def test_a_notebook_shows_the_answer_the_values_and_the_doubts() -> None:
     html = tl.RobotModel(files=("bag",), speed=DRIVEN, turn_rate=UNKNOWN)._repr_html_()
-    answer = "bag: total delay of the speed 200 ms (190 to 210). Gain: speed 0.900."
+    answer = "bag: total delay of speed 200 ms (190 to 210). Gain: speed 0.900."
     rest = "The turn rate could not be identified. In doubt: speed (plan with 210 ms)."
     assert f"<strong>{answer} {rest}</strong>" in html
     sure = tl.RobotModel(files=("bag",), speed=replace(DRIVEN, doubts=()), turn_rate=UNKNOWN)

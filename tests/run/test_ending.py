@@ -112,7 +112,8 @@ def test_a_run_without_tolerances_did_not_miss() -> None:
 
 
 def test_a_law_that_reads_noisy_poses_does_not_judge_by_itself() -> None:
-    run = end_at(0.1, stop_reason="within_tolerance")
+    run = end_at(1.1 * ALLOWED_M, stop_reason="within_tolerance")
+    assert getattr(find_goal_end(run), "verdict", None) == "reached"
     run = replace(run, poses=replace(run.poses, sensed_xy_m=run.poses.xy_m.copy()))
     end = find_goal_end(run)
     assert end is not None

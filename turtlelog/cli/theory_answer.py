@@ -254,7 +254,7 @@ def _list_recommended(
         yield f"{show_gains(given.gains)} needs no change, {ideal}: {tell_gains(given)}."
         yield f"{show_gains(best.gains)} for {wish} is no better: {tell_gains(best)}."
         return
-    yield f"Recommended {ideal}: {best.controller} with {show_gains(best.gains)} for {wish}."
+    yield f"Recommended for {wish}: {best.controller} with {show_gains(best.gains)}, {ideal}."
     compared = compare_gains(best, given)
     yield f"{compared[:1].upper()}{compared[1:]}"
 

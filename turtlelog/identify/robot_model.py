@@ -380,7 +380,7 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> list[str]:
     """
     axes = [*axes]
     delays = [
-        f"of the {NAMES[axis.axis]} {_write_delay(axis.total_delay_s)}"
+        f"of {NAMES[axis.axis]} {_write_delay(axis.total_delay_s)}"
         for axis in axes
         if axis.total_delay_s is not None
     ]

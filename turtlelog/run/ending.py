@@ -90,7 +90,8 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
         return None
     error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), _allow(run)
     # A law that reads late or wrong poses stops where it believes the goal to be.
-    is_own_end = run.stop_reason == _REACHED and error_m <= _CORNER * allowed_m
+    is_seen = run.poses.sensed_xy_m is None
+    is_own_end = run.stop_reason == _REACHED and is_seen and error_m <= _CORNER * allowed_m
     is_within = is_own_end or (error_m <= allowed_m and _stays(run, error_m, allowed_m))
     turned_rad = None if is_own_end or not is_within else _find_turned(run)
     verdict: Literal["reached", "missed", "ended"] = "ended"
