@@ -30,7 +30,7 @@ from turtlelog.scenario import (
 )
 from turtlelog.simulate import declare_scenario, simulate_many, simulate_run
 from turtlelog.simulate.compiled.compiled_code import CompiledCode
-from turtlelog.simulate.compiled.compiled_run import CompiledRunner
+from turtlelog.simulate.compiled.compiled_loop import CompiledRunner
 from turtlelog.simulate.compiled.twins import Twins, build_dtype
 from turtlelog.simulate.many import COST_S, find_loop, find_saving
 from turtlelog.simulate.settings import build_settings

@@ -6,6 +6,7 @@ from .collect import (
     RunCollector as RunCollector,
     SampleRows as SampleRows,
     collect_run as collect_run,
+    find_software as find_software,
     simulate_run as simulate_run,
 )
 from .many import (
@@ -26,7 +27,4 @@ from .scenario_notes import (
 )
 from .settings import (
     needs_time as needs_time,
-)
-from .versions import (
-    find_software as find_software,
 )

@@ -1,6 +1,12 @@
-"""Conversion of a loop's ticks to the columns of a run."""
+"""Conversion of a loop's ticks, or of a compiled loop's rows, to the columns of a run."""
 
-from collections.abc import Iterable, Iterator, Mapping
+import platform
+import sys
+from array import array
+from collections.abc import Iterable, Mapping
+from functools import cache
+from hashlib import sha256
+from itertools import repeat
 from pathlib import Path
 from struct import Struct
 from typing import Any, Final
@@ -9,21 +15,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
-from turtlelog.laws import is_given, read_law_source
+from turtlelog.laws import LAWS, find_law, find_module, is_given, read_law_source
 from turtlelog.parts import Plant
-from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
+from turtlelog.simulate.assemble import Function, compile_text
 from turtlelog.simulate.class_law import declare_scenario
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
 from turtlelog.simulate.rows import SampleRow, describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
-from turtlelog.simulate.versions import find_software
+from turtlelog.version import __version__
 
-# Rows are packed at once: 8 bytes per value, whole numbers first.
-_POSE_ROW: Final = Struct("<q5d")
 _COMMAND_ROW: Final = Struct("<q2d")
-_SENSED_ROW: Final = Struct("<3d")
+_COMMAND_KIND: Final = np.dtype(
+    [("published_ns", "<i8"), ("speed_m_s", "<f8"), ("turn_rate_rad_s", "<f8")]
+)
+_POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
+_SENSED: Final = ("sensed_x_m", "sensed_y_m", "sensed_heading_rad")
+_SAMPLE: Final = ("time_ns", "sequence", "pose_sequence", "phase")
+_DECISION: Final = (
+    *("bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"),
+    *("world_v_x_m_s", "world_v_y_m_s", "wanted_speed_m_s", "wanted_turn_rate_rad_s"),
+    *("speed_m_s", "turn_rate_rad_s"),
+)
+_REFERENCE: Final = ("reference_x_m", "reference_y_m", "reference_heading_rad")
+_SHAPED: Final = ("shaped_speed_m_s", "shaped_turn_rate_rad_s")
 
 
 def simulate_run(
@@ -80,8 +97,10 @@ class RunCollector:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = resolve_scenario(scenario)
         self._declaration = declare_scenario(self._scenario)
-        self._poses, self._commands = bytearray(), bytearray()
-        self._sensed = bytearray() if self._scenario.has_action("sense", "lose_pose") else None
+        self._senses = self._scenario.has_action("sense", "lose_pose")
+        self._times_ns, self._poses, self._commands = array("q"), bytearray(), bytearray()
+        fields = _POSE + _SENSED * self._senses
+        self._pack_pose, self._pose_row = _find_packing((), fields)
         has_shaping = self._scenario.has_action("shape")
         self._samples = SampleRows(self._declaration, has_shaping=has_shaping)
         self._events: list[Event] = []
@@ -94,27 +113,17 @@ class RunCollector:
 
     def take(self, ticks: Iterable[Tick]) -> None:
         """Add the next ticks."""
-        self._add(ticks if self._sensed is None else _pack_sensed(ticks, self._sensed))
-
-    def _add(self, ticks: Iterable[Tick]) -> None:
         poses, commands, add_sample = self._poses, self._commands, self._samples.add
-        pack_pose, pack_command = _POSE_ROW.pack, _COMMAND_ROW.pack
+        add_time, pack_pose, pack_command = (
+            self._times_ns.append,
+            self._pack_pose,
+            _COMMAND_ROW.pack,
+        )
         for tick in ticks:
-            row, states = tick.row, tick.states
-            poses += pack_pose(
-                tick.time_ns,
-                row.x_m,
-                row.y_m,
-                row.heading_rad,
-                row.speed_m_s,
-                row.turn_rate_rad_s,
-            )
-            if states:
-                for sample, own in zip(tick.computed, states, strict=True):
-                    add_sample(sample, own)
-            else:
-                for sample in tick.computed:
-                    add_sample(sample)
+            add_time(tick.time_ns)
+            poses += pack_pose(tick.row)
+            for sample, states in zip(tick.computed, tick.states or repeat(()), strict=False):
+                add_sample(sample, states)
             for sample in tick.published:
                 commands += pack_command(
                     sample.published_ns, sample.speed_m_s, sample.turn_rate_rad_s
@@ -124,11 +133,10 @@ class RunCollector:
 
     def end_late(self, err: StepBudgetError) -> None:
         """Record the failure of a loop whose step could not be ended; there is no last tick."""
-        if self._stop_reason is None and self._poses:
-            last_ns = int.from_bytes(self._poses[-_POSE_ROW.size :][:8], "little", signed=True)
+        if self._stop_reason is None and self._times_ns:
             text = describe_stop(STEP_BUDGET, f": {err}")
             self._stop_reason = STEP_BUDGET
-            self._events.append(Event(time_ns=last_ns, kind="stop", text=text))
+            self._events.append(Event(time_ns=self._times_ns[-1], kind="stop", text=text))
 
     def build_run(self) -> Run:
         """Return the run of all ticks so far.
@@ -136,35 +144,24 @@ class RunCollector:
         Raises:
             SimulationError: If no pose was answered.
         """
-        scenario = self._scenario
+        scenario, kind = self._scenario, self._scenario.law.kind
         if not self.has_samples:
             raise SimulationError(
                 f"{scenario.name}: no pose is answered within max_duration_s ="
                 f" {scenario.max_duration_s}: {_describe_wait(scenario)}"
             )
-        has_goal = self._declaration.uses_goal
-        return Run(
-            name=scenario.name,
-            source="simulation",
-            poses=_build_poses(self._poses, self._sensed),
-            commands=_build_commands(self._commands),
+        poses = np.frombuffer(self._poses, self._pose_row)
+        source = read_law_source(kind) if is_given(kind) else None
+        return build_run(
+            scenario,
+            self._declaration,
+            poses=build_poses(np.array(self._times_ns), poses, senses=self._senses),
+            commands=build_commands(np.frombuffer(self._commands, _COMMAND_KIND)),
             samples=self._samples.build_columns(),
-            goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m) if has_goal else None,
-            goal_heading_rad=scenario.goal.heading_rad if has_goal else None,
-            declaration=self._declaration,
-            parameters=flatten_scenario(scenario),
-            scenario_is_complete=True,
             stop_reason=self._stop_reason,
             events=tuple(self._events),
-            simulated_by=find_software(scenario.law.kind),
-            notes=_describe_law(scenario.law.kind),
+            notes={} if source is None else {"law_source": source},
         )
-
-
-def _describe_law(kind: str) -> dict[str, str]:
-    """Return the source of a law that exists only in this session, as text."""
-    source = read_law_source(kind) if is_given(kind) else None
-    return {} if source is None else {"law_source": source}
 
 
 def _describe_wait(scenario: Scenario) -> str:
@@ -175,132 +172,164 @@ def _describe_wait(scenario: Scenario) -> str:
     return f"start_backlog = {backlog} poses come first{''.join(others)}"
 
 
-def _pack_sensed(ticks: Iterable[Tick], packed: bytearray) -> Iterator[Tick]:
-    """Yield ticks and collect their sensed poses; NaN for poses that dropped out."""
-    for tick in ticks:
-        row = tick.row
-        packed += _SENSED_ROW.pack(row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad)
-        yield tick
-
-
-def _build_poses(packed: bytearray, packed_sensed: bytearray | None) -> PoseColumns:
-    (time_ns,), (x, y, heading, speed, turn_rate) = _split_rows(packed, _POSE_ROW.size, integers=1)
-    sensed = None
-    if packed_sensed is not None:
-        _, sensed = _split_rows(packed_sensed, _SENSED_ROW.size, integers=0)
-    return PoseColumns(
-        time_ns=time_ns,
-        xy_m=np.column_stack([x, y]),
-        heading_rad=heading,
-        speed_m_s=speed,
-        turn_rate_rad_s=turn_rate,
-        sensed_xy_m=None if sensed is None else np.column_stack([*sensed[:2]]),
-        sensed_heading_rad=None if sensed is None else sensed[2],
-    )
-
-
-def _build_commands(packed: bytearray) -> CommandColumns:
-    (time_ns,), (speed, turn_rate) = _split_rows(packed, _COMMAND_ROW.size, integers=1)
-    return CommandColumns(
-        time_ns=time_ns,
-        speed_m_s=speed,
-        lateral_speed_m_s=np.zeros_like(speed),
-        turn_rate_rad_s=turn_rate,
-    )
-
-
-_SAMPLE_ROW: Final = Struct("<4q11d")
-_WHOLE: Final = 4
-
-
 class SampleRows:
-    """Collector of a law's samples, 8 bytes per value, whole numbers first."""
+    """Collector of a law's samples, 8 bytes per value."""
 
-    __slots__ = ("_declaration", "_extra", "_has_shaping", "_pack", "_packed")
+    __slots__ = ("_declaration", "_has_shaping", "_pack", "_packed", "_row")
 
     def __init__(self, declaration: Declaration, *, has_shaping: bool = False) -> None:
         """Allocate space for the declared states and reference of a law, and for shaping."""
         self._declaration, self._has_shaping = declaration, has_shaping
-        self._pack = _SAMPLE_ROW.pack
-        extra = len(declaration.states) + 3 * declaration.has_reference + 2 * has_shaping
-        self._extra = Struct(f"<{extra}d") if extra else None
+        numbers = _DECISION + _REFERENCE * declaration.has_reference + _SHAPED * has_shaping
+        self._pack, self._row = _find_packing(_SAMPLE, numbers, len(declaration.states))
         self._packed = bytearray()
 
     def __len__(self) -> int:
-        return len(self._packed) // self._row_size
-
-    @property
-    def _row_size(self) -> int:
-        return _SAMPLE_ROW.size + (self._extra.size if self._extra else 0)
+        return len(self._packed) // self._row.itemsize
 
     def add(self, sample: SampleRow, states: tuple[float, ...] = ()) -> None:
         """Add the next sample and the states of its law."""
-        self._packed += self._pack(
-            sample.time_ns,
-            sample.sequence,
-            sample.pose_sequence,
-            sample.phase,
-            sample.bearing_rad,
-            sample.heading_error_rad,
-            sample.error_x_m,
-            sample.error_y_m,
-            sample.distance_m,
-            sample.wanted_speed_m_s,
-            sample.wanted_turn_rate_rad_s,
-            sample.speed_m_s,
-            sample.turn_rate_rad_s,
-            sample.world_v_x_m_s,
-            sample.world_v_y_m_s,
-        )
-        if self._extra is not None:
-            values = states
-            if self._declaration.has_reference:
-                pose = sample.reference_x_m, sample.reference_y_m, sample.reference_heading_rad
-                values = *values, *pose
-            if self._has_shaping:
-                values = *values, sample.shaped_speed_m_s, sample.shaped_turn_rate_rad_s
-            self._packed += self._extra.pack(*values)
+        self._packed += self._pack(sample, *states)
 
     def build_columns(self) -> SampleColumns:
         """Return the columns of all samples so far."""
-        declaration = self._declaration
-        integers, values = _split_rows(self._packed, self._row_size, integers=_WHOLE)
-        time_ns, sequence, pose_sequence, phase = integers
-        bearing, heading_error, error_x, error_y, distance, *commands = values[:9]
-        world, extra = values[9:11], values[11:]
-        wanted_speed, wanted_turn_rate, speed, turn_rate = commands
-        states = extra[: len(declaration.states)]
-        shaped = extra[len(extra) - 2 * self._has_shaping :]
-        reference = extra[len(declaration.states) : len(extra) - len(shaped)]
-        return SampleColumns(
-            time_ns=time_ns,
-            sequence=sequence,
-            pose_sequence=pose_sequence,
-            phase=phase,
-            bearing_rad=keep_whole(bearing),
-            heading_error_rad=keep_whole(heading_error),
-            error_xy_m=keep_whole(np.column_stack([error_x, error_y])),
-            distance_m=keep_whole(distance),
-            wanted_speed_m_s=wanted_speed,
-            wanted_turn_rate_rad_s=wanted_turn_rate,
-            speed_m_s=speed,
-            turn_rate_rad_s=turn_rate,
-            shaped_speed_m_s=shaped[0] if len(shaped) else None,
-            shaped_turn_rate_rad_s=shaped[1] if len(shaped) else None,
-            world_velocity_m_s=None if np.isnan(world).all() else np.column_stack([*world]),
-            states=np.column_stack(list(states)) if declaration.states else None,
-            reference_xy_m=np.column_stack(list(reference[:2])) if len(reference) else None,
-            reference_heading_rad=reference[2] if len(reference) else None,
-        )
+        rows = np.frombuffer(self._packed, self._row)
+        states = rows["states"].copy() if self._declaration.states else None
+        return build_samples(rows, states, self._declaration, has_shaping=self._has_shaping)
 
 
-def _split_rows(
-    packed: bytearray, size: int, *, integers: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    words = np.frombuffer(packed, dtype="<i8").reshape(-1, size // 8).T
-    return words[:integers].copy(), words[integers:].copy().view("<f8")
+@cache
+def _find_packing(
+    whole: tuple[str, ...], numbers: tuple[str, ...], states: int = 0
+) -> tuple[Function, np.dtype[Any]]:
+    """Return a function that packs fields of a row and states, and the type of the packed row."""
+    pack = Struct(f"<{len(whole)}q{len(numbers) + states}d").pack
+    values = ", ".join(f"row.{name}" for name in (*whole, *numbers))
+    lines = ["def pack_row(row, *states):", f"    return pack({values}, *states)"]
+    fields = [(name, "<i8") for name in whole] + [(name, "<f8") for name in numbers]
+    kind = np.dtype([*fields, ("states", "<f8", (states,))])
+    return compile_text("pack_row", lines, {"pack": pack}), kind
 
 
-def keep_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
+# Columns from packed rows, or from the rows of a compiled loop, which have the same fields.
+
+
+def build_run(scenario: Scenario, declaration: Declaration, **others: Any) -> Run:
+    """Return the run of a simulated scenario from its fields that no scenario determines."""
+    goal = scenario.goal if declaration.uses_goal else None
+    return Run(
+        name=scenario.name,
+        source="simulation",
+        goal_xy_m=None if goal is None else (goal.x_m, goal.y_m),
+        goal_heading_rad=None if goal is None else goal.heading_rad,
+        declaration=declaration,
+        parameters=flatten_scenario(scenario),
+        scenario_is_complete=True,
+        simulated_by=find_software(scenario.law.kind),
+        **others,
+    )
+
+
+def build_poses(time_ns: NDArray[np.int64], rows: NDArray[Any], *, senses: bool) -> PoseColumns:
+    """Return the poses at the times of ticks [ns]; sensed poses are NaN if they dropped out."""
+    return PoseColumns(
+        time_ns=time_ns,
+        xy_m=pair_columns(rows, "x_m", "y_m"),
+        heading_rad=rows["heading_rad"].copy(),
+        speed_m_s=rows["speed_m_s"].copy(),
+        turn_rate_rad_s=rows["turn_rate_rad_s"].copy(),
+        sensed_xy_m=pair_columns(rows, "sensed_x_m", "sensed_y_m") if senses else None,
+        sensed_heading_rad=rows["sensed_heading_rad"].copy() if senses else None,
+    )
+
+
+def build_commands(rows: NDArray[Any]) -> CommandColumns:
+    """Return the commands of published samples."""
+    speed = rows["speed_m_s"].copy()
+    return CommandColumns(
+        time_ns=rows["published_ns"].copy(),
+        speed_m_s=speed,
+        lateral_speed_m_s=np.zeros_like(speed),
+        turn_rate_rad_s=rows["turn_rate_rad_s"].copy(),
+    )
+
+
+def build_samples(
+    rows: NDArray[Any],
+    states: NDArray[np.float64] | None,
+    declaration: Declaration,
+    *,
+    has_shaping: bool,
+) -> SampleColumns:
+    """Return the samples; a column is None if it is not declared, or if a row has no number."""
+    moves = declaration.has_reference
+    world = pair_columns(rows, "world_v_x_m_s", "world_v_y_m_s")
+    return SampleColumns(
+        time_ns=rows["time_ns"].copy(),
+        sequence=rows["sequence"].copy(),
+        pose_sequence=rows["pose_sequence"].copy(),
+        phase=rows["phase"].copy(),
+        bearing_rad=_keep_whole(rows["bearing_rad"].copy()),
+        heading_error_rad=_keep_whole(rows["heading_error_rad"].copy()),
+        error_xy_m=_keep_whole(pair_columns(rows, "error_x_m", "error_y_m")),
+        distance_m=_keep_whole(rows["distance_m"].copy()),
+        wanted_speed_m_s=rows["wanted_speed_m_s"].copy(),
+        wanted_turn_rate_rad_s=rows["wanted_turn_rate_rad_s"].copy(),
+        speed_m_s=rows["speed_m_s"].copy(),
+        turn_rate_rad_s=rows["turn_rate_rad_s"].copy(),
+        shaped_speed_m_s=rows["shaped_speed_m_s"].copy() if has_shaping else None,
+        shaped_turn_rate_rad_s=rows["shaped_turn_rate_rad_s"].copy() if has_shaping else None,
+        world_velocity_m_s=None if np.isnan(world).all() else world,
+        states=states,
+        reference_xy_m=pair_columns(rows, "reference_x_m", "reference_y_m") if moves else None,
+        reference_heading_rad=rows["reference_heading_rad"].copy() if moves else None,
+    )
+
+
+def pair_columns(rows: NDArray[Any], *names: str) -> NDArray[np.float64]:
+    """Return fields of rows side by side, shape (n, k)."""
+    return np.column_stack([rows[name] for name in names])
+
+
+def _keep_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return a column; None if a row has no number, for example an error without a goal."""
     return None if np.isnan(values).any() else values
+
+
+# The simulating software.
+
+
+def find_software(law: str) -> dict[str, str]:
+    """Return the versions, the platform and, for a user law, a digest of its code.
+
+    The platform includes the C library, because sines and cosines may differ in their last bits.
+
+    Args:
+        law: Kind of the simulated law, which has been loaded.
+    """
+    code = None if law in LAWS else _read_code(law)
+    digest = {} if code is None else {LAW: f"sha256 {sha256(code).hexdigest()[:16]}"}
+    return {**_find_versions(), **digest}
+
+
+@cache
+def _find_versions() -> dict[str, str]:
+    library = " ".join(platform.libc_ver())
+    return {
+        "turtlelog": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "platform": f"{platform.system()} {platform.machine()} {library}".strip(),
+    }
+
+
+def _read_code(kind: str) -> bytes | None:
+    """Return the text of the file that defines a law; None if there is no such file."""
+    if is_given(kind):
+        source = read_law_source(kind)
+        return None if source is None else source.encode()
+    file = getattr(sys.modules.get(find_module(find_law(kind))), "__file__", None)
+    try:
+        return None if file is None else Path(file).read_bytes()
+    except OSError:
+        return None

@@ -20,7 +20,7 @@ from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
 from turtlelog.simulate.compiled.compiled_code import CompiledCode, is_kept
-from turtlelog.simulate.compiled.compiled_run import CompiledRunner
+from turtlelog.simulate.compiled.compiled_loop import CompiledRunner
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0

@@ -14,12 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.effects import EFFECTS
-from turtlelog.laws import LawPart
-from turtlelog.parts import PlantPart
+from turtlelog.laws import LawPart, find_law
+from turtlelog.parts import Plant, PlantPart
+from turtlelog.run import Run
 from turtlelog.run.path_pieces import PathPiece
+from turtlelog.scenario import Scenario
 from turtlelog.simulate import loop
 from turtlelog.simulate.assemble import Function, Parts, bind_parts, bind_states, bind_step
-from turtlelog.simulate.class_law import is_built_in
+from turtlelog.simulate.class_law import declare_scenario, is_built_in
+from turtlelog.simulate.collect import (
+    build_commands,
+    build_poses,
+    build_run,
+    build_samples,
+    pair_columns,
+)
 from turtlelog.simulate.compiled import compiled_entry
 from turtlelog.simulate.compiled.compiled_code import remove_others
 from turtlelog.simulate.compiled.twins import (
@@ -30,9 +39,16 @@ from turtlelog.simulate.compiled.twins import (
     describe_numba_error,
     stamp_functions,
 )
-from turtlelog.simulate.rows import EventRow, SampleRow, TickRow
-from turtlelog.simulate.settings import Shape, find_law_numbers, find_shape
-from turtlelog.simulate.streams import build_events
+from turtlelog.simulate.rows import MAX_DURATION, EventRow, SampleRow, TickRow, describe_event
+from turtlelog.simulate.settings import (
+    Shape,
+    bound_rows,
+    build_settings,
+    find_law_numbers,
+    find_shape,
+)
+from turtlelog.simulate.step_budget import WatchedCode
+from turtlelog.simulate.streams import STREAMS, build_events, draw_events, list_of, list_streams
 
 
 class Rows(NamedTuple):
@@ -294,3 +310,92 @@ def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
     # A user law may have the name of a built-in one, whose loop must stay in the cache.
     owner = "" if is_built_in(law) else "own_"
     return f"{owner}{law.name}_{plant.name}_{stamp}".replace("-", "_")
+
+
+class CompiledRunner:
+    """Simulations with compiled loops, one scenario after another in the same arrays."""
+
+    def __init__(self, step_budget_s: float | None = None) -> None:
+        """Start without arrays.
+
+        Args:
+            step_budget_s: Time that a user law may compute for one answer [s]; None: unlimited.
+        """
+        self._rows: dict[Any, Any] = {}
+        self._watched = None if step_budget_s is None else WatchedCode(step_budget_s)
+
+    def simulate(self, loop: CompiledLoop, scenario: Scenario, plant: Plant) -> Run | None:
+        """Return the run of a scenario from a loop that supports it.
+
+        The law of the scenario must be resolved. The result is None if the law fails or answers no
+        pose; the loop in Python then gives the reason.
+
+        Raises:
+            StepBudgetError: If a step of a user law does not return within its budget.
+        """
+        law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
+        _, settings, start = build_settings(scenario, law, declaration, plant)
+        ticks, samples = bound_rows(scenario, plant)
+        rows = self._rows.get(loop)
+        if rows is None or ticks > len(rows.ticks) or samples > len(rows.samples):
+            rows = self._rows[loop] = loop.kinds.allocate(ticks, samples)
+        draw_streams(rows, list_streams(scenario), scenario.seed, ticks, samples)
+        table, pieces = build_tables(scenario)
+        rows = rows._replace(table=table, pieces=pieces)
+        state = as_record(start, loop.kinds.state)
+        now = state[0]["now"]
+        run = partial(loop.run, as_record(settings, loop.kinds.settings), state, rows)
+        if self._watched is None or is_built_in(law):
+            run()
+        else:
+            del self._rows[loop]  # code that never returns keeps its arrays
+            self._watched.call(run, lambda: int(now["samples"]))
+            self._rows[loop] = rows
+        if now["failure"] or not now["samples"]:
+            return None
+        poses, answers = rows.ticks[: now["ticks"]], rows.samples[: now["samples"]]
+        senses, shapes = scenario.has_action("sense", "lose_pose"), scenario.has_action("shape")
+        states = None
+        if declaration.states:
+            states = pair_columns(rows.states[: len(answers)], *declaration.states)
+        return build_run(
+            scenario,
+            declaration,
+            poses=build_poses(np.arange(len(poses)) * plant.period_ns, poses, senses=senses),
+            commands=build_commands(answers[: now["published"]]),
+            samples=build_samples(answers, states, declaration, has_shaping=shapes),
+            stop_reason=name_stop(law, int(now["stop"])),
+            events=tuple(
+                describe_event(row, plant.period_ns, lambda number: name_stop(law, number))
+                for row in rows.events[: now["events"]].view(np.recarray)
+            ),
+        )
+
+
+def build_tables(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    """Return the table of a law, and the pieces of a path."""
+    law = find_law(scenario.law.kind)
+    rows: tuple[Any, ...] = ()
+    if isinstance(law, LawPart) and law.build_table is not None:
+        rows = tuple(law.build_table(scenario.law.parameters))
+    table = np.array(rows, np.float64) if rows else np.empty((0, 0))
+    pieces: tuple[PathPiece, ...] = () if scenario.path is None else scenario.path.ways
+    return table, np.array([piece[1:] for piece in pieces], PIECE)
+
+
+def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, samples: int) -> None:
+    """Generate the random numbers of effects, event by event."""
+    for table, count, of_ticks in (
+        (rows.drawn_ticks, ticks, True),
+        (rows.drawn_samples, samples, False),
+    ):
+        for name in list_of(ticks=of_ticks):
+            if name in names:
+                drawn = draw_events(seed, STREAMS[name], count)
+                for place, field in enumerate(STREAMS[name].fields):
+                    table[name][field][:count] = drawn[:, place]
+
+
+def name_stop(law: Any, number: int) -> str:
+    """Return the stop reason of a compiled loop, in one word."""
+    return "max_duration" if number == MAX_DURATION else law.stops[number - 1]

@@ -20,8 +20,7 @@ from turtlelog.run.paths import Path
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_loop import find_kinds
-from turtlelog.simulate.compiled.compiled_run import build_tables
+from turtlelog.simulate.compiled.compiled_loop import build_tables, find_kinds
 from turtlelog.simulate.compiled.twins import as_record
 from turtlelog.simulate.many import find_loop
 from turtlelog.simulate.settings import bound_rows, build_settings

@@ -23,7 +23,7 @@ from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled.compiled_code import CompiledCode, call_beside, is_kept
-from turtlelog.simulate.compiled.compiled_run import CompiledRunner, draw_streams, name_stop
+from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, draw_streams, name_stop
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch.batch_columns import (
