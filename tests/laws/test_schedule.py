@@ -17,7 +17,7 @@ from turtlelog.laws import (
     SequentialP,
     SequentialPParameters,
 )
-from turtlelog.laws.schedule import MOST_ENTRIES
+from turtlelog.laws.sequential import MOST_ENTRIES
 from turtlelog.scenario import flatten_scenario, format_scenario, override_scenario, parse_scenario
 
 BOTH = pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid"])

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from turtlelog.laws import Decision, Goal, Pose, SequentialP, SequentialPParameters
-from turtlelog.laws.asked import AskedLaw
+from turtlelog.laws.base import AskedLaw
 from turtlelog.plants.turtlesim import TICK_NS
 
 START, GOAL = Pose(5.5, 5.5, 0.0), Goal(2.0, 10.0)

@@ -10,7 +10,7 @@ import turtlelog as tl
 from tests.laws.sequential_runs import LINEAR, build_run, keep_law, simulate
 from turtlelog.errors import ScenarioError
 from turtlelog.laws import Goal, Pose, SequentialPID, SequentialPIDParameters
-from turtlelog.laws.asked import AskedLaw
+from turtlelog.laws.base import AskedLaw
 from turtlelog.scenario import PRESETS, build_scenario, override_scenario
 
 TICK_NS = 16_000_000

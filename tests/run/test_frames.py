@@ -9,7 +9,7 @@ from turtlelog.errors import FrameError
 from turtlelog.laws import Goal, Pose, SequentialP, SequentialPParameters
 from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import TICK_S
-from turtlelog.run.frames import (
+from turtlelog.run.angles import (
     build_rotation,
     project_on_heading,
     rotate_to_turtle,

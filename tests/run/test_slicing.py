@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from turtlelog.display import format_path_svg
 from turtlelog.errors import RunError
-from turtlelog.run.path_picture import format_path_svg
 
 RUN = tl.read_recording("recordings/paper/kp10.mcap")
 

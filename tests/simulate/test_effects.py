@@ -11,7 +11,7 @@ from tests.effects_cases import EFFECTS, RANDOM, SENSED, SHAPED, build_case
 from turtlelog.run import Run
 from turtlelog.scenario import format_scenario, parse_scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.simulate.streams import list_streams
+from turtlelog.simulate.loop_parts import list_streams
 
 PAIRS = list(combinations(EFFECTS, 2))
 

@@ -15,7 +15,7 @@ from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
 from turtlelog.run.loops import PLANT_KEYS, read_number
 from turtlelog.scenario import Scenario, flatten_scenario
-from turtlelog.simulate.streams import RANDOM_KEYS, list_streams
+from turtlelog.simulate.loop_parts import RANDOM_KEYS, list_streams
 
 _FADED: Final = 1e-3
 """Share of an earlier rate below which the rate no longer counts."""

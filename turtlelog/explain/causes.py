@@ -23,7 +23,7 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import simulate_run
-from turtlelog.simulate.streams import RANDOM_KEYS, STREAMS
+from turtlelog.simulate.loop_parts import RANDOM_KEYS, STREAMS
 
 FINER: Final = 8
 """Number of steps per tick without sampling; a step is then 2 ms."""

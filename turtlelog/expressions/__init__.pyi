@@ -14,10 +14,7 @@ from .parser import (
     format_expression as format_expression,
     parse_expression as parse_expression,
 )
-from .tokens import (
-    draw_caret as draw_caret,
-)
-from .tree import (
+from .syntax import (
     Arithmetic as Arithmetic,
     Call as Call,
     Comparison as Comparison,
@@ -31,5 +28,6 @@ from .tree import (
     Text as Text,
     Truth as Truth,
     Until as Until,
+    draw_caret as draw_caret,
     iterate_nodes as iterate_nodes,
 )

@@ -15,8 +15,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from turtlelog.errors import find_near, join_names, quote_name
-from turtlelog.expressions.tokens import build_error
-from turtlelog.expressions.tree import (
+from turtlelog.expressions.syntax import (
     Arithmetic,
     Call,
     Comparison,
@@ -30,6 +29,7 @@ from turtlelog.expressions.tree import (
     Text,
     Truth,
     Until,
+    build_error,
 )
 
 if TYPE_CHECKING:

@@ -5,8 +5,7 @@ from typing import Any, Final, NoReturn, cast
 
 from turtlelog.errors import suggest_names
 from turtlelog.expressions.evaluation import ARGUMENTS, describe_arguments
-from turtlelog.expressions.tokens import Token, build_error, split_tokens
-from turtlelog.expressions.tree import (
+from turtlelog.expressions.syntax import (
     Arithmetic,
     Call,
     Comparison,
@@ -18,8 +17,11 @@ from turtlelog.expressions.tree import (
     Prefix,
     Temporal,
     Text,
+    Token,
     Truth,
     Until,
+    build_error,
+    split_tokens,
 )
 
 _DEEPEST: Final = 100  # levels of nesting, so that no caller meets Python's recursion limit

@@ -27,7 +27,7 @@ from .loading import (
     print_to_stderr as print_to_stderr,
     require_law_name as require_law_name,
 )
-from .schedule import (
+from .sequential import (
     GainSchedule as GainSchedule,
     PIDGainSchedule as PIDGainSchedule,
 )

@@ -3,19 +3,21 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
+from functools import cache
+from inspect import signature
+from types import SimpleNamespace
+from typing import Any, ClassVar, Final, Protocol
 
 import msgspec
 
+from turtlelog.errors import LawError
 from turtlelog.parts import (
     ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
     MAY_BE_INFINITE as MAY_BE_INFINITE,
 )
 from turtlelog.run.loops import Cause, Declaration
+from turtlelog.run.path_pieces import PathNumbers
 from turtlelog.run.paths import Path
-
-if TYPE_CHECKING:
-    from turtlelog.laws.asked import AskedLaw
 
 _NO_TOLERANCE: Final = 1e-6
 """Smallest useful tolerance: one step of a 32-bit pose is 9.5e-7 m near 10 m, 2.4e-7 rad near
@@ -149,6 +151,50 @@ class Law(Protocol):
         ...
 
 
+@dataclass(slots=True)
+class GoalNumbers:
+    """Goal of the robot; the heading is NaN for any heading."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = math.nan
+
+
+@dataclass(slots=True)
+class LawRow:
+    """Values that a law writes for one sample. A value that it does not set is NaN, or 0.
+
+    Attributes:
+        phase: Index of the phase in the declaration's `phase_names`.
+        blocks_ticks: Number of ticks for which the law blocks before its command is published.
+        stop: Why this sample is the last: index into the law's `stops`, from 1; 0: it is not the
+            last.
+        ends_phase: Whether the next sample belongs to another phase.
+        bearing_rad: Goal bearing [rad].
+        heading_error_rad: Reference heading minus heading [rad].
+        error_x_m: Goal minus position in the world frame [m]; likewise `error_y_m`.
+        distance_m: Distance from the pose to the goal [m].
+        world_v_x_m_s: Gain times error before projection [m/s]; likewise `world_v_y_m_s`.
+        reference_x_m: Reference position [m]; likewise `reference_y_m`.
+        reference_heading_rad: Reference heading [rad].
+    """
+
+    phase: int = 0
+    blocks_ticks: int = 0
+    stop: int = 0
+    ends_phase: bool = False
+    bearing_rad: float = math.nan
+    heading_error_rad: float = math.nan
+    error_x_m: float = math.nan
+    error_y_m: float = math.nan
+    distance_m: float = math.nan
+    world_v_x_m_s: float = math.nan
+    world_v_y_m_s: float = math.nan
+    reference_x_m: float = math.nan
+    reference_y_m: float = math.nan
+    reference_heading_rad: float = math.nan
+
+
 Row = Sequence[float]
 
 
@@ -161,7 +207,7 @@ class LawPart:
 
     - `settings`: the scenario as numbers: `settings.law` from `prepare`, `settings.goal` (`x_m`,
       `y_m`, `heading_rad`; NaN without a goal), `settings.limits`, `settings.path`;
-    - `state`: memory of the law, a new `State` for each run; `row`: a `SampleRow`;
+    - `state`: memory of the law, a new `State` for each run; `row`: a `LawRow`;
     - `time_ns`: the controller's clock [ns]; `pose`: x [m], y [m], heading [rad];
     - `table`: rows from `build_table`; `pieces`: pieces of the path, for functions of
       `path_pieces`.
@@ -204,17 +250,110 @@ class LawPart:
 
     def __call__(self, parameters: Any) -> "AskedLaw":
         """Return the law with its parameters, with a method `step` like a law that is a class."""
-        from turtlelog.laws.asked import build_class  # only who asks it so needs that
-
-        return build_class(self)(parameters)
+        return _build_class(self)(parameters)
 
     def __mro_entries__(self, bases: tuple[object, ...]) -> tuple[type["AskedLaw"]]:
         """Let a law that is a class inherit from this part: `class Mine(SequentialP)`."""
-        from turtlelog.laws.asked import build_class
-
         del bases
-        return (build_class(self),)
+        return (_build_class(self),)
 
 
 AnyLaw = LawPart | type[Law]
 """A law in either form: a part, or a class."""
+
+
+class AskedLaw:
+    """A law with its parameters. Each part has a subclass of its own.
+
+    Attributes:
+        parameters: Parameters of the law.
+    """
+
+    Parameters: ClassVar[type[Any]]
+    _part: ClassVar[LawPart]
+
+    def __init__(self, parameters: Any) -> None:
+        """Store the parameters. Without `take_limits`, commands are not clipped."""
+        part, self.parameters = self._part, parameters
+        numbers = parameters if part.prepare is None else part.prepare(parameters)
+        self._settings = SimpleNamespace(law=numbers, goal=GoalNumbers(), path=PathNumbers())
+        self.take_limits(math.inf, math.inf)
+        self._table = () if part.build_table is None else part.build_table(parameters)
+        self._names = [*signature(part.step).parameters]
+
+    def take_limits(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
+        """Set the limits at which the loop clips the commands."""
+        limits = SimpleNamespace(speed_m_s=speed_m_s, turn_rate_rad_s=turn_rate_rad_s)
+        self._settings.limits = limits
+
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
+        """Begin a run.
+
+        Raises:
+            LawError: If the law needs a goal or a path that is missing.
+        """
+        del start
+        declaration = self._part.declare(self.parameters, goal, path)
+        if declaration.uses_goal and goal is None:
+            raise LawError("the law needs a goal: set goal.x_m and goal.y_m")
+        if goal is not None:
+            heading_rad = math.nan if goal.heading_rad is None else goal.heading_rad
+            self._settings.goal = GoalNumbers(goal.x_m, goal.y_m, heading_rad)
+        self._settings.path = PathNumbers() if path is None else path.numbers
+        self._pieces = () if path is None else path.ways
+        self._phases, self._states = declaration.phase_names, declaration.states
+        self._state = self._part.State()
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        """Answer one pose."""
+        row, state = LawRow(), self._state
+        given = {
+            "settings": self._settings,
+            "state": state,
+            "table": self._table,
+            "pieces": self._pieces,
+            "row": row,
+            "time_ns": time_ns,
+            "pose": (pose.x_m, pose.y_m, pose.heading_rad),
+        }
+        speed, turn_rate = self._part.step(*(given[name] for name in self._names))
+        reference = None
+        if not math.isnan(row.reference_x_m):
+            reference = Pose(row.reference_x_m, row.reference_y_m, row.reference_heading_rad)
+        return Decision(
+            speed_m_s=speed,
+            turn_rate_rad_s=turn_rate,
+            phase=self._phases[row.phase],
+            bearing_rad=_read_error(row.bearing_rad),
+            heading_error_rad=_read_error(row.heading_error_rad),
+            error_x_m=_read_error(row.error_x_m),
+            error_y_m=_read_error(row.error_y_m),
+            world_v_x_m_s=row.world_v_x_m_s,
+            world_v_y_m_s=row.world_v_y_m_s,
+            states=tuple(getattr(state, name) for name in self._states),
+            reference=reference,
+            blocks_ticks=row.blocks_ticks,
+            ends_phase=row.ends_phase,
+            stop_reason=self._part.stops[row.stop - 1] if row.stop else None,
+        )
+
+
+def _read_error(value: float) -> float | None:
+    """Return a value that a step wrote, or None if the step did not write it."""
+    return None if math.isnan(value) else value
+
+
+@cache
+def _build_class(part: LawPart) -> type[AskedLaw]:
+    """Return a class for a part, with the same declarations as a law that is a class."""
+    members = {
+        "__doc__": part.meaning,
+        "__module__": part.step.__module__,
+        "_part": part,
+        "Parameters": part.Parameters,
+        "declare": staticmethod(part.declare),
+        "causes": part.causes,
+        "counts_samples": part.counts_samples,
+        "list_unused": staticmethod(part.list_unused),
+    }
+    return type(part.name, (AskedLaw,), members)

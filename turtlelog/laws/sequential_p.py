@@ -10,8 +10,15 @@ from msgspec import Meta
 
 from turtlelog.errors import LawError
 from turtlelog.laws.base import TOLERANCE, Goal, LawPart, Row
-from turtlelog.laws.schedule import DISTANCE, GainSchedule
-from turtlelog.laws.sequential import SCHEDULED, STOPS, SequentialNumbers, SequentialState, step
+from turtlelog.laws.sequential import (
+    DISTANCE,
+    SCHEDULED,
+    STOPS,
+    GainSchedule,
+    SequentialNumbers,
+    SequentialState,
+    step,
+)
 from turtlelog.parts import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
 from turtlelog.run.loops import PAUSE, Cause, ControlLoop, Declaration
 from turtlelog.run.paths import Path

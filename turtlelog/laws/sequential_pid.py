@@ -8,8 +8,13 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta
 
 from turtlelog.laws.base import Goal, LawPart
-from turtlelog.laws.schedule import PIDGainSchedule
-from turtlelog.laws.sequential import STOPS, SequentialNumbers, SequentialState, step
+from turtlelog.laws.sequential import (
+    STOPS,
+    PIDGainSchedule,
+    SequentialNumbers,
+    SequentialState,
+    step,
+)
 from turtlelog.laws.sequential_p import (
     DECLARATION,
     PART as SEQUENTIAL_P,

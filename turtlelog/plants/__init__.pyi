@@ -8,9 +8,7 @@ from .kinds import (
 from .lagged import (
     LAGGED as LAGGED,
 )
-from .turtle import (
-    Turtle as Turtle,
-)
 from .turtlesim import (
     TURTLESIM as TURTLESIM,
+    Turtle as Turtle,
 )

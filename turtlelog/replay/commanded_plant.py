@@ -18,9 +18,9 @@ from turtlelog.replay.taken_commands import CommandUse
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
 from turtlelog.simulate import loop
+from turtlelog.simulate.loop_parts import DrawnEvents, list_streams
 from turtlelog.simulate.plain_loop import PlainLoop, describe_runaway
 from turtlelog.simulate.rows import SampleRow, TickRow
-from turtlelog.simulate.streams import DrawnEvents, list_streams
 
 _MOST_S = 3600.0
 """Longest simulated time [s], as for a replay in closed loop."""

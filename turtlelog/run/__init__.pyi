@@ -1,5 +1,5 @@
 from . import (
-    frames as frames,
+    angles as angles,
     loops as loops,
     paths as paths,
 )
@@ -8,6 +8,7 @@ from .columns import (
     CommandColumns as CommandColumns,
     PoseColumns as PoseColumns,
     SampleColumns as SampleColumns,
+    slice_run as slice_run,
     take_rows as take_rows,
 )
 from .run import (
@@ -19,9 +20,6 @@ from .run import (
     Run as Run,
     list_runs as list_runs,
     require_run as require_run,
-)
-from .slicing import (
-    slice_run as slice_run,
 )
 from .software import (
     LAW as LAW,

@@ -1,12 +1,20 @@
-"""Wrapping and differences of headings [rad], counter-clockwise positive."""
+"""Headings [rad], counter-clockwise positive: wrapped, subtracted, and as rotations of vectors.
+
+The turtle frame has its x axis along the heading and its y axis to the left. Equation numbers are
+those of "Simulation-Based Learning of Feedback Control Through Planar Robot Motion". The paper
+prints the matrix of equations 7 and 10 transposed; the formulas here follow equations 11 and 16.
+
+Arrays broadcast: vectors of shape (..., 2) against headings of shape (...).
+"""
 
 import math
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from turtlelog import arithmetic
+from turtlelog.errors import FrameError
 
 _TURN_RAD = 2.0 * math.pi
 
@@ -41,3 +49,69 @@ def subtract_headings(
 ) -> float | NDArray[np.float64]:
     """Return the smallest rotation from one heading to another [rad], in [-pi, pi)."""
     return wrap_angle(to_rad - from_rad)
+
+
+def build_rotation(heading_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return the rotation matrix from the turtle frame to the world frame, shape (..., 2, 2).
+
+    The columns are the turtle's axes in the world frame: [[cos, -sin], [sin, cos]]. The inverse is
+    the transpose. The matrix and its inverse are the corrected matrices of equations 7 and 10.
+
+    Args:
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
+    """
+    heading = np.asarray(heading_rad, dtype=np.float64)
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.stack([np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)], axis=-2)
+
+
+def rotate_to_world(turtle_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return a turtle-frame vector in the world frame, in the same unit, shape (..., 2).
+
+    x_G = x_T cos - y_T sin, y_G = x_T sin + y_T cos: the motion of turtlesim in a tick.
+
+    Args:
+        turtle_xy: Components forward and to the left, any unit, shape (..., 2).
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
+    """
+    (forward, left), cos, sin = _split(turtle_xy, heading_rad)
+    return np.stack([forward * cos - left * sin, forward * sin + left * cos], axis=-1)
+
+
+def rotate_to_turtle(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return a world-frame vector in the turtle frame, in the same unit, shape (..., 2).
+
+    x_T = x_G cos + y_G sin, y_T = -x_G sin + y_G cos (11). If the heading is the direction of the
+    vector, y_T = 0 (15). If the heading is the goal bearing, a displacement from the start becomes
+    along-track and cross-track.
+
+    Args:
+        world_xy: Components along the world's x and y, any unit, shape (..., 2).
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
+    """
+    (x, y), cos, sin = _split(world_xy, heading_rad)
+    return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+
+
+def project_on_heading(world_xy: ArrayLike, heading_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return the forward part of a world-frame vector, in the same unit, shape (...).
+
+    The forward part is the dot product with the heading's unit vector (cos, sin) (16). This part is
+    negative if the vector points behind the turtle, which then drives in reverse (17).
+
+    Args:
+        world_xy: Components along the world's x and y, any unit, shape (..., 2).
+        heading_rad: Heading, counter-clockwise from the world's +x [rad], shape (...).
+    """
+    (x, y), cos, sin = _split(world_xy, heading_rad)
+    return np.asarray(x * cos + y * sin)
+
+
+def _split(
+    xy: ArrayLike, heading_rad: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    vectors = np.asarray(xy, dtype=np.float64)
+    if vectors.shape[-1:] != (2,):
+        raise FrameError(f"expected vectors of shape (..., 2), found {vectors.shape}")
+    heading = np.asarray(heading_rad, dtype=np.float64)
+    return np.moveaxis(vectors, -1, 0), np.cos(heading), np.sin(heading)

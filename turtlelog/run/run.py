@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.display import describe_count, fit_line, format_html, format_notebook
+from turtlelog.display import (
+    describe_count,
+    fit_line,
+    format_html,
+    format_notebook,
+    format_path_svg,
+)
 from turtlelog.errors import PathError, RunError
 from turtlelog.run.columns import (
     Clock,
@@ -18,13 +24,13 @@ from turtlelog.run.columns import (
     Rebuilding,
     SampleColumns,
     list_fields,
+    locate_stretch,
     rebuild,
+    slice_run,
 )
 from turtlelog.run.ending import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
-from turtlelog.run.path_picture import format_path_svg
 from turtlelog.run.paths import Path, restore_path
-from turtlelog.run.slicing import locate_stretch, slice_run
 from turtlelog.run.tables import TABLES, build_arrow, build_pandas, build_xarray
 
 Parameter = bool | int | float | str | list[Any]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import RunError
 from turtlelog.libraries import load_library
 from turtlelog.run.columns import PAIRS, CommandColumns, PoseColumns, SampleColumns
-from turtlelog.run.declaration_json import format_declaration
+from turtlelog.run.loops import format_declaration
 
 if TYPE_CHECKING:
     from turtlelog.run.run import Run

@@ -20,8 +20,8 @@ from turtlelog.parts import Plant
 from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
-from turtlelog.simulate.assemble import Function, compile_text
 from turtlelog.simulate.class_law import declare_scenario
+from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
 from turtlelog.simulate.rows import SampleRow, describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError

@@ -3,7 +3,7 @@
 At equal times the plant moves first, then commands arrive, then the pose is delivered, then the
 controller runs. A tick lasts until the next tick.
 
-`parts` contains the functions of plant and law, and the chained effects of each place; `assemble`
+`parts` contains the functions of plant and law, and the chained effects of each place; `loop_parts`
 creates `parts`. `rows` contains the rows of each kind by number: in Python the rows that are still
 needed, in compiled code all rows.
 """

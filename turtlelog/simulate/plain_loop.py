@@ -29,13 +29,19 @@ from turtlelog.run import Event
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import loop
-from turtlelog.simulate.assemble import bind_parts, bind_states, bind_step
 from turtlelog.simulate.class_law import (
     ClassLaw,
     build_goal,
     build_law,
     describe_numbers,
     is_built_in,
+)
+from turtlelog.simulate.loop_parts import (
+    DrawnEvents,
+    bind_parts,
+    bind_states,
+    bind_step,
+    list_streams,
 )
 from turtlelog.simulate.rows import (
     LAW_FAILED,
@@ -61,7 +67,6 @@ from turtlelog.simulate.step_budget import (
     needs_watch,
     require_budget,
 )
-from turtlelog.simulate.streams import DrawnEvents, list_streams
 
 _FORGET_EVERY: Final = 64
 """Ticks between two deletions of rows that are no longer needed. Few rows stay in the processor's

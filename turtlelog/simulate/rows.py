@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from typing import Any, Final, TypeVar
 
+from turtlelog.laws.base import LawRow
 from turtlelog.parts import NEVER_NS
 from turtlelog.run import Event
 
@@ -82,15 +83,6 @@ class Scene:
     has_goal: bool = True
     has_reference: bool = False
     has_states: bool = False
-
-
-@dataclass(slots=True)
-class GoalNumbers:
-    """Goal of the robot; the heading is NaN for any heading."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    heading_rad: float = math.nan
 
 
 @dataclass(slots=True)
@@ -207,8 +199,8 @@ class TickRow:
 
 
 @dataclass(slots=True)
-class SampleRow:
-    """One controller callback. A value that a law does not set is NaN, or 0.
+class SampleRow(LawRow):
+    """One controller callback: the values that the law writes, and those of the loop.
 
     Attributes:
         time_ns: Time at which the pose was answered [ns].
@@ -219,19 +211,6 @@ class SampleRow:
         arrival_ns: Time [ns] or tick at which the command arrives; -1: never.
         arrivals: Number of times that the command arrives.
         queued: Number of copies of the command in the plant's queue.
-        phase: Index of the phase in the declaration's `phase_names`. The law sets this and all
-            following fields except the commands.
-        blocks_ticks: Number of ticks for which the law blocks before its command is published.
-        stop: Why this sample is the last: index into the law's `stops`, from 1; 0: it is not the
-            last.
-        ends_phase: Whether the next sample belongs to another phase.
-        bearing_rad: Goal bearing [rad].
-        heading_error_rad: Reference heading minus heading [rad].
-        error_x_m: Goal minus position in the world frame [m]; likewise `error_y_m`.
-        distance_m: Distance from the pose to the goal [m].
-        world_v_x_m_s: Gain times error before projection [m/s]; likewise `world_v_y_m_s`.
-        reference_x_m: Reference position [m]; likewise `reference_y_m`.
-        reference_heading_rad: Reference heading [rad].
         wanted_speed_m_s: Command before shaping and limits [m/s]; likewise
             `wanted_turn_rate_rad_s`.
         shaped_speed_m_s: Command after shaping, before the limits [m/s]; likewise
@@ -246,20 +225,6 @@ class SampleRow:
     arrival_ns: int = -1
     arrivals: int = 0
     queued: int = 0
-    phase: int = 0
-    blocks_ticks: int = 0
-    stop: int = 0
-    ends_phase: bool = False
-    bearing_rad: float = math.nan
-    heading_error_rad: float = math.nan
-    error_x_m: float = math.nan
-    error_y_m: float = math.nan
-    distance_m: float = math.nan
-    world_v_x_m_s: float = math.nan
-    world_v_y_m_s: float = math.nan
-    reference_x_m: float = math.nan
-    reference_y_m: float = math.nan
-    reference_heading_rad: float = math.nan
     wanted_speed_m_s: float = math.nan
     wanted_turn_rate_rad_s: float = math.nan
     shaped_speed_m_s: float = math.nan

@@ -13,12 +13,13 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from turtlelog.effects import EFFECTS
 from turtlelog.laws import AnyLaw, LawPart
+from turtlelog.laws.base import GoalNumbers
 from turtlelog.parts import Effect, Plant, PlantPart
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run.loops import Declaration
 from turtlelog.run.path_pieces import PathNumbers
 from turtlelog.scenario import Disturbance, Limits, LoopSettings, Scenario, Sensing, Shaping
-from turtlelog.simulate.rows import GoalNumbers, Progress, Scene
+from turtlelog.simulate.rows import Progress, Scene
 
 _TABLES: Final[dict[str, Any]] = {
     "loop": LoopSettings,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, overload
 from turtlelog.errors import LogError, ScenarioError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
 from turtlelog.laws import WorkWithLaws, is_given, read_law_source
-from turtlelog.laws.law_files import list_law_files
+from turtlelog.laws.loading import list_law_files
 from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
 from turtlelog.measure import choose_metrics

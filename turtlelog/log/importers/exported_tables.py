@@ -32,8 +32,7 @@ from turtlelog.run import (
 )
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.columns import PAIRS
-from turtlelog.run.declaration_json import parse_declaration
-from turtlelog.run.loops import DONE, PAUSE, Declaration
+from turtlelog.run.loops import DONE, PAUSE, Declaration, parse_declaration
 from turtlelog.run.tables import Table
 
 TABLE_SUFFIXES: Final = (".csv", ".parquet")

@@ -15,8 +15,7 @@ from turtlelog.log.engine.walk import Loss
 from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.run import Clock
-from turtlelog.run.declaration_json import format_declaration, parse_declaration
-from turtlelog.run.loops import Declaration
+from turtlelog.run.loops import Declaration, format_declaration, parse_declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
 from turtlelog.version import __version__
 

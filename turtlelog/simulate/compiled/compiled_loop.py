@@ -20,7 +20,6 @@ from turtlelog.run import Run
 from turtlelog.run.path_pieces import PathPiece
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import loop
-from turtlelog.simulate.assemble import Function, Parts, bind_parts, bind_states, bind_step
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import (
     build_commands,
@@ -39,6 +38,18 @@ from turtlelog.simulate.compiled.twins import (
     describe_numba_error,
     stamp_functions,
 )
+from turtlelog.simulate.loop_parts import (
+    STREAMS,
+    Function,
+    Parts,
+    bind_parts,
+    bind_states,
+    bind_step,
+    build_events,
+    draw_events,
+    list_of,
+    list_streams,
+)
 from turtlelog.simulate.rows import MAX_DURATION, EventRow, SampleRow, TickRow, describe_event
 from turtlelog.simulate.settings import (
     Shape,
@@ -48,7 +59,6 @@ from turtlelog.simulate.settings import (
     find_shape,
 )
 from turtlelog.simulate.step_budget import WatchedCode
-from turtlelog.simulate.streams import STREAMS, build_events, draw_events, list_of, list_streams
 
 
 class Rows(NamedTuple):

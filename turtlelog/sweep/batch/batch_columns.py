@@ -19,9 +19,9 @@ from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRI
 from turtlelog.measure.response import list_corners
 from turtlelog.run.loops import PAUSE, REFERENCES as REFERENCES_OF, ControlLoop, Declaration
 from turtlelog.run.paths import Path
-from turtlelog.simulate.assemble import Function, compile_text
 from turtlelog.simulate.compiled.compiled_loop import PIECE, SAMPLE, TICK, compile_entry
 from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
+from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.sweep.batch import batch_kernel, path_kernel
 from turtlelog.sweep.batch.batch_entry import measure_row
 from turtlelog.sweep.batch.batch_kernel import (

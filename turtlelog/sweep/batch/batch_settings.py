@@ -22,9 +22,9 @@ from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled.compiled_loop import build_tables, find_kinds
 from turtlelog.simulate.compiled.twins import as_record
+from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.many import find_loop
 from turtlelog.simulate.settings import bound_rows, build_settings
-from turtlelog.simulate.streams import list_streams
 from turtlelog.sweep.batch.batch_columns import LINE, Coverage, find_coverage
 from turtlelog.sweep.plan import build_row_scenario
 

@@ -1,0 +1,268 @@
+"""What the loop takes from its parts: functions, and the random numbers of effects.
+
+Effects at one place are chained in order. Arguments are passed by parameter name. The texts that
+are compiled here contain only such calls, the same for ordinary Python and compiled code. Random
+numbers come in separate streams, so that removing one effect changes no other effect.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, lru_cache
+from inspect import signature
+from operator import attrgetter
+from types import FunctionType, MappingProxyType, SimpleNamespace
+from typing import Any, Final, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.arithmetic import begin_row
+from turtlelog.effects import EFFECTS
+from turtlelog.errors import LawError
+from turtlelog.parts import Effect, Place, PlantPart, Stream
+from turtlelog.scenario import Scenario
+
+PLACES: Final[tuple[Place, ...]] = get_args(Place)
+
+OF_TICKS: Final = frozenset({"lose_pose", "sense", "pose_travel", "push"})
+"""Places whose events are poses; at all other places, events are samples."""
+
+_AT_PLACES: Final = {
+    "settings": "settings",
+    "state": "state.{effect}",
+    "drawn": "rows.{drawn}[number].{stream}",
+    "value": "value",
+    "dt_s": "extra",
+    "time_ns": "extra",
+    "period_ns": "settings.scene.period_ns",
+}
+_OF_LAW: Final = {
+    "settings": "settings",
+    "state": "state.law",
+    "table": "rows.table",
+    "pieces": "rows.pieces",
+    "row": "row",
+    "time_ns": "time_ns",
+    "pose": "pose",
+}
+"""Arguments of a law's step by the names of its parameters."""
+
+Function = Callable[..., Any]
+
+
+class Parts(NamedTuple):
+    """The functions that the loop calls: of the law, of the plant, and of the effects by place."""
+
+    decide: Function
+    record: Function
+    hold: Function
+    apply_push: Function
+    move: Function
+    read: Function
+    lose_pose: Function
+    pose_travel: Function
+    sense: Function
+    shape: Function
+    limit: Function
+    lose_command: Function
+    command_travel: Function
+    repeat: Function
+    push: Function
+    next_push: Function
+
+
+def name_stream(effect: Effect, place: Place) -> str:
+    """Return the name of a stream's rows of random numbers."""
+    return f"{effect.name}_{place}"
+
+
+def bind_parts(
+    plant: PlantPart, decide: Function, record: Function, effects: Iterable[Effect]
+) -> Parts:
+    """Return the functions of a loop: one for each place, from the effects that act there."""
+    chosen = tuple(effects)
+    return Parts(
+        decide=decide,
+        record=record,
+        hold=plant.hold,
+        apply_push=plant.push,
+        move=plant.move,
+        read=plant.read,
+        **{place: _chain(place, chosen) for place in PLACES},
+    )
+
+
+@lru_cache(maxsize=256)
+def _chain(place: Place, effects: tuple[Effect, ...]) -> Function:
+    """Return a function that applies the effects at a place to a value, in order."""
+    lines, names = [], {}
+    for effect in effects:
+        if place not in effect.actions:
+            continue
+        drawn = "drawn_ticks" if place in OF_TICKS else "drawn_samples"
+        words = {"effect": effect.name, "stream": name_stream(effect, place), "drawn": drawn}
+        step = effect.actions[place].step
+        lines.append(f"    value = do_{effect.name}({_list_arguments(step, _AT_PLACES, **words)})")
+        names[f"do_{effect.name}"] = step
+    head = f"def {place}(settings, state, rows, number, extra, value):"
+    return compile_text(place, [head, *lines, "    return value"], names)
+
+
+@lru_cache(maxsize=64)
+def bind_step(step: Function) -> Function:
+    """Return the function that calls the step of a law that is a part.
+
+    Raises:
+        LawError: If the step has a parameter that the loop does not know.
+    """
+    if unknown := [name for name in signature(step).parameters if name not in _OF_LAW]:
+        code = step.__code__
+        place = f"{code.co_filename}, line {code.co_firstlineno}: {step.__qualname__}"
+        raise LawError(
+            f"{place}: expected parameters among {', '.join(_OF_LAW)}, found {unknown[0]}"
+        )
+    call = f"    return step({_list_arguments(step, _OF_LAW)})"
+    head = "def decide(settings, state, rows, row, time_ns, pose):"
+    return compile_text("decide", [head, call], {"step": step})
+
+
+@lru_cache(maxsize=64)
+def bind_states(states: tuple[str, ...]) -> Function:
+    """Return a function that records the states of a law and returns whether all are finite."""
+    lines = ["def record(state, rows, number):"]
+    if states:
+        lines.append("    row = begin_row(rows.states, rows.new[0].states, number)")
+        lines += [f"    row.{name} = state.{name}" for name in states]
+    known = " and ".join(f"math.isfinite(state.{name})" for name in states)
+    lines.append(f"    return {known or True}")
+    return compile_text("record", lines, {"begin_row": begin_row, "math": math})
+
+
+def _list_arguments(step: Function, known: dict[str, str], **words: str) -> str:
+    return ", ".join(known[name].format(**words) for name in signature(step).parameters)
+
+
+def compile_text(name: str, lines: list[str], names: dict[str, Any]) -> Function:
+    """Return the function in source lines; it calls other functions by name."""
+    scope: dict[str, Any] = {**names, "__name__": __name__}
+    text = "\n".join(lines)
+    exec(compile(text, f"<{name} of the loop>", "exec"), scope)
+    made: FunctionType = scope[name]
+    made.source = text  # type: ignore[attr-defined]
+    return made
+
+
+# Random numbers.
+
+
+_PLACED: Final = [
+    (name_stream(effect, place), place, action.stream)
+    for effect in EFFECTS
+    for place, action in effect.actions.items()
+    if action.stream is not None
+]
+
+STREAMS: Final[Mapping[str, Stream]] = MappingProxyType({name: one for name, _, one in _PLACED})
+"""Streams of random numbers by the names of their rows in the loop."""
+
+RANDOM_KEYS: Final[frozenset[str]] = frozenset(
+    key for stream in STREAMS.values() for key in stream.keys
+)
+"""Scenario keys with random effects."""
+
+_READ: Final = {name: tuple(map(attrgetter, one.keys)) for name, one in STREAMS.items()}
+
+_BLOCK: Final = 256
+"""Number of events whose random numbers are drawn at once."""
+
+
+def list_streams(scenario: Scenario) -> frozenset[str]:
+    """Return the names of the streams that a scenario uses."""
+    return frozenset(name for name, keys in _READ.items() if any(read(scenario) for read in keys))
+
+
+@cache
+def build_row(stream: Stream) -> type[Any]:
+    """Return the dataclass of the random numbers of a stream for one event."""
+    found = [(name, float, dataclasses.field(default=0.0)) for name in stream.fields]
+    return dataclasses.make_dataclass("Drawn", found, slots=True)
+
+
+@cache
+def list_of(*, ticks: bool) -> tuple[str, ...]:
+    """Return the names of the streams whose events are poses, or samples."""
+    return tuple(name for name, place, _ in _PLACED if (place in OF_TICKS) == ticks)
+
+
+@cache
+def build_events(*, ticks: bool) -> type[Any]:
+    """Return the dataclass of the numbers of all streams for one pose, or for one sample."""
+    rows = {name: build_row(STREAMS[name]) for name in list_of(ticks=ticks)}
+    found = [(name, row, dataclasses.field(default_factory=row)) for name, row in rows.items()]
+    return dataclasses.make_dataclass("Events", found, slots=True)
+
+
+class DrawnEvents:
+    """The random numbers of the streams for poses, or for samples, by number of the event.
+
+    The streams that a scenario does not use are None.
+    """
+
+    __slots__ = ("_event", "_number", "_streams")
+
+    def __init__(self, seed: int, used: frozenset[str], *, ticks: bool) -> None:
+        """Start the streams that a scenario uses."""
+        names = list_of(ticks=ticks)
+        self._event = SimpleNamespace(**dict.fromkeys(names))
+        self._streams = [(name, _DrawnRows(seed, STREAMS[name])) for name in names if name in used]
+        self._number = -1
+
+    def __getitem__(self, number: int) -> Any:
+        """Return the numbers of an event. Later calls cannot go back to earlier events."""
+        if number != self._number:
+            self._number = number
+            for name, rows in self._streams:
+                setattr(self._event, name, rows[number])
+        return self._event
+
+
+class _DrawnRows:
+    """The random numbers of a stream by number of the event.
+
+    Numbers are generated for every event, used or not.
+    """
+
+    __slots__ = ("_draw", "_first", "_kind", "_rows", "_width")
+
+    def __init__(self, seed: int, stream: Stream) -> None:
+        """Start a stream from a scenario's seed."""
+        self._draw, self._width = _begin_stream(seed, stream), len(stream.fields)
+        self._kind, self._first = build_row(stream), 0
+        self._rows: list[Any] = []
+
+    def __getitem__(self, number: int) -> Any:
+        """Return the numbers of an event. Later calls cannot go back to earlier events.
+
+        Raises:
+            IndexError: If a call goes back to an earlier event.
+        """
+        while number >= self._first + len(self._rows):
+            self._first += len(self._rows)
+            drawn = self._draw((_BLOCK, self._width)).tolist()
+            self._rows = [self._kind(*row) for row in drawn]
+        if number < self._first:
+            raise IndexError(f"event {number} comes before {self._first}")
+        return self._rows[number - self._first]
+
+
+def draw_events(seed: int, stream: Stream, events: int) -> NDArray[np.float64]:
+    """Return the random numbers of a stream's first events as one array, shape (events, width)."""
+    width = len(stream.fields)
+    return _begin_stream(seed, stream)((events, width)) if events else np.empty((0, width))
+
+
+def _begin_stream(seed: int, stream: Stream) -> Callable[[tuple[int, int]], NDArray[np.float64]]:
+    sequence = np.random.SeedSequence(entropy=seed, spawn_key=(stream.number,))
+    generator = np.random.Generator(np.random.PCG64(sequence))
+    return generator.random if stream.kind == "uniform" else generator.standard_normal
