@@ -9,7 +9,11 @@ from hypothesis.extra.numpy import arrays
 
 from turtlelog.errors import MeasureError
 from turtlelog.measure import path as path_module, read_reference_path
-from turtlelog.measure.path import compute_path_distances, compute_path_length, compute_straightness
+from turtlelog.measure.references import (
+    compute_path_distances,
+    compute_path_length,
+    compute_straightness,
+)
 
 POINTS = arrays(np.float64, st.tuples(st.integers(2, 40), st.just(2)), elements=st.floats(-9, 9))
 
