@@ -36,7 +36,9 @@ SHARERS = {
         ["metrics", *ALL, *BRIEF, "-o", "metrics.parquet"],
         ["check", "spec.toml", *ALL, "-o", "verdicts.parquet"],
     ],
-    "turtlelog.sweep.run_sweep": [["sweep", "paper", *GRID, "--record", "runs", "-o", "s.parquet"]],
+    "turtlelog.sweep.sweep_rows": [
+        ["sweep", "paper", *GRID, "--record", "runs", "-o", "s.parquet"]
+    ],
     "turtlelog.sweep.tune.candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],
     "turtlelog.explain.game": [["explain", "kp10.mcap", "--jobs", "2"]],
     "turtlelog.draw.figures.writing": [["plot", "kp10.mcap", "-o", "figs", "--only", "heading"]],

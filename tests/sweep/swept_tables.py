@@ -7,7 +7,7 @@ from typing import Any
 
 import turtlelog as tl
 from turtlelog.sweep import ResultColumn, ResultTable, SweepPlan, build_plan, write_result_table
-from turtlelog.sweep.run_sweep import find_key_unit
+from turtlelog.sweep.sweep_rows import find_key_unit
 from turtlelog.sweep.table.result_table import choose_type
 
 Compute = Callable[..., float | str]

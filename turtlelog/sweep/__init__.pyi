@@ -19,12 +19,6 @@ from .plan import (
     SweepPlan as SweepPlan,
     build_plan as build_plan,
 )
-from .run_sweep import (
-    SweepEstimate as SweepEstimate,
-    SweepSummary as SweepSummary,
-    estimate_sweep as estimate_sweep,
-    run_sweep as run_sweep,
-)
 from .sensitivities import (
     Sensitivities as Sensitivities,
     Sensitivity as Sensitivity,
@@ -33,6 +27,12 @@ from .sensitivities import (
 )
 from .simulate_rows import (
     RowRecords as RowRecords,
+)
+from .sweep_rows import (
+    SweepEstimate as SweepEstimate,
+    SweepSummary as SweepSummary,
+    estimate_sweep as estimate_sweep,
+    run_sweep as run_sweep,
 )
 from .sweep_scenario import (
     Sweep as Sweep,

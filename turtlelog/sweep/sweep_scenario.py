@@ -27,8 +27,8 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
-from turtlelog.sweep.run_sweep import run_sweep
 from turtlelog.sweep.simulate_rows import RowChunk, RowRecords, require_condition
+from turtlelog.sweep.sweep_rows import run_sweep
 from turtlelog.sweep.table.result_table import (
     ResultTable,
     build_result_arrow,
