@@ -21,7 +21,7 @@ from turtlelog.files.text_files import (
     parse_toml,
     read_text_file,
 )
-from turtlelog.measure.path import read_reference_path
+from turtlelog.measure.references import read_reference_path
 from turtlelog.scenario import override_scenario, parse_assignments, read_scenario
 
 READERS: list[Callable[[Path], Any]] = [

@@ -8,8 +8,7 @@ import pytest
 
 from tests.measure.driven import make_driven_run, publish, respond
 from tests.measure.driven_robots import AT_20_HZ, STEPS, drive, measure, read, tell
-from turtlelog.measure.metrics.command_steps import _SCATTER
-from turtlelog.measure.metrics.following import _has_second
+from turtlelog.measure.metrics.following import _SCATTER, _has_second
 
 
 @pytest.mark.parametrize("axis", ["speed", "turn_rate"])

@@ -8,14 +8,7 @@ from tests import sequential
 from tests.log.runs import find_shared
 from tests.simulate.random_scenarios import build_random
 from turtlelog.log import import_log
-from turtlelog.measure import (
-    DeadTime,
-    DeadTimeChange,
-    Missing,
-    Status,
-    find_dead_time,
-    measure_run,
-)
+from turtlelog.measure import DeadTime, DeadTimeChange, Missing, Status, find_dead_time, measure_run
 from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns

@@ -8,8 +8,12 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from turtlelog.errors import MeasureError
-from turtlelog.measure import path as path_module, read_reference_path
-from turtlelog.measure.path import compute_path_distances, compute_path_length, compute_straightness
+from turtlelog.measure import read_reference_path, references
+from turtlelog.measure.references import (
+    compute_path_distances,
+    compute_path_length,
+    compute_straightness,
+)
 
 POINTS = arrays(np.float64, st.tuples(st.integers(2, 40), st.just(2)), elements=st.floats(-9, 9))
 
@@ -62,13 +66,13 @@ def test_long_paths_leave_out_only_what_is_too_far() -> None:
 def test_a_robot_that_stands_is_compared_with_few_parts_of_a_path(
     noise_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pairs, measure_parts = [0], path_module._measure_parts
+    pairs, measure_parts = [0], references._measure_parts
 
     def measure(points: np.ndarray, *parts: np.ndarray) -> np.ndarray:
         pairs[0] += len(points) * len(parts[0])
         return measure_parts(points, *parts)
 
-    monkeypatch.setattr(path_module, "_measure_parts", measure)
+    monkeypatch.setattr(references, "_measure_parts", measure)
     rng = np.random.default_rng(0)
     points, standing = (rng.normal(5.0, noise_m, (count, 2)) for count in (20_000, 2_000))
     found = compute_path_distances(points, standing)

@@ -50,7 +50,7 @@ def test_loops_of_a_tracker_have_no_step_metrics(square: tl.Run) -> None:
 
 def test_cross_track_error_is_the_distance_from_the_square(square: tl.Run) -> None:
     points = np.array([*SQUARE["points"], SQUARE["points"][0]])
-    away_m = tl.measure.path.compute_path_distances(square.poses.xy_m, points)
+    away_m = tl.measure.references.compute_path_distances(square.poses.xy_m, points)
     found = tl.measure.read_signal(square, "cross_track")
     assert found is not None
     assert np.abs(found.values) == pytest.approx(away_m, abs=1e-9)
@@ -160,7 +160,7 @@ def test_open_path_is_entered_at_its_beginning_and_driven_to_its_end(law: str) -
     assert abs(offset.values[0]) == pytest.approx(2.0)  # from the beginning of the path
     assert np.hypot(*(run.poses.xy_m[-1] - (7.0, 9.0))) < 0.05
     points = np.array(path["points"])
-    away_m = tl.measure.path.compute_path_distances(run.poses.xy_m, points)
+    away_m = tl.measure.references.compute_path_distances(run.poses.xy_m, points)
     joined = int(np.argmax(away_m <= 0.5))
     assert np.abs(offset.values[joined:]) == pytest.approx(away_m[joined:], abs=1e-9)
 

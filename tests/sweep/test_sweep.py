@@ -19,7 +19,7 @@ from turtlelog.sweep import (
 )
 from turtlelog.sweep.batch import measured_rows
 from turtlelog.sweep.simulate_rows import is_batch
-from turtlelog.sweep.table.swept_rows import find_key_unit
+from turtlelog.sweep.sweep_rows import find_key_unit
 
 NOISY = {"sensing.noise_position_m": 0.01, "loop.loss_probability": 0.05, "seed": 3}
 

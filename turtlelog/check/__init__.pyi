@@ -8,16 +8,12 @@ from .formula import (
 )
 from .formula_trace import (
     Signals as Signals,
-)
-from .judge_difference import (
-    judge_replay as judge_replay,
-    match_run as match_run,
+    Steps as Steps,
 )
 from .judge_run import (
     check_runs as check_runs,
-)
-from .piecewise_constant import (
-    Steps as Steps,
+    judge_replay as judge_replay,
+    match_run as match_run,
 )
 from .recording_fixture import (
     Recording as Recording,

@@ -15,14 +15,14 @@ from turtlelog.check.formula_trace import (
     find_span,
     read_signals,
 )
-from turtlelog.check.named_values import (
+from turtlelog.check.robustness import CriticalPart, FormulaWalk
+from turtlelog.check.vocabulary import (
     ROBOT_VALUES,
     TRAJECTORY_VALUES,
+    find_kind,
     find_robot_unit,
     find_trajectory_unit,
 )
-from turtlelog.check.robustness import CriticalPart, FormulaWalk
-from turtlelog.check.vocabulary import find_kind
 from turtlelog.display import format_html, format_number
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.escapes import escape_controls

@@ -1,15 +1,24 @@
-"""The data of a formula check: signals over a window, and knowledge of the time after the end."""
+"""The data of a formula check: signals over a window, and knowledge of the time after the end.
+
+Signals are piecewise constant functions of time (`Steps`). A function holds each value from its
+step to the next (it is right-continuous) and the last one forever. The operations below are exact
+on such functions and return such functions. The reason: a sliding window meets a new value only
+when one of its ends meets a step. Unknown values are NaN, and results that depend on them are
+unknown. Times are integers, so that rounding moves no step.
+
+Definitions of the window operators and of `until`: A. Donzé, T. Ferrère, O. Maler, "Efficient
+Robust Monitoring for STL", CAV 2013; all windows are closed.
+"""
 
 import enum
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.check.piecewise_constant import Steps, make_steps
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.errors import CheckError
 from turtlelog.expressions import Expression, Name, describe_unknown_name, fail_at, iterate_nodes
@@ -109,7 +118,7 @@ class FormulaTrace:
     start_ns: int
     end_ns: int
     names: tuple[str, ...]
-    signals: Mapping[str, Steps]
+    signals: Mapping[str, "Steps"]
     constants: Mapping[str, Any]
     ending: RunEnding = RunEnding.SETTLED
 
@@ -228,3 +237,263 @@ def _check_column(name: str, column: Column) -> None:
         row = int(falls.argmax()) + 1
         found = f"{time_ns[row]} after {time_ns[row - 1]} at row {row}"
         raise CheckError(f"{place}: expected times that do not decrease, found {found}")
+
+
+Times = NDArray[np.int64]
+Values = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Steps:
+    """A function of time from its first step on.
+
+    Attributes:
+        time_ns: Times of the steps [ns], shape (n,), strictly increasing, n > 0.
+        values: Value from each step to the next, shape (n,).
+    """
+
+    time_ns: Times
+    values: Values
+
+    def find_piece(self, time_ns: int) -> int:
+        """Return the index of the value at a time; before the first step, of the first value."""
+        return max(0, int(np.searchsorted(self.time_ns, time_ns, side="right")) - 1)
+
+    def cut(self, start_ns: int, end_ns: int) -> "Steps":
+        """Return the function from start to end [ns], with its first step moved to the start."""
+        first, last = self.find_piece(start_ns), self.find_piece(end_ns)
+        time_ns = np.maximum(self.time_ns[first : last + 1], start_ns)
+        return Steps(time_ns=time_ns, values=self.values[first : last + 1])
+
+    def end_with(self, value: float, *, from_ns: int) -> "Steps":
+        """Return the function with a constant value from a time on [ns]."""
+        if from_ns <= self.time_ns[0]:
+            return Steps(time_ns=self.time_ns[:1], values=np.array([value]))
+        after = int(np.searchsorted(self.time_ns, from_ns, side="left"))
+        return Steps(
+            time_ns=np.append(self.time_ns[:after], np.int64(from_ns)),
+            values=np.append(self.values[:after], value),
+        )
+
+
+def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) -> Steps:
+    """Return columns as a piecewise constant function; the last row at each time is used.
+
+    Args:
+        time_ns: Times [ns], shape (n,), not decreasing, the first not after start_ns.
+        values: Values, shape (n,).
+        start_ns: Time at which the function begins [ns].
+        end_ns: Time after which steps are left out [ns]; the value there is held.
+    """
+    first = int(np.searchsorted(time_ns, start_ns, side="right")) - 1
+    after = int(np.searchsorted(time_ns, end_ns, side="right"))
+    time_ns, values = time_ns[first:after], values[first:after]
+    same = time_ns[1:] == time_ns[:-1]
+    if same.any():
+        last = np.append(~same, True)
+        time_ns, values = time_ns[last], values[last]
+    if time_ns[0] != start_ns:
+        time_ns = np.concatenate(([start_ns], time_ns[1:]))
+    return Steps(time_ns=time_ns, values=values)
+
+
+def align_steps(functions: list[Steps]) -> tuple[Times, list[Values]]:
+    """Return the steps of all functions in one list, and the values of each at them."""
+    times = [function.time_ns for function in functions]
+    if all(np.array_equal(time_ns, times[0]) for time_ns in times[1:]):
+        return times[0], [function.values for function in functions]
+    merged = np.concatenate(times)
+    merged.sort(kind="stable")  # merges sorted runs
+    union = merged[np.append(merged[1:] != merged[:-1], True)]
+    return union, [_spread(function, union) for function in functions]
+
+
+def combine_steps(combine: Callable[[Values, Values], Values], functions: list[Steps]) -> Steps:
+    """Return functions joined value by value, from left to right."""
+    time_ns, values = align_steps(functions)
+    joined = values[0]
+    for other in values[1:]:
+        joined = combine(joined, other)
+    return Steps(time_ns=time_ns, values=joined)
+
+
+def negate_steps(function: Steps) -> Steps:
+    """Return a function with its sign changed."""
+    return Steps(time_ns=function.time_ns, values=-function.values)
+
+
+def slide_minimum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
+    """Return at each time t the minimum on [t + first_ns, t + last_ns].
+
+    Args:
+        function: Any function.
+        first_ns: Start of the window [ns], not negative.
+        last_ns: End of the window [ns], at least first_ns; None: without end.
+    """
+    return negate_steps(slide_maximum(negate_steps(function), first_ns, last_ns))
+
+
+def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
+    """Return at each time t the maximum on [t + first_ns, t + last_ns].
+
+    Args:
+        function: Any function.
+        first_ns: Start of the window [ns], not negative.
+        last_ns: End of the window [ns], at least first_ns; None: without end.
+    """
+    function = _drop_repeats(function)
+    span_ns = int(function.time_ns[-1] - function.time_ns[0])
+    first_ns = min(first_ns, span_ns)  # beyond it only the last value follows
+    if last_ns is None or last_ns >= span_ns:
+        return _shift(_accumulate_maximum(function), first_ns)
+    if first_ns == last_ns:
+        return _shift(function, first_ns)
+    return _slide_window(function, first_ns, last_ns)
+
+
+def compute_until(
+    left: Steps, right: Steps, first_ns: int = 0, last_ns: int | None = None
+) -> Steps:
+    """Return the maximum over t' in [t + first, t + last] of min(right(t'), left on [t, t']).
+
+    By the identity of Donzé et al., two conditions must hold: right becomes true within the window;
+    at every time up to the window's beginning, left holds until right holds.
+
+    Args:
+        left: Function that must hold until then.
+        right: Function that must become true.
+        first_ns: Start of the window [ns], not negative.
+        last_ns: End of the window [ns], at least first_ns; None: without end.
+    """
+    time_ns, (held, coming) = align_steps([left, right])
+    unbounded = Steps(time_ns=time_ns, values=_scan_until(held, coming))
+    if first_ns:
+        unbounded = slide_minimum(unbounded, 0, first_ns)
+    if last_ns is None:
+        return unbounded
+    return combine_steps(np.minimum, [slide_maximum(right, first_ns, last_ns), unbounded])
+
+
+def _spread(function: Steps, time_ns: Times) -> Values:
+    pieces = np.searchsorted(function.time_ns, time_ns, side="right") - 1
+    return function.values[pieces]
+
+
+def _drop_repeats(function: Steps) -> Steps:
+    """Leave out steps that change nothing, if there are many."""
+    changes = function.values[1:] != function.values[:-1]
+    if 2 * np.count_nonzero(changes) > len(changes):
+        return function
+    kept = np.concatenate(([True], changes))
+    return Steps(time_ns=function.time_ns[kept], values=function.values[kept])
+
+
+def _accumulate_maximum(function: Steps) -> Steps:
+    values = np.maximum.accumulate(function.values[::-1])[::-1]
+    return Steps(time_ns=function.time_ns, values=values)
+
+
+def _shift(function: Steps, earlier_ns: int) -> Steps:
+    """Return at each time t the value at t + earlier_ns."""
+    if not earlier_ns:
+        return function
+    start_ns = function.time_ns[0]
+    piece = function.find_piece(int(start_ns) + earlier_ns)
+    time_ns = function.time_ns[piece:] - earlier_ns
+    time_ns[0] = start_ns
+    return Steps(time_ns=time_ns, values=function.values[piece:])
+
+
+def _slide_window(function: Steps, first_ns: int, last_ns: int) -> Steps:
+    times, start_ns = function.time_ns, int(function.time_ns[0])
+    first, last = (function.find_piece(start_ns + edge_ns) for edge_ns in (first_ns, last_ns))
+    # These columns take the most memory for long traces: each is freed after its use.
+    leaving = len(times) - first - 1
+    time_ns = np.concatenate(
+        ([start_ns], times[first + 1 :] - first_ns, times[last + 1 :] - last_ns)
+    )
+    order = np.argsort(time_ns, kind="stable")  # merges sorted runs
+    time_ns = time_ns[order]
+    left = (order > 0) & (order <= leaving)
+    del order
+    firsts: Times = np.cumsum(left, dtype=np.int64)
+    del left
+    lasts = np.arange(last, last + len(firsts))
+    lasts -= firsts
+    firsts += first
+    same = time_ns[1:] == time_ns[:-1]
+    if same.any():
+        kept = np.append(~same, True)
+        time_ns = time_ns[kept]
+        firsts = firsts[kept]
+        lasts = lasts[kept]
+    values = _find_range_maxima(function.values, firsts, lasts)
+    return Steps(time_ns=time_ns, values=values)
+
+
+def _find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
+    """Return the maximum of values[first] to values[last] for each pair.
+
+    Ranges that reach the end use suffix maxima. Other ranges use two overlapping maxima of 2^k
+    values. Firsts and lasts do not decrease.
+    """
+    inner = int(np.searchsorted(lasts, len(values) - 1))
+    found = np.empty(len(firsts))
+    found[inner:] = np.maximum.accumulate(values[::-1])[::-1][firsts[inner:]]
+    firsts, lasts = firsts[:inner], lasts[:inner]
+    levels = _find_levels(lasts - firsts + 1)
+    maxima, level = values, 0
+    for target in np.flatnonzero(np.bincount(levels)):
+        while level < target:
+            maxima = np.maximum(maxima[: -(1 << level)], maxima[1 << level :])
+            level += 1
+        rows = slice(None) if levels.size == 1 else np.flatnonzero(levels == target)
+        ends = lasts[rows] - ((1 << level) - 1)
+        found[:inner][rows] = np.maximum(maxima[firsts[rows]], maxima[ends])
+    return found
+
+
+def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
+    """Return the largest k with 2^k <= count for each; a single k if all are equal."""
+    if not len(counts):
+        return np.empty(0, np.int64)
+    extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
+    if extremes[0] == extremes[1]:
+        return extremes[:1]
+    levels = np.zeros(len(counts), np.int8)  # few of 64 levels occur: cheaper than all logarithms
+    for level in range(1, int(extremes[1]) + 1):
+        levels += counts >= (1 << level)
+    return levels
+
+
+def _scan_until(held: Values, coming: Values) -> Values:
+    """Return u[i] = min(held[i], max(coming[i], u[i + 1])), from the last to the first.
+
+    Each step clamps the next value to [min(held, coming), held]. Because a composition of clamps is
+    a clamp, blocks of the columns are scanned in parallel, then joined.
+    """
+    count = len(held)
+    size = max(1, int(np.sqrt(count)))
+    blocks = -(-count // size)
+    low = _fold(np.minimum(held, coming), blocks, size, fill=-np.inf)
+    high = _fold(held, blocks, size, fill=np.inf)
+    for row in range(size - 2, -1, -1):
+        own_low, own_high = low[row].copy(), high[row].copy()
+        low[row] = np.minimum(own_high, np.maximum(own_low, low[row + 1]))
+        high[row] = np.minimum(own_high, np.maximum(own_low, high[row + 1]))
+    after = np.empty(blocks)
+    after[-1] = -np.inf
+    for block in range(blocks - 1, 0, -1):
+        later = np.maximum(low[0, block], after[block])
+        after[block - 1] = np.minimum(high[0, block], later)
+    np.maximum(low, after, out=low)
+    joined = np.minimum(high, low, out=low)
+    del high
+    return joined.T.reshape(-1)[:count]
+
+
+def _fold(values: Values, blocks: int, size: int, *, fill: float) -> Values:
+    """Return a column as parallel blocks, shape (size, blocks), padded at the end."""
+    padded = np.full(blocks * size, fill)
+    padded[: len(values)] = values
+    return np.ascontiguousarray(padded.reshape(blocks, size).T)

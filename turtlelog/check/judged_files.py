@@ -1,4 +1,4 @@
-"""Checking of files, one after another, in this process or others."""
+"""Checking of files, one after another, in this process or others; the results as JUnit XML."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,11 +8,12 @@ from time import perf_counter
 from typing import Any, Final
 
 from turtlelog.check.judge_run import fail_recording, judge_run
-from turtlelog.check.named_values import TrajectoryJudge
 from turtlelog.check.reference import MetricsFile, read_metrics_file
-from turtlelog.check.result import CheckResult
+from turtlelog.check.result import CheckResult, Verdict, describe_result
 from turtlelog.check.spec import Spec
+from turtlelog.check.vocabulary import TrajectoryJudge
 from turtlelog.errors import LogError
+from turtlelog.escapes import escape_controls
 from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.measure import Metric, measure_run
@@ -189,3 +190,59 @@ def read_to_judge(path: Path, choice: ReadChoice) -> tuple[Run, dict[str, str]]:
     run = read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))
     told = {name: text for name, text in run.notes.items() if name not in LOSS_NOTES}
     return run, told
+
+
+_NO_XML: Final = {0xFFFE: r"\ufffe", 0xFFFF: r"\uffff"}
+
+
+def format_junit(files: Sequence[CheckedFile]) -> str:
+    """Return results as JUnit XML, with the times of the files."""
+    from xml.etree import ElementTree as Xml  # few checks need it
+
+    took_s = sum(found.took_s for found in files)
+    counts = _count([result for found in files for result in found.results])
+    root = Xml.Element("testsuites", {**counts, "time": f"{took_s:.3f}"})
+    root.set("name", "turtlelog check")
+    for found in files:
+        suite = Xml.SubElement(root, "testsuite", _describe_suite(found))
+        if found.metrics:
+            properties = Xml.SubElement(suite, "properties")
+            for metric in found.metrics.values():
+                value = metric.status.value if metric.value is None else repr(metric.value)
+                name = metric.id if metric.unit == "1" else f"{metric.id} [{metric.unit}]"
+                Xml.SubElement(properties, "property", {"name": name, "value": value})
+        each_s = found.each_s or (0.0,) * len(found.results)
+        for result, case_s in zip(found.results, each_s, strict=True):
+            names = {"name": _clean(result.check), "classname": _clean(result.file)}
+            case = Xml.SubElement(suite, "testcase", {**names, "time": f"{case_s:.3f}"})
+            if result.verdict is Verdict.SKIPPED:
+                Xml.SubElement(case, "skipped", {"message": _clean(result.reason)})
+            if result.verdict is Verdict.FAIL:
+                message = _clean(describe_result(result))
+                failure = Xml.SubElement(case, "failure", {"message": message, "type": "check"})
+                failure.text = _clean(found.details.get(result.check, "")) or message
+    Xml.indent(root)
+    text = Xml.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'
+
+
+def _describe_suite(found: CheckedFile) -> dict[str, str]:
+    suite = {"name": _clean(found.file), **_count(found.results), "time": f"{found.took_s:.3f}"}
+    if found.started is not None:
+        suite["timestamp"] = found.started.isoformat(timespec="seconds")
+    return suite
+
+
+def _count(results: Sequence[CheckResult]) -> dict[str, str]:
+    verdicts = [result.verdict for result in results]
+    return {
+        "tests": str(len(verdicts)),
+        "failures": str(verdicts.count(Verdict.FAIL)),
+        "skipped": str(verdicts.count(Verdict.SKIPPED)),
+        "errors": "0",
+    }
+
+
+def _clean(text: str) -> str:
+    """Return text with escapes for characters that XML cannot contain or that are invisible."""
+    return escape_controls(text, keep="\n").translate(_NO_XML)

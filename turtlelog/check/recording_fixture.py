@@ -9,10 +9,14 @@ from typing import Any, Literal, Protocol, TypeAlias, Unpack
 
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_loss
-from turtlelog.check.judge_difference import AnyReference, AnyTolerance, judge_replay, match_run
-from turtlelog.check.judge_formula import judge_check
-from turtlelog.check.judge_run import fail_recording
-from turtlelog.check.recorded_metric import watch_metric
+from turtlelog.check.judge_formula import judge_check, watch_metric
+from turtlelog.check.judge_run import (
+    AnyReference,
+    AnyTolerance,
+    fail_recording,
+    judge_replay,
+    match_run,
+)
 from turtlelog.check.reference import ReferenceFile
 from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
 from turtlelog.check.spec import Check

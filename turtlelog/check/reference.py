@@ -1,9 +1,9 @@
-"""References: recordings, or metrics as `turtlelog metrics --json` prints them."""
+"""References: recordings, trajectories, or metrics as `turtlelog metrics --json` prints them."""
 
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
@@ -12,10 +12,23 @@ from typing import Any
 
 import msgspec
 
-from turtlelog.errors import CheckError
+from turtlelog.check.spec import Spec, list_formula_names
+from turtlelog.check.spec_file import require_reference
+from turtlelog.check.vocabulary import TRAJECTORY_VALUES, TrajectoryJudge
+from turtlelog.errors import CheckError, LogError
 from turtlelog.files.text_files import format_toml
-from turtlelog.log import read_run, replace_when_complete, write_recording
+from turtlelog.log import (
+    ReadChoice,
+    read_as_chosen,
+    read_run,
+    read_trajectory,
+    replace_when_complete,
+    split_topic,
+    write_recording,
+)
 from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.ros2.bag import open_bag
+from turtlelog.log.ros2.bag_topics import JOINTS, TRANSFORMS
 from turtlelog.measure import Metric, Status, find_metric_kind, measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import nest_parameters
@@ -193,3 +206,95 @@ def _is_finite(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) <= sys.float_info.max
+
+
+def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | MetricsFile | None:
+    """Return the run or metrics to which tolerances refer; None if no reference is needed.
+
+    Args:
+        spec: Specification that names the reference.
+        topics: Topics as for the runs, in addition to those of the specification. A topic that the
+            reference does not have gets the default. The reference must always be complete.
+
+    Raises:
+        CheckError: If tolerances have no reference, or signals have only metrics as reference.
+        LogError: If the reference cannot be read.
+    """
+    require_reference(spec)
+    if not spec.tolerances or spec.reference is None:
+        return None
+    if (metrics := read_metrics_file(spec.reference)) is not None:
+        _require_metrics(spec, metrics)
+        return metrics
+    choice = _restrict(spec.read.override(topics or ReadChoice()), spec.reference)
+    return read_as_chosen(spec.reference, choice)
+
+
+def _require_metrics(spec: Spec, reference: MetricsFile) -> None:
+    """Raise an error for tolerances to which a file of metrics cannot be compared."""
+    if spec.tolerances.signals:
+        name = next(iter(spec.tolerances.signals))
+        raise CheckError(
+            f"{spec.source}: [signals.{name}] needs a recording as its reference, and"
+            f" {reference.file} has metrics alone"
+        )
+    missing = next((one for one in spec.tolerances.metrics if one not in reference.metrics), None)
+    if missing is not None:
+        raise CheckError(f"{spec.source}: [metrics]: {reference.file} has no metric {missing}")
+
+
+def read_reference_trajectory(
+    spec: Spec, topics: ReadChoice | None = None, *, reads_files: bool = False
+) -> TrajectoryJudge | None:
+    """Return the judge of errors relative to the reference trajectory; None without a reference.
+
+    Args:
+        spec: Specification that names the reference trajectory.
+        topics: Topics as for the runs, in addition to those of the specification.
+        reads_files: Whether runs are named by their files, from which poses in space are read.
+
+    Raises:
+        CheckError: If errors have no reference.
+        LogError: If the reference cannot be read.
+    """
+    names = sorted(list_formula_names(spec.checks) & TRAJECTORY_VALUES.keys())
+    if not names:
+        return None
+    if spec.reference is None:
+        raise CheckError(
+            f"{spec.source}: {names[0]} needs a trajectory that is true: reference = FILE in the"
+            " file, or --reference FILE"
+        )
+    choice = spec.read.override(topics or ReadChoice())
+    if split_topic(spec.reference)[0].exists():
+        return TrajectoryJudge(
+            reference=read_trajectory(spec.reference, _restrict(choice, spec.reference)),
+            settings=spec.trajectory,
+            choice=choice,
+            reads_files=reads_files,
+        )
+    raise CheckError(f"{spec.source}: reference: {spec.reference}: no such file")
+
+
+def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
+    """Return the choice without the topics that a file does not have."""
+    try:
+        bag = open_bag(split_topic(path)[0])
+    except LogError:
+        held, is_own = set[tuple[str, str]](), False  # a log, or nothing that can be read
+    else:
+        held = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
+        is_own = any(info.format_version is not None for info in bag.infos.values())
+    names = {name for name, _ in held}
+    changes: dict[str, Any] = {
+        key: name if name in names else None
+        for key in ("pose_topic", "command_topic", "path_topic")
+        if (name := getattr(choice, key)) is not None
+    }
+    has_frames = TRANSFORMS in {kind for _, kind in held}
+    changes |= {} if has_frames else {"pose_frame": None, "world_frame": None}
+    if JOINTS not in {kind for _, kind in held}:
+        changes |= {"wheel_joints": None, "wheels": None}
+    # A turtlelog recording contains its own goal.
+    changes |= {"goal": None} if is_own else {}
+    return replace(choice, allow_partial=False, **changes)

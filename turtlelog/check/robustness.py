@@ -16,8 +16,10 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.check.formula_trace import FormulaTrace, RunEnding, Signals
-from turtlelog.check.piecewise_constant import (
+from turtlelog.check.formula_trace import (
+    FormulaTrace,
+    RunEnding,
+    Signals,
     Steps,
     align_steps,
     combine_steps,

@@ -1,6 +1,6 @@
 """Specifications: the requirements on recordings, as values and as JSON Schema."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -58,6 +58,12 @@ class Check:
     def describe(self) -> str:
         """Return the requirement as a text, with its segment."""
         return self.formula.text if self.phase is None else f"{self.formula.text} in {self.phase}"
+
+
+def list_formula_names(checks: Sequence[Check]) -> set[str]:
+    """Return the names in the formulas of checks."""
+    formulas = [found for check in checks for found in (check.formula, check.when) if found]
+    return {name for formula in formulas for name in formula.names}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,9 +12,8 @@ from turtlelog.check.spec import Spec
 from turtlelog.errors import CheckError, LibraryError
 from turtlelog.log import ReadChoice
 from turtlelog.sweep import RecordingTable, describe_values, hash_recording
-from turtlelog.sweep.table.file_rows import ERROR, FILE
 from turtlelog.sweep.table.result_table import list_values, open_result_table
-from turtlelog.sweep.table.row_columns import Cell, Key, Row
+from turtlelog.sweep.table.stored_rows import ERROR, FILE, Cell, Key, Row
 
 _KEYS: Final = (
     *(Key(name) for name in ("check", "verdict", "expected")),

@@ -1,13 +1,17 @@
-"""Names that specifications and tests may use, and their meanings in a run."""
+"""Names that specifications and tests may use, and their values in a run other than metrics."""
 
 import difflib
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
+from types import MappingProxyType
 from typing import Final
 
-from turtlelog.check.named_values import ROBOT_VALUES, TRAJECTORY_VALUES
-from turtlelog.errors import CheckError
+from turtlelog.compare import TrajectorySettings, compare_trajectories
+from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.expressions import (
     Expression,
     Name,
@@ -17,9 +21,11 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
+from turtlelog.log import ReadChoice, read_trajectory
 from turtlelog.measure import (
     METRICS,
     SIGNALS,
+    Metric,
     MetricKind,
     could_be_signal,
     find_metric_kind,
@@ -27,9 +33,47 @@ from turtlelog.measure import (
     list_metrics,
     list_signals,
 )
-from turtlelog.run import Run
+from turtlelog.measure.metric import NO_POSES, Status
+from turtlelog.run import Run, Trajectory, build_planar_trajectory
 from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, flatten_scenario
+
+_ROBOT_AXES: Final = ("speed", "turn_rate")
+
+_ROBOT_FIELDS: Final = MappingProxyType(
+    {
+        "gain": ("gain", "1"),
+        "dead_time": ("dead_time_s", "s"),
+        "time_constant": ("lag_s", "s"),
+        "total_delay": ("total_delay_s", "s"),
+    }
+)
+
+_INTERVAL_ENDS: Final = MappingProxyType({"": "value", ".low": "low", ".high": "high"})
+
+
+ROBOT_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
+    {
+        f"robot.{axis}.{name}{end}": (axis, name, end)
+        for axis, name, end in product(_ROBOT_AXES, _ROBOT_FIELDS, _INTERVAL_ENDS)
+    }
+)
+"""Axis, parameter and end of its 95 % interval, by the names in checks."""
+
+_ERROR_KINDS: Final = ("ate", "rpe")
+
+
+_ERROR_QUANTITIES: Final = MappingProxyType(
+    {"position": ("m", 1.0), "rotation": ("deg", math.degrees(1))}
+)
+
+_STATISTICS: Final = ("rmse", "mean", "median", "std", "min", "max")
+
+
+TRAJECTORY_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
+    {".".join(parts): parts for parts in product(_ERROR_KINDS, _ERROR_QUANTITIES, _STATISTICS)}
+)
+"""Error, quantity and statistic, by the names in checks."""
 
 _OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
 """Values in addition to the metrics of a single run."""
@@ -187,3 +231,101 @@ def _choose_for_metric(name: str, declaration: Declaration) -> Sequence[str]:
     if loop is not None:
         return (*_OF_SIGNAL.get(loop.signal, (loop.signal,)), loop.command)
     return _OF_END if part == "final" else _OF_RUN
+
+
+def find_robot_unit(name: str) -> str:
+    """Return the unit of a robot value."""
+    return _ROBOT_FIELDS[ROBOT_VALUES[name][1]][1]
+
+
+def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
+    """Return values of the robot in a run, or the reason for each value that is not identified.
+
+    Args:
+        run: Run with commands and motion.
+        names: Names from `ROBOT_VALUES`.
+    """
+    names = [*names]
+    if not names:
+        return {}
+    if not len(run.poses):
+        return {
+            name: Metric(
+                id=name,
+                value=None,
+                unit=find_robot_unit(name),
+                status=NO_POSES.status,
+                reason=NO_POSES.reason,
+            )
+            for name in names
+        }
+    from turtlelog.identify import identify_robot  # few checks need it
+
+    model = identify_robot(run)
+    found = {}
+    for name in names:
+        axis, parameter, end = ROBOT_VALUES[name]
+        of_axis, unit = getattr(model, axis), find_robot_unit(name)
+        estimate = getattr(of_axis, _ROBOT_FIELDS[parameter][0])
+        value = None if estimate is None else getattr(estimate, _INTERVAL_ENDS[end])
+        reason = "" if value is not None else of_axis.reason or "the model has no such parameter"
+        status = Status.UNDETERMINED if value is None else Status.OK
+        found[name] = Metric(id=name, value=value, unit=unit, status=status, reason=reason)
+    return found
+
+
+def find_trajectory_unit(name: str) -> str:
+    """Return the unit of a trajectory value."""
+    return _ERROR_QUANTITIES[TRAJECTORY_VALUES[name][1]][0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoryJudge:
+    """Measurement of the errors of recordings relative to one reference.
+
+    Attributes:
+        reference: Trajectory that counts as true.
+        settings: Settings of the comparison.
+        choice: Settings for reading third-party files.
+        reads_files: Whether recordings are named by their files, from which poses in space are
+            read.
+    """
+
+    reference: Trajectory
+    settings: TrajectorySettings
+    choice: ReadChoice
+    reads_files: bool
+
+    def measure(self, run: Run, names: Iterable[str], file: str) -> dict[str, Metric]:
+        """Return the values of a recording, or the reason for each value that cannot be computed.
+
+        Args:
+            run: Run with poses in the plane.
+            names: Names from `TRAJECTORY_VALUES`.
+            file: Name of the recording.
+        """
+        names = [*names]
+        try:
+            found = compare_trajectories(self.reference, self._read(run, file), self.settings)
+        except (CompareError, LogError) as err:
+            return {name: _build(name, None, str(err)) for name in names}
+        values = {}
+        for name in names:
+            kind, quantity, statistic = TRAJECTORY_VALUES[name]
+            statistics = found.find_error(kind, quantity)
+            assert statistics is not None  # the settings have a length for each kind
+            values[name] = _build(name, float(getattr(statistics, statistic)), "")
+        return values
+
+    def _read(self, run: Run, file: str) -> Trajectory:
+        found = (
+            read_trajectory(file, self.choice) if self.reads_files else build_planar_trajectory(run)
+        )
+        return replace(found, name=file)
+
+
+def _build(name: str, value: float | None, reason: str) -> Metric:
+    unit, factor = _ERROR_QUANTITIES[TRAJECTORY_VALUES[name][1]]
+    status = Status.UNDETERMINED if value is None else Status.OK
+    shown = None if value is None else factor * value
+    return Metric(id=name, value=shown, unit=unit, status=status, reason=reason)

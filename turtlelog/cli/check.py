@@ -177,8 +177,8 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
     Raises:
         UsageError: If there is such a reference.
     """
-    from turtlelog.check.judge_formula import list_formula_names
-    from turtlelog.check.named_values import TRAJECTORY_VALUES
+    from turtlelog.check.spec import list_formula_names
+    from turtlelog.check.vocabulary import TRAJECTORY_VALUES
 
     if reference is not None and list_formula_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
         raise UsageError(
@@ -335,8 +335,8 @@ def _check_into_table(
 def _prepare_judge(
     spec: "Spec", topics: ReadingOptions, *, is_described: bool = False, keeps_runs: bool = False
 ) -> "FileJudge":
-    from turtlelog.check.judge_run import read_reference_run, read_reference_trajectory
     from turtlelog.check.judged_files import FileJudge
+    from turtlelog.check.reference import read_reference_run, read_reference_trajectory
 
     choice = spec.read.override(topics.build_choice())
     return FileJudge(
@@ -368,8 +368,7 @@ def _check_placed(
     *,
     place: "int | Executor",
 ) -> "Iterator[CheckResult]":
-    from turtlelog.check.judged_files import CheckedFile
-    from turtlelog.check.junit import format_junit
+    from turtlelog.check.judged_files import CheckedFile, format_junit
 
     jobs = 1 if reports.report is not None else place
     keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)

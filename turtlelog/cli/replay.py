@@ -134,7 +134,7 @@ def replay(
             answer, text, found = replay_as(file, run, scenario, mode, output)
     failed = False
     if mode.expect_equal:
-        from turtlelog.check.judge_difference import judge_replay
+        from turtlelog.check.judge_run import judge_replay
 
         results = judge_replay(run, found, file=str(file))
         verdict = tl.check.join_verdicts(results)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import is_lawless
-from turtlelog.measure.measure_settings import SETTLING_BAND
+from turtlelog.measure.context import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.ending import allow_position

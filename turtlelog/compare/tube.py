@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from turtlelog.compare.alignment import align_runs
 from turtlelog.errors import CompareError
 from turtlelog.measure import Signal, find_signal
-from turtlelog.measure.path import compute_path_distances
+from turtlelog.measure.references import compute_path_distances
 from turtlelog.measure.step_response import compute_rms
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle

@@ -5,13 +5,13 @@ from .breaks import (
     find_gaps as find_gaps,
     find_jumps as find_jumps,
 )
+from .context import (
+    MeasureSettings as MeasureSettings,
+)
 from .dead_time import (
     DeadTime as DeadTime,
     DeadTimeChange as DeadTimeChange,
     find_dead_time as find_dead_time,
-)
-from .measure_settings import (
-    MeasureSettings as MeasureSettings,
 )
 from .metric import (
     MIRRORED as MIRRORED,
@@ -40,20 +40,18 @@ from .metric_list import (
     measure_run as measure_run,
     miss_metric as miss_metric,
 )
-from .modelled_loops import (
+from .metrics.theories import (
     model_run_loops as model_run_loops,
 )
-from .outliers import (
+from .rates import (
     Outlier as Outlier,
     describe_outliers as describe_outliers,
     find_outliers as find_outliers,
     list_outliers as list_outliers,
 )
-from .path import (
-    read_reference_path as read_reference_path,
-)
 from .references import (
     read_reference as read_reference,
+    read_reference_path as read_reference_path,
 )
 from .response import (
     find_first_stretch as find_first_stretch,

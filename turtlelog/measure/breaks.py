@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, join_words
 from turtlelog.measure.corrections import ACCELERATION, LATE, find_corrections, measure_steps
 from turtlelog.measure.motion import GAP_STEPS
-from turtlelog.measure.outliers import (
-    NEIGHBOURS,
-    compute_median,
-)
+from turtlelog.measure.rates import NEIGHBOURS
+from turtlelog.measure.reductions import compute_median
 from turtlelog.run import PoseColumns, Run, take_rows
 
 Values = NDArray[np.float64]

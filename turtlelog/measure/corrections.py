@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.measure.outliers import compute_median
+from turtlelog.measure.reductions import compute_median
 from turtlelog.run import PoseColumns
 from turtlelog.run.angles import subtract_headings
 

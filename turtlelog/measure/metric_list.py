@@ -12,8 +12,7 @@ import numpy as np
 import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the registry)
 from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, describe_unknown
-from turtlelog.measure.context import RunContext
-from turtlelog.measure.measure_settings import MeasureSettings
+from turtlelog.measure.context import MeasureSettings, RunContext
 from turtlelog.measure.metric import NO_POSES, Metric, Metrics, Missing, Result, Status
 from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, MetricKind
 from turtlelog.run import Run, require_run

@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.reductions import subtract_neighbours
+from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.lagged import want_rate

@@ -38,6 +38,21 @@ def subtract_neighbours(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(values[1:] - values[:-1])
 
 
+def compute_median(values: NDArray[Any]) -> float:
+    """Return the median of one row as `np.median` does; NaN for an empty row.
+
+    `np.median` itself is not used: to look for NaN, it loads numpy's masked arrays, in a tenth of
+    numpy's loading time.
+    """
+    half, odd = divmod(len(values), 2)
+    if not len(values):
+        return math.nan
+    places = [half] if odd else [half - 1, half]
+    ordered = np.partition(values, [*places, -1])
+    last = float(ordered[-1])  # NaN is sorted after all numbers
+    return last if math.isnan(last) else sum(float(ordered[n]) for n in places) / len(places)
+
+
 def _find_furthest_row(values: Any, direction: float) -> int:
     row = 0
     for place in range(1, len(values)):

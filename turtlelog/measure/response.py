@@ -4,15 +4,13 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import dropwhile, takewhile
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.reductions import fold_at_zero, subtract_neighbours
+from turtlelog.measure.reductions import compute_median, fold_at_zero, subtract_neighbours
 from turtlelog.measure.references import read_controlled_distance, read_reference, trace_poses
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
@@ -20,6 +18,9 @@ from turtlelog.run import PhaseSpan, Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import PAUSE, ControlLoop
 from turtlelog.run.paths import Path
+
+if TYPE_CHECKING:
+    from turtlelog.measure.context import MeasureSettings
 
 Values = NDArray[np.float64]
 
@@ -176,7 +177,7 @@ class Response:
 
 
 def find_response(
-    run: Run, loop: ControlLoop, signal: Signal | None, settings: MeasureSettings
+    run: Run, loop: ControlLoop, signal: Signal | None, settings: "MeasureSettings"
 ) -> Response | Missing:
     """Return the response of a loop in its first segment, or the reason why it is missing.
 
@@ -343,7 +344,7 @@ def _find_commands(run: Run, loop: ControlLoop, end_ns: int) -> CommandStretch:
 
 
 def _find_step(
-    loop: ControlLoop, values: Values, target: float, settings: MeasureSettings
+    loop: ControlLoop, values: Values, target: float, settings: "MeasureSettings"
 ) -> tuple[float, float]:
     """Return the initial and final values of the step of a loop."""
     initial, final = settings.get_initial(loop.name), settings.get_final(loop.name)

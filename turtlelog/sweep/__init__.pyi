@@ -29,15 +29,15 @@ from .simulate_rows import (
     RowRecords as RowRecords,
 )
 from .sweep_rows import (
-    Sweep as Sweep,
     SweepEstimate as SweepEstimate,
     SweepSummary as SweepSummary,
     estimate_sweep as estimate_sweep,
-    prepare_sweep as prepare_sweep,
     run_sweep as run_sweep,
 )
 from .sweep_scenario import (
+    Sweep as Sweep,
     SweepTable as SweepTable,
+    prepare_sweep as prepare_sweep,
     read_sweep_table as read_sweep_table,
     read_table_results as read_table_results,
     sweep_scenario as sweep_scenario,
@@ -62,10 +62,8 @@ from .table.swept_results import (
     SweptAxis as SweptAxis,
     SweptMetric as SweptMetric,
     SweptResults as SweptResults,
-    read_swept_results as read_swept_results,
-)
-from .table.swept_rows import (
     load_row_scenario as load_row_scenario,
+    read_swept_results as read_swept_results,
 )
 from .table.swept_views import (
     SweptCells as SweptCells,

@@ -1,49 +1,47 @@
-"""Sweeps: preparation of rows, and simulation on all cores into one table."""
+"""The run of a sweep: simulation of its rows on all cores, and their one table."""
 
-import hashlib
 import json
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial as partial_call
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, overload
 
-from turtlelog.errors import LogError, ScenarioError, SweepError
+from turtlelog.errors import LogError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
-from turtlelog.laws import WorkWithLaws, is_given, read_law_source
-from turtlelog.laws.loading import list_law_files
+from turtlelog.laws import WorkWithLaws, is_given
 from turtlelog.log.complete_files import remove_leftovers
 from turtlelog.log.error_boundary import name_file
-from turtlelog.measure import choose_metrics
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
-from turtlelog.scenario import (
-    Scenario,
-    flatten_scenario,
-    format_scenario,
-    parse_scenario,
-    resolve_scenario,
-)
-from turtlelog.simulate import declare_scenario
-from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.scenario import parse_scenario
 from turtlelog.sweep.batch.measured_rows import find_batch
-from turtlelog.sweep.plan import KP, SweepPlan, build_row_scenario
-from turtlelog.sweep.simulate_rows import (
-    RowChunk,
-    RowRecords,
-    RowResults,
-    is_batch,
-    require_condition,
-    simulate_rows,
-)
+from turtlelog.sweep.plan import PlannedCells, SweepPlan
+from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
 from turtlelog.sweep.table.kept_parts import KeptParts, has_results, name_partial, require_same
-from turtlelog.sweep.table.result_table import open_result_table, write_result_table
-from turtlelog.sweep.table.swept_rows import SweptRows, assemble_table, find_failure, list_valueless
-from turtlelog.version import __version__
+from turtlelog.sweep.table.result_table import (
+    STATUS,
+    ResultColumn,
+    ResultTable,
+    StoredTable,
+    open_result_table,
+    write_result_table,
+)
+from turtlelog.sweep.table.stored_rows import (
+    Columns,
+    Key,
+    StoredCells,
+    StoredRows,
+    WindowedRows,
+    build_result_columns,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from turtlelog.sweep.sweep_scenario import Sweep
 
 _CHUNK_S: Final = 0.5
 """Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
@@ -80,59 +78,8 @@ class SweepSummary:
     valueless: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sweep:
-    """A sweep that can be run, as returned by `prepare_sweep`.
-
-    Attributes:
-        base: Scenario that the rows vary, as text.
-        plan: Plan of the rows.
-        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
-            `dead_time`.
-        records: Runs to record; None: no run is recorded.
-        law_code: Checksum of the files of a law that is not built in; empty otherwise.
-        step_budget_s: Longest computing time of the law per step [s]; a sweep may be resumed with
-            another value.
-    """
-
-    base: str
-    plan: SweepPlan
-    metrics: tuple[str, ...] | None = None
-    records: RowRecords | None = None
-    law_code: str = ""
-    step_budget_s: float = STEP_BUDGET_S
-
-    def list_facts(self) -> dict[str, str]:
-        """Return the facts that identify a sweep, for file metadata."""
-        where = None if self.records is None else (self.records.folder, self.records.where)
-        return {
-            "base": self.base,
-            "plan": self.plan.describe(),
-            "metrics": json.dumps(self.metrics),
-            "records": json.dumps(where),
-            "law_code": self.law_code,
-            "version": __version__,
-        }
-
-    def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
-        """Return a range of rows as a chunk of work."""
-        rows = range(first, first + count)
-        columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
-        return RowChunk(
-            base=self.base,
-            keys=self.plan.keys,
-            first=first,
-            values=tuple(zip(*columns, strict=True)),
-            metrics=self.metrics,
-            records=self.records,
-            ahead=ahead,
-            threads=threads,
-            step_budget_s=self.step_budget_s,
-        )
-
-
 def run_sweep(
-    sweep: Sweep,
+    sweep: "Sweep",
     output: str | Path,
     *,
     jobs: "int | Executor | None" = None,
@@ -160,7 +107,7 @@ def run_sweep(
     if has_results(output, facts):
         name_partial(output).unlink(missing_ok=True)
         return _summarise(output, sweep)
-    kept = KeptParts(output, facts, RowResults, require=partial_call(require_same, facts))
+    kept = KeptParts(output, facts, RowResults, require=partial(require_same, facts))
     is_complete = False
     try:
         _begin_records(sweep, kept)
@@ -177,7 +124,7 @@ def _ignore(_: object) -> None:
     """Do nothing."""
 
 
-def _begin_records(sweep: Sweep, kept: KeptParts[RowResults]) -> None:
+def _begin_records(sweep: "Sweep", kept: KeptParts[RowResults]) -> None:
     """Create the folder of recordings. Refuse a folder with files unless the sweep is resumed.
 
     When a sweep is resumed, incomplete files of the killed sweep are removed.
@@ -212,8 +159,8 @@ def _require_empty(folder: Path) -> None:
 
 
 def _simulate(
-    sweep: Sweep,
-    rows: SweptRows,
+    sweep: "Sweep",
+    rows: "SweptRows",
     jobs: "int | Executor | None",
     watch: "_Telling",
 ) -> None:
@@ -245,7 +192,7 @@ def _simulate(
     if laws and isinstance(jobs, int) and not CAN_FORK:
         jobs = 1
     work = WorkWithLaws(simulate_rows, () if isinstance(jobs, int) else laws)
-    cut = partial_call(sweep.cut_chunk, ahead=rest // count, threads=threads)
+    cut = partial(sweep.cut_chunk, ahead=rest // count, threads=threads)
     chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
     for results in map_in_processes(work, chunks, jobs, name=_name_chunk, is_forked=bool(laws)):
         rows.add(results)
@@ -301,7 +248,7 @@ def _name_chunk(chunk: RowChunk) -> str:
     return f"rows {chunk.first} to {chunk.first + len(chunk.values) - 1}"
 
 
-def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
+def _summarise(output: Path, sweep: "Sweep") -> SweepSummary:
     """Return the summary of a table, with at most one row group in memory."""
     table = open_result_table(output, kind="sweep")
     failed = table.count_values("failed")
@@ -329,7 +276,7 @@ class SweepEstimate:
     bytes: int
 
 
-def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
+def estimate_sweep(sweep: "Sweep", *, jobs: int | None = None) -> SweepEstimate:
     """Simulate a few rows and return the estimated cost of all rows."""
     count, jobs = sweep.plan.row_count, jobs or count_cores()
     probes = sweep.plan.list_probes()
@@ -343,83 +290,164 @@ def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
     return SweepEstimate(seconds=row_s * count / jobs, bytes=8 * numbers * count)
 
 
-def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
-    base: Scenario,
-    plan: SweepPlan,
-    *,
-    metrics: Sequence[str] | None = None,
-    records: RowRecords | None = None,
-    trust_law: bool = False,
-    step_budget_s: float = STEP_BUDGET_S,
-    source: str = "grid",
-) -> Sweep:
-    """Return a sweep of a base scenario. The first, a middle and the last row are checked.
-
-    Args:
-        base: Scenario that the rows vary.
-        plan: Plan of the rows; the key `kp` stands for all gains of the law.
-        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
-            `dead_time`.
-        records: Runs to record.
-        trust_law: Whether a law named in a recording may run too.
-        step_budget_s: Longest computing time of the law per step [s]; rows that exceed it fail.
-        source: Prefix of error messages about the values of a row.
-
-    Raises:
-        SweepError: If `kp` varies, and the law declares no gain or other keys vary together.
-        ScenarioError: If none of these rows forms a valid scenario, or the law may not run.
-        MeasureError: If a metric is unknown.
-        ExpressionError: If the condition on recordings cannot be evaluated.
-    """
-    trusted = True if trust_law else None
-    if KP in plan.keys:
-        declared = declare_scenario(resolve_scenario(base, trust_law=trust_law))
-        plan = plan.spread_gains(declared.list_gains())
-    found, errors = [], []
-    for row in plan.list_probes():
-        try:
-            scenario = build_row_scenario(
-                base, plan.keys, plan.find_values(row), row, source=source, trust_law=trusted
-            )
-            found.append(resolve_scenario(scenario, trust_law=trust_law))
-        except ScenarioError as err:
-            errors.append(err)
-    if not found:
-        raise errors[0]
-    known = [flatten_scenario(one) for one in found]
-    real = {key for key in plan.keys if any(isinstance(one.get(key), float) for one in known)}
-    if metrics is not None:
-        for one in found:
-            choose_metrics(metrics, declare_scenario(one))
-    first = dict(zip(plan.keys, plan.find_values(0), strict=True))
-    require_condition(records, {**known[0], **first})
-    kinds = {one.law.kind for one in found} | {str(one.get("law.kind")) for one in known}
-    return Sweep(
-        base=format_scenario(base),
-        plan=plan.with_reals(real),
-        metrics=None if metrics is None else tuple(metrics),
-        records=records,
-        law_code=_sum_up_code(sorted(kinds)),
-        step_budget_s=step_budget_s,
-    )
-
-
-def _sum_up_code(kinds: Sequence[str]) -> str:
-    """Return a checksum of the files of laws and of the modules that they import from their folder.
-
-    For a law defined in this session, the checksum is that of its source text. The result is empty
-    if all laws are built in or modules.
-    """
-    texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
-    laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
-    files = [file for law in laws for file in list_law_files(law)]
-    parts = [*(path.read_bytes() for path in files), *(text.encode() for text in texts)]
-    return hashlib.sha256(b"".join(parts)).hexdigest() if parts else ""
-
-
-def _list_given_laws(sweep: Sweep) -> tuple[str, ...]:
+def _list_given_laws(sweep: "Sweep") -> tuple[str, ...]:
     """Return the laws of the rows that exist only in this process and its forks."""
     kinds = [parse_scenario(sweep.base).law.kind]
     for one in (*sweep.plan.grid, *sweep.plan.zipped):
         kinds += [*one.values] if one.key == "law.kind" else []
     return tuple(dict.fromkeys(filter(is_given, kinds)))
+
+
+_STOP_REASON: Final = Key("stop_reason")
+_FAILED: Final = Key("failed")
+
+
+class SweptRows:
+    """Known facts of the finished rows. The rows themselves are in the partial file."""
+
+    def __init__(self, kept: KeptParts[RowResults]) -> None:
+        """Load the results of an interrupted sweep."""
+        self._kept = kept
+        self._parts: list[tuple[int, int, int]] = []  # first row, number of rows, and place
+        self._metrics: dict[str, tuple[int, int]] = {}  # first row and place of each metric
+        self._units: dict[tuple[str, str], tuple[int, int]] = {}
+        self.count = self.samples = self.recorded = 0
+        for place in kept.places:
+            self._enter(kept.read(place), place)
+
+    def add(self, results: RowResults) -> None:
+        """Save the results of a chunk."""
+        self._enter(results, self._kept.add(results))
+
+    def _enter(self, results: RowResults, place: int) -> None:
+        self._parts.append((results.first, len(results), place))
+        self.count += len(results)
+        self.samples += results.samples
+        self.recorded += results.recorded
+        for number, (name, cells) in enumerate(results.metrics.items()):
+            found = results.first, number
+            self._metrics[name] = min(self._metrics.get(name, found), found)
+            for order, unit in enumerate(cells.units):
+                first = results.first, order
+                self._units[name, unit] = min(self._units.get((name, unit), first), first)
+
+    def list_gaps(self, count: int) -> list[tuple[int, int]]:
+        """Return the segments of unfinished rows: the first row, and the row after the last."""
+        gaps, row = [], 0
+        for first, size, _ in sorted(self._parts):
+            if first > row:
+                gaps.append((row, first))
+            row = first + size
+        return [*gaps, (row, count)] if row < count else gaps
+
+    def list_metrics(self) -> dict[str, str]:
+        """Return the metrics in the order of the rows, with their units."""
+        units = sorted(self._units, key=self._units.__getitem__)
+        return {
+            name: " or ".join(unit for other, unit in units if other == name)
+            for name in sorted(self._metrics, key=self._metrics.__getitem__)
+        }
+
+    def order(self, count: int) -> WindowedRows:
+        """Return the rows in order.
+
+        Raises:
+            SweepError: If rows are missing or duplicated.
+        """
+        stored, row = StoredRows(), 0
+        for first, size, place in sorted(self._parts):
+            if first != row:
+                raise SweepError(f"row {row}: expected every row once, found row {first} instead")
+            row += size
+            stored.add(size, partial(self._load, place))
+        if row != count:
+            raise SweepError(f"row {row}: expected {count} rows, found {row}")
+        return WindowedRows(stored, range(count))
+
+    def _load(self, place: int) -> Columns:
+        results = self._kept.read(place)
+        texts = {_STOP_REASON: results.stop_reasons, _FAILED: results.failed}
+        cells = {key: StoredCells.pack("text", found) for key, found in texts.items()}
+        for name, metric in results.metrics.items():
+            cells[Key(name, "real")] = StoredCells.pack("real", metric.values)
+            cells[Key(f"{name}{STATUS}")] = StoredCells.pack("text", metric.statuses)
+        return Columns(len(results), cells)
+
+
+def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -> ResultTable:
+    """Return the table of a sweep, whose rows are loaded on demand.
+
+    Args:
+        plan: Plan of the rows.
+        facts: Facts of the sweep.
+        rows: Results of the rows.
+
+    Raises:
+        SweepError: If rows are missing or duplicated.
+    """
+    ordered, units = rows.order(plan.row_count), rows.list_metrics()
+    keys = [
+        *(key for name in units for key in (Key(name, "real"), Key(f"{name}{STATUS}"))),
+        *(_STOP_REASON, _FAILED),
+    ]
+    columns = [
+        ResultColumn(name="row", type="whole", cells=range(plan.row_count)),
+        *(
+            ResultColumn(
+                name=key,
+                type=plan.find_type(key),
+                cells=PlannedCells(plan, key),
+                unit=find_key_unit(key),
+            )
+            for key in plan.keys
+        ),
+        *(
+            replace(column, unit=units.get(column.name, column.unit))
+            for column in build_result_columns(ordered, keys)
+        ),
+    ]
+    names = [column.name for column in columns]
+    twice = next((name for number, name in enumerate(names) if name in names[:number]), None)
+    if twice is not None:
+        raise SweepError(f"{twice}: expected one column of a name, found a key and a metric of it")
+    own = {
+        "varied": json.dumps(plan.keys),
+        "samples": str(rows.samples),
+        "recorded": str(rows.recorded),
+    }
+    return ResultTable(kind="sweep", columns=tuple(columns), facts={**facts, **own})
+
+
+def find_key_unit(key: str) -> str | None:
+    """Return the unit at the end of a key's name; None if the name has no unit."""
+    found = _UNIT.search(key)
+    if found is None:
+        return None
+    unit = found[1].replace("_s", "/s", 1) if found[1] != "s" else "s"
+    return _POWER.sub(r"^\1", unit)
+
+
+_UNIT: Final = re.compile(r"_((?:m|rad)(?:_s[23]?)?|s|ticks)$")
+_POWER: Final = re.compile(r"(\d)$")
+
+
+def list_valueless(table: StoredTable, patterns: Sequence[str]) -> dict[str, str]:
+    """Return the metrics without a value in any row, with their statuses in words."""
+    found: dict[str, str] = {}
+    for name in table.names:
+        status = f"{name}{STATUS}"
+        if status in table.names and table.count_values(name) == 0:
+            had = dict.fromkeys(
+                text for cells in table.iterate(status) for text in cells.unique().to_pylist()
+            )
+            found[name] = " or ".join(text for text in had if text) or "every such row failed"
+    for pattern in patterns:
+        if not any(name == pattern or fnmatchcase(name, pattern) for name in table.names):
+            found[pattern] = "no loop has that name"
+    return found
+
+
+def find_failure(table: StoredTable) -> str:
+    """Return the first row that failed, with the reason."""
+    texts = (text for cells in table.iterate("failed") for text in cells.to_pylist())
+    return next(f"row {row}: {text}" for row, text in enumerate(texts) if text is not None)

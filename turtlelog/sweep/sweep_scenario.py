@@ -1,5 +1,6 @@
-"""A sweep in one call: from arrays of values to a table in memory."""
+"""A sweep: preparation of its rows, and in one call from arrays of values to a table in memory."""
 
+import hashlib
 import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,12 +10,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, fit_line, format_html, format_notebook
-from turtlelog.errors import SweepError
+from turtlelog.errors import ScenarioError, SweepError
+from turtlelog.laws import read_law_source
+from turtlelog.laws.loading import list_law_files
+from turtlelog.measure import choose_metrics
 from turtlelog.run.tables import Tabular
-from turtlelog.scenario import Scenario, choose_scenario, parse_scenario, unwrap_number
+from turtlelog.scenario import (
+    Scenario,
+    choose_scenario,
+    flatten_scenario,
+    format_scenario,
+    parse_scenario,
+    resolve_scenario,
+    unwrap_number,
+)
+from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.plan import MOST_ROWS, KeyValues, SweepPlan
-from turtlelog.sweep.sweep_rows import prepare_sweep, run_sweep
+from turtlelog.sweep.plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
+from turtlelog.sweep.simulate_rows import RowChunk, RowRecords, require_condition
+from turtlelog.sweep.sweep_rows import run_sweep
 from turtlelog.sweep.table.result_table import (
     ResultTable,
     build_result_arrow,
@@ -23,6 +37,7 @@ from turtlelog.sweep.table.result_table import (
     write_result_table,
 )
 from turtlelog.sweep.table.swept_results import SweptResults, read_swept_results
+from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -134,6 +149,131 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         file = Path(folder, "sweep.parquet") if output is None else output
         run_sweep(sweep, file, jobs=jobs, tell=notes.append)
         return replace(read_sweep_table(file), notes=tuple(notes))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweep:
+    """A sweep that can be run, as returned by `prepare_sweep`.
+
+    Attributes:
+        base: Scenario that the rows vary, as text.
+        plan: Plan of the rows.
+        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
+            `dead_time`.
+        records: Runs to record; None: no run is recorded.
+        law_code: Checksum of the files of a law that is not built in; empty otherwise.
+        step_budget_s: Longest computing time of the law per step [s]; a sweep may be resumed with
+            another value.
+    """
+
+    base: str
+    plan: SweepPlan
+    metrics: tuple[str, ...] | None = None
+    records: RowRecords | None = None
+    law_code: str = ""
+    step_budget_s: float = STEP_BUDGET_S
+
+    def list_facts(self) -> dict[str, str]:
+        """Return the facts that identify a sweep, for file metadata."""
+        where = None if self.records is None else (self.records.folder, self.records.where)
+        return {
+            "base": self.base,
+            "plan": self.plan.describe(),
+            "metrics": json.dumps(self.metrics),
+            "records": json.dumps(where),
+            "law_code": self.law_code,
+            "version": __version__,
+        }
+
+    def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
+        """Return a range of rows as a chunk of work."""
+        rows = range(first, first + count)
+        columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
+        return RowChunk(
+            base=self.base,
+            keys=self.plan.keys,
+            first=first,
+            values=tuple(zip(*columns, strict=True)),
+            metrics=self.metrics,
+            records=self.records,
+            ahead=ahead,
+            threads=threads,
+            step_budget_s=self.step_budget_s,
+        )
+
+
+def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
+    base: Scenario,
+    plan: SweepPlan,
+    *,
+    metrics: Sequence[str] | None = None,
+    records: RowRecords | None = None,
+    trust_law: bool = False,
+    step_budget_s: float = STEP_BUDGET_S,
+    source: str = "grid",
+) -> Sweep:
+    """Return a sweep of a base scenario. The first, a middle and the last row are checked.
+
+    Args:
+        base: Scenario that the rows vary.
+        plan: Plan of the rows; the key `kp` stands for all gains of the law.
+        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
+            `dead_time`.
+        records: Runs to record.
+        trust_law: Whether a law named in a recording may run too.
+        step_budget_s: Longest computing time of the law per step [s]; rows that exceed it fail.
+        source: Prefix of error messages about the values of a row.
+
+    Raises:
+        SweepError: If `kp` varies, and the law declares no gain or other keys vary together.
+        ScenarioError: If none of these rows forms a valid scenario, or the law may not run.
+        MeasureError: If a metric is unknown.
+        ExpressionError: If the condition on recordings cannot be evaluated.
+    """
+    trusted = True if trust_law else None
+    if KP in plan.keys:
+        declared = declare_scenario(resolve_scenario(base, trust_law=trust_law))
+        plan = plan.spread_gains(declared.list_gains())
+    found, errors = [], []
+    for row in plan.list_probes():
+        try:
+            scenario = build_row_scenario(
+                base, plan.keys, plan.find_values(row), row, source=source, trust_law=trusted
+            )
+            found.append(resolve_scenario(scenario, trust_law=trust_law))
+        except ScenarioError as err:
+            errors.append(err)
+    if not found:
+        raise errors[0]
+    known = [flatten_scenario(one) for one in found]
+    real = {key for key in plan.keys if any(isinstance(one.get(key), float) for one in known)}
+    if metrics is not None:
+        for one in found:
+            choose_metrics(metrics, declare_scenario(one))
+    first = dict(zip(plan.keys, plan.find_values(0), strict=True))
+    require_condition(records, {**known[0], **first})
+    kinds = {one.law.kind for one in found} | {str(one.get("law.kind")) for one in known}
+    return Sweep(
+        base=format_scenario(base),
+        plan=plan.with_reals(real),
+        metrics=None if metrics is None else tuple(metrics),
+        records=records,
+        law_code=_sum_up_code(sorted(kinds)),
+        step_budget_s=step_budget_s,
+    )
+
+
+def _sum_up_code(kinds: Sequence[str]) -> str:
+    """Return a checksum of the files of laws and of the modules that they import from their folder.
+
+    For a law defined in this session, the checksum is that of its source text. The result is empty
+    if all laws are built in or modules.
+    """
+    texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
+    laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
+    files = [file for law in laws for file in list_law_files(law)]
+    parts = [*(path.read_bytes() for path in files), *(text.encode() for text in texts)]
+    return hashlib.sha256(b"".join(parts)).hexdigest() if parts else ""
 
 
 def read_sweep_table(path: str | Path) -> SweepTable:

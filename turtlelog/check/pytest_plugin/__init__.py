@@ -18,6 +18,7 @@ from turtlelog.check.pytest_plugin.session import (
     SessionSummary,
     choose_recordings,
     end_at_test,
+    explain_comparison,
     find_reference,
     find_stem,
     name_recordings,
@@ -167,8 +168,6 @@ def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str]
     """Write the message for a failed comparison of a metric."""
     if "turtlelog.measure.metric" not in _list_homes(left, right):
         return None
-    from turtlelog.check.pytest_plugin.failure_messages import explain_comparison
-
     return explain_comparison(op, left, right)
 
 

@@ -1,4 +1,4 @@
-"""The state of one session: its recordings and references, checks and tracebacks."""
+"""The state of one session: recordings and references, checks, messages and tracebacks."""
 
 import glob
 import os
@@ -134,24 +134,73 @@ class Session:
         failed: "dict[Recording, list[CheckResult]]",
     ) -> None:
         from turtlelog.check import ArtifactWriter
-        from turtlelog.check.pytest_plugin.failure_messages import (
-            keep_artifacts,
-            list_failure_lines,
-        )
 
         lines: list[str] = []
         explains = not self._config.getoption("--turtlelog-no-why")
         for recording, results in failed.items():
-            lines += [*list_failure_lines(recording, results, explains=explains), ""]
+            lines += [*_list_failure_lines(recording, results, explains=explains), ""]
         folder = self._config.getoption("--turtlelog-artifacts")
         if folder:
             place = self._config.invocation_params.dir / folder
             self._writer = self._writer or ArtifactWriter(place)
             for recording, results in failed.items():
-                lines += keep_artifacts(recording, results, self._writer, prefix=item.nodeid)
+                lines += _keep_artifacts(recording, results, self._writer, prefix=item.nodeid)
         add_section: Any = getattr(report.longrepr, "addsection", None)
         if add_section is not None:
             add_section("turtlelog", "\n".join(lines).rstrip())
+
+
+def explain_comparison(operator: str, left: object, right: object) -> list[str] | None:
+    """Return the first lines of the message of a comparison; the section below has the details."""
+    from turtlelog.check.judge_formula import RecordedMetric
+    from turtlelog.measure import MIRRORED, Metric
+
+    watched = [one for one in (left, right) if isinstance(one, Metric) and one.watch is not None]
+    if not watched or operator not in MIRRORED:
+        return None
+    metric, watch = watched[0], watched[0].watch
+    asked, other = (operator, right) if metric is left else (MIRRORED[operator], left)
+    if not isinstance(watch, RecordedMetric):
+        return None
+    try:
+        result = watch.judge(metric, asked, other)
+    except TurtlelogError:
+        return None
+    lines = (
+        f"{left!r} {operator} {right!r}",
+        f"{result.check} of {result.file}: expected {result.expected}",
+    )
+    return [escape_controls(line) for line in lines]
+
+
+def _list_failure_lines(
+    recording: "Recording", results: "Sequence[CheckResult]", *, explains: bool
+) -> list[str]:
+    """Return the complete message for failed checks, with the reason why the recording differs."""
+    try:
+        if explains:
+            results = recording.explain_failures(results)
+        return recording.describe(*results)
+    except TurtlelogError as err:
+        return [f"{recording.file}: {err}"]
+
+
+def _keep_artifacts(
+    recording: "Recording",
+    results: "Sequence[CheckResult]",
+    writer: "ArtifactWriter",
+    *,
+    prefix: str,
+) -> list[str]:
+    """Write files for the first violation; return lines with their names, or with errors."""
+    dated = [result for result in results if result.first_violation_s is not None]
+    result = min(dated, key=lambda found: found.first_violation_s or 0.0, default=results[0])
+    try:
+        found = writer.write(recording.run, result, prefix=prefix)
+    except (TurtlelogError, OSError) as err:
+        return [f"artifacts: {err}"]
+    lines = [*(f"wrote {path}" for path in found.files), *found.notes]
+    return [escape_controls(line) for line in lines]
 
 
 def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:

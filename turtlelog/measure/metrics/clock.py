@@ -27,8 +27,12 @@ from turtlelog.measure.metric import (
     add_reason,
 )
 from turtlelog.measure.metric_kinds import course_metric, run_metric
-from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.reductions import PIECES, find_furthest_row, subtract_neighbours
+from turtlelog.measure.reductions import (
+    PIECES,
+    compute_median,
+    find_furthest_row,
+    subtract_neighbours,
+)
 
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import run_metric
-from turtlelog.measure.outliers import compute_median
-from turtlelog.measure.rates import Axis, Rates, Values
-from turtlelog.measure.reductions import subtract_neighbours, sum_products
+from turtlelog.measure.rates import AXES, Axis, Rates, Values
+from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
@@ -93,8 +92,7 @@ def _compute_mean(rates: Rates) -> Result:
     return Found(sum_products(np.abs(rates.means), step_s) / float(step_s.sum()))
 
 
-for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
-    _name: Axis = "speed" if _axis == "speed" else "turn_rate"
+for _axis, _unit in AXES.items():
     _words = _axis.replace("_", " ")
     run_metric(
         f"run.measured_{_axis}_max",
@@ -102,13 +100,13 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
         f"Largest magnitude of the {_words} that the robot reports, or else of differences of"
         " poses; outliers left out.",
         better=None,
-    )(_on_rates(_name, _find_largest))
+    )(_on_rates(_axis, _find_largest))
     run_metric(
         f"run.measured_{_axis}_mean",
         _unit,
         f"Mean magnitude of the measured {_words} over time.",
         better=None,
-    )(_on_rates(_name, _compute_mean))
+    )(_on_rates(_axis, _compute_mean))
 
 
 _AT_REST_M_S: Final = 0.01

@@ -24,14 +24,7 @@ from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
 from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.sweep.batch import batch_kernel, path_kernel
 from turtlelog.sweep.batch.batch_entry import measure_row
-from turtlelog.sweep.batch.batch_kernel import (
-    PATH,
-    REFERENCES,
-    SIGNALS,
-    USES_OF_ROW,
-    Memory,
-    Row,
-)
+from turtlelog.sweep.batch.batch_kernel import PATH, REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
 from turtlelog.sweep.batch.path_kernel import PathMemory
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}

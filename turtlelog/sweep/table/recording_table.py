@@ -17,7 +17,6 @@ from turtlelog.log.error_boundary import open_file
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
 from turtlelog.sweep.find_recordings import FoundRecording, list_contents
-from turtlelog.sweep.table.file_rows import ERROR, FileRows, FileState, Order, ReadFiles
 from turtlelog.sweep.table.kept_parts import KeptParts
 from turtlelog.sweep.table.result_table import (
     has_result_file,
@@ -25,7 +24,17 @@ from turtlelog.sweep.table.result_table import (
     read_result_facts,
     write_result_table,
 )
-from turtlelog.sweep.table.row_columns import Cell, Key, Row, gather_rows
+from turtlelog.sweep.table.stored_rows import (
+    ERROR,
+    Cell,
+    FileRows,
+    FileState,
+    Key,
+    Order,
+    ReadFiles,
+    Row,
+    gather_rows,
+)
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

@@ -26,6 +26,9 @@ FORMAT: Final = "1"
 ROW: Final = "row"
 """Name of the column with row numbers."""
 
+STATUS: Final = ".status"
+"""Suffix of the column next to a metric, which contains the reasons for missing values."""
+
 _PREFIX: Final = "turtlelog."
 """Prefix of turtlelog's names in the file metadata, next to those of Arrow and pandas."""
 

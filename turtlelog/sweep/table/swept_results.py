@@ -21,13 +21,13 @@ from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.table.result_table import (
     ROW,
+    STATUS,
     ResultColumn,
     StoredTable,
     list_row_numbers,
     list_values,
     open_result_table,
 )
-from turtlelog.sweep.table.swept_rows import STATUS
 
 Values = NDArray[np.float64]
 
@@ -250,6 +250,30 @@ def format_key_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def load_row_scenario(path: str | Path, row: int) -> Scenario:
+    """Return the scenario of a row in a result table. No code is loaded; its law is not trusted.
+
+    Args:
+        path: Path of the table.
+        row: Row number, as in the column `row`.
+
+    Raises:
+        LogError: If the file is not a table of a sweep.
+        SweepError: If the table has no such row.
+        ScenarioError: If the row's values are not a valid scenario, and the row failed for this
+            reason.
+    """
+    table = open_result_table(path, kind="sweep")
+    place = table.find_row(row)
+    try:
+        keys, tables = json.loads(table.facts["varied"]), parse_toml(table.facts["base"])
+        values = table.read_row(place, keys)
+    except (KeyError, ValueError) as err:
+        raise LogError(f"{path}: not a table of turtlelog sweep: it has no base scenario") from err
+    base = build_scenario(tables, source=f"{path}")
+    return build_row_scenario(base, keys, values, row, source=f"{path}", trust_law=False)
 
 
 def _parse_facts(

@@ -1,8 +1,6 @@
 from .candidates import (
     Candidate as Candidate,
     Candidates as Candidates,
-)
-from .goal import (
     ConstraintFinding as ConstraintFinding,
     TuningGoal as TuningGoal,
     parse_goal as parse_goal,

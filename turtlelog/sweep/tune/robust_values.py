@@ -14,8 +14,7 @@ from turtlelog.errors import TuneError
 from turtlelog.files.text_files import read_text_file
 from turtlelog.scenario import Scenario, flatten_scenario, override_scenario, resolve_scenario
 from turtlelog.simulate.loop_parts import list_streams
-from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
-from turtlelog.sweep.tune.goal import TuningGoal
+from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point, TuningGoal
 from turtlelog.sweep.tune.search import SearchedKey, Tuned, sum_up
 
 _WORSE: Final = 0.1

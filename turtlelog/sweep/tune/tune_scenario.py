@@ -22,8 +22,7 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import KP
-from turtlelog.sweep.tune.candidates import Candidates, spread_keys
-from turtlelog.sweep.tune.goal import TuningGoal
+from turtlelog.sweep.tune.candidates import Candidates, TuningGoal, spread_keys
 from turtlelog.sweep.tune.robust_values import NEIGHBOURS, Neighbourhood, explore_best
 from turtlelog.sweep.tune.search import SearchedKey, Tuned, parse_searched_keys, search_best
 
