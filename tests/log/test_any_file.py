@@ -10,7 +10,7 @@ from turtlelog.errors import LogError
 from turtlelog.log import any_file, read_file_info, split_topic, write_recording
 from turtlelog.log.any_file import read_run
 from turtlelog.log.engine import opening
-from turtlelog.log.error_boundary import open_file
+from turtlelog.log.file_access import open_file
 from turtlelog.log.recording import reader
 from turtlelog.log.writing.exporters import export_rosbag2
 

@@ -15,7 +15,7 @@ import msgspec
 from turtlelog.errors import CheckError
 from turtlelog.files.text_files import format_toml
 from turtlelog.log import read_run, replace_when_complete, write_recording
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.measure import Metric, Status, find_metric_kind, measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import nest_parameters

@@ -12,7 +12,7 @@ from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.opening import ROS1_MAGIC
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,

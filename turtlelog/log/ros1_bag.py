@@ -22,7 +22,7 @@ from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.chunks import unpack_chunk
 from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, grow_bound
 from turtlelog.log.engine.ros1_messages import name_as_ros2
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 from turtlelog.log.writing.container import McapFile
 from turtlelog.log.writing.records import ChunkRows
 

@@ -13,8 +13,7 @@ from turtlelog.errors import LogError, ScenarioError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
 from turtlelog.laws import WorkWithLaws, is_given, read_law_source
 from turtlelog.laws.law_files import list_law_files
-from turtlelog.log.complete_files import remove_leftovers
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file, remove_leftovers
 from turtlelog.measure import choose_metrics
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
 from turtlelog.scenario import (

@@ -41,7 +41,7 @@ from turtlelog.log.engine.parsing import (
     take_whole,
 )
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.error_boundary import DamageError, LimitError
+from turtlelog.log.file_access import DamageError, LimitError
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]

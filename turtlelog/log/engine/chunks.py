@@ -12,7 +12,7 @@ import zstandard
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.limits import LARGEST_CHUNK
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """Start and end time, unpacked size, checksum, and length of the compression's name."""

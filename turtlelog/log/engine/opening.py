@@ -19,7 +19,7 @@ from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, Allowance, measur
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
-from turtlelog.log.error_boundary import DamageError, name_file, open_file
+from turtlelog.log.file_access import DamageError, name_file, open_file
 
 ROS1_MAGIC: Final = b"#ROSBAG V"
 

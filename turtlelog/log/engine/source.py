@@ -43,7 +43,7 @@ from turtlelog.log.engine.summary import (
     parse_summary,
     read_ends,
 )
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

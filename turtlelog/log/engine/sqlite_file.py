@@ -15,7 +15,7 @@ from mcap.well_known import MessageEncoding
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import DESCRIPTIONS, SCHEMA_BYTES, Allowance
-from turtlelog.log.error_boundary import DamageError, open_file
+from turtlelog.log.file_access import DamageError, open_file
 
 if TYPE_CHECKING:
     import sqlite3

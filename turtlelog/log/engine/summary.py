@@ -20,7 +20,7 @@ from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
 from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record, take_whole
-from turtlelog.log.error_boundary import DamageError, UnfinishedError
+from turtlelog.log.file_access import DamageError, UnfinishedError
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary offsets, crc
 _DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
