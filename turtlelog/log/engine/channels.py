@@ -245,7 +245,7 @@ def _name_type(record: Any) -> Any:
     """Return a schema record; a ROS 1 schema gets the ROS 2 name of its type."""
     if not isinstance(record, Schema) or record.encoding != SchemaEncoding.ROS1:
         return record
-    from turtlelog.log.engine.ros1_messages import name_as_ros2  # only files of ROS 1 need it
+    from turtlelog.log.ros1 import name_as_ros2  # only files of ROS 1 need it
 
     name = name_as_ros2(record.name)
     return Schema(id=record.id, name=name, encoding=record.encoding, data=record.data)
@@ -280,7 +280,7 @@ def _read_schema(schema: Schema, allowance: Allowance) -> dict[str, Any]:
         return {"json": objects, "decode": decode, "row_size": measure_object(objects)}
     is_ros1 = schema.encoding == SchemaEncoding.ROS1
     if is_ros1:
-        from turtlelog.log.engine.ros1_messages import read_ros1_type  # only ROS 1 files need it
+        from turtlelog.log.ros1 import read_ros1_type  # only ROS 1 files need it
 
         found = read_ros1_type(schema.name, _read_text(schema, None))
     else:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from sqlite3 import Cursor
 
 
-SQLITE_MAGIC: Final = b"SQLite format 3\x00"
-
 _HEADER: Final = 100  # bytes
 _PAGE_SIZE: Final = slice(16, 18)
 _CHANGES: Final = slice(24, 28)
