@@ -7,10 +7,10 @@ from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap, write
 from tests.log.ros2.robots import say_odometry, write_robot
 from tests.log.runs import assert_same, find_shared, simulate_short_run
 from turtlelog.errors import LogError
-from turtlelog.log import any_file, read_file_info, split_topic, write_recording
+from turtlelog.log import read_file_info, split_topic, write_recording
 from turtlelog.log.any_file import read_run
 from turtlelog.log.engine import opening
-from turtlelog.log.error_boundary import open_file
+from turtlelog.log.file_access import open_file
 from turtlelog.log.recording import reader
 from turtlelog.log.writing.exporters import export_rosbag2
 
@@ -93,7 +93,7 @@ def test_a_recording_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         opened.append(place)
         return open_file(place)
 
-    for module in (any_file, opening, reader):
+    for module in (opening, reader):
         monkeypatch.setattr(module, "open_file", count)
     read_run(path)
     assert opened == [path]

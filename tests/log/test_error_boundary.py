@@ -16,7 +16,7 @@ from turtlelog.log import (
     read_run,
     recover_recording,
 )
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file
 
 READERS: list[Callable[[Path], Any]] = [
     read_columns,

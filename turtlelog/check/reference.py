@@ -26,7 +26,7 @@ from turtlelog.log import (
     split_topic,
     write_recording,
 )
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.ros2.bag import open_bag
 from turtlelog.log.ros2.bag_topics import JOINTS, TRANSFORMS
 from turtlelog.measure import Metric, Status, find_metric_kind, measure_run

@@ -182,7 +182,7 @@ def _measure_luck(
 
 
 def _write_scenario(found: "Identification", path: Path) -> None:
-    from turtlelog.log.complete_files import replace_when_complete
+    from turtlelog.log.file_access import replace_when_complete
 
     text = tl.format_scenario(found.build_scenario())
     with replace_when_complete(path) as temporary:

@@ -111,7 +111,7 @@ def identify(
 
 
 def _write_scenario(robot: "RobotScenario", path: Path) -> None:
-    from turtlelog.log.complete_files import replace_when_complete
+    from turtlelog.log.file_access import replace_when_complete
 
     with replace_when_complete(path) as temporary:
         temporary.write_text(robot.text, encoding="utf-8")

@@ -289,7 +289,7 @@ def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: st
 def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
     if not live.realtime and url is None:
         return _simulate(scenario, choose_step_budget(live.step_budget_ms))
-    from turtlelog.log.interrupts import hold_stop, interrupt_on_quit
+    from turtlelog.log.file_access import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())

@@ -3,9 +3,6 @@ from .any_file import (
     read_file_info as read_file_info,
     read_run as read_run,
 )
-from .complete_files import (
-    replace_when_complete as replace_when_complete,
-)
 from .engine.topic_columns import (
     TopicColumns as TopicColumns,
     iter_columns as iter_columns,
@@ -13,6 +10,9 @@ from .engine.topic_columns import (
 )
 from .engine.walk import (
     Loss as Loss,
+)
+from .file_access import (
+    replace_when_complete as replace_when_complete,
 )
 from .file_info import (
     RecordingInfo as RecordingInfo,

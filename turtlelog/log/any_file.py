@@ -8,11 +8,8 @@ from typing import TYPE_CHECKING, Final, Unpack, cast
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log import importers, recording, ros2
-from turtlelog.log.engine.chunks import ZSTD_MAGIC
-from turtlelog.log.engine.framing import MCAP0_MAGIC
-from turtlelog.log.engine.opening import ROS1_MAGIC
-from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.engine.opening import is_bag_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
@@ -135,7 +132,6 @@ def _list_options(choice: ReadChoice) -> ReadOptions:
     return cast("ReadOptions", {name: getattr(choice, name) for name in _OPTIONS})
 
 
-_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, ROS1_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
@@ -216,12 +212,6 @@ def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
         listed = ", ".join(found.topic for found in info.topics)[:300] or "none"
         raise LogError(f"{info.file}: expected a topic {topic}, found {listed}")
     return info
-
-
-def is_bag_file(path: Path) -> bool:
-    """Return whether a file begins like an MCAP, SQLite or compressed file."""
-    with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
-        return stream.read(len(SQLITE_MAGIC)).startswith(_MAGICS)
 
 
 def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":

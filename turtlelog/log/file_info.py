@@ -22,7 +22,7 @@ from turtlelog.log.engine.parsing import gather_heads
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.walk import Loss, Section
-from turtlelog.log.error_boundary import DamageError, UnfinishedError
+from turtlelog.log.file_access import DamageError, UnfinishedError
 from turtlelog.log.recording.head import (
     HEAD,
     add_lost,

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import msgspec
 
 from turtlelog.errors import SimulationError
-from turtlelog.log.interrupts import StopRequest, catch_stop
+from turtlelog.log.file_access import StopRequest, catch_stop
 from turtlelog.log.recording.recorder import INTERRUPTED
 from turtlelog.run import Event, Run
 from turtlelog.scenario import Scenario, resolve_scenario

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, BinaryIO, Final
 
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 
 _MAGIC: Final = b"PAR1"
 _ENDING: Final = 8

@@ -12,7 +12,7 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.libraries import load_library
 from turtlelog.log.engine.limits import SMALL_FILE, grow_bound
-from turtlelog.log.error_boundary import DamageError, open_file
+from turtlelog.log.file_access import DamageError, open_file
 from turtlelog.log.parquet_counts import ChunkClaim, PageClaim, iterate_pages, read_footer_claims
 
 MOST_ROWS: Final = 350_000

@@ -14,15 +14,13 @@ from mcap.records import Channel, Header, Schema
 from turtlelog.display import describe_count, fit_line
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.opening import Damaged, open_damaged, open_place
 from turtlelog.log.engine.parsing import take_apart
-from turtlelog.log.engine.sqlite_damage import walk_damaged
-from turtlelog.log.engine.sqlite_source import SqliteSource
+from turtlelog.log.engine.sqlite_source import SqliteSource, walk_damaged
 from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import create_folder, name_file, replace_when_complete
 from turtlelog.log.recording.head import RECOVERY, format_recovery
 from turtlelog.log.ros2 import METADATA_FILE
 from turtlelog.log.ros2.bag import list_present_files, read_compression

@@ -13,8 +13,9 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError, RunError
 from turtlelog.files.urls import RemotePath
 from turtlelog.log import importers
-from turtlelog.log.any_file import LOG_SUFFIXES, is_bag_file, read_as_chosen
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.any_file import LOG_SUFFIXES, read_as_chosen
+from turtlelog.log.engine.opening import is_bag_file
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.importers.table_cells import Cells, Values
 from turtlelog.log.importers.table_columns import assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table

@@ -10,7 +10,7 @@ from turtlelog.display import split_numbers
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, is_url
 from turtlelog.log.engine.opening import BAG_SUFFIXES
-from turtlelog.log.error_boundary import open_file
+from turtlelog.log.file_access import open_file
 from turtlelog.log.importers.exported_tables import list_table_files
 from turtlelog.log.ros2.bag import list_bag_files
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE

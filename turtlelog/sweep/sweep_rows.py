@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final, overload
 from turtlelog.errors import LogError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
 from turtlelog.laws import WorkWithLaws, is_given
-from turtlelog.log.complete_files import remove_leftovers
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file, remove_leftovers
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
 from turtlelog.scenario import parse_scenario
 from turtlelog.sweep.batch.measured_rows import find_batch

@@ -12,7 +12,7 @@ from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads
 from turtlelog.log.engine.source import Source
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.file_access import name_file, open_file
 
 _LONE: Final = (Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT)
 

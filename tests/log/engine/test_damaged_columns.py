@@ -21,7 +21,7 @@ from tests.log.engine.files import Row, pack, write_points, write_rows
 from turtlelog.errors import LogError
 from turtlelog.log import iter_columns, read_columns, read_info
 from turtlelog.log.engine.summary import _STEP, Ends, check_data
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")
 OPTIONS: dict[str, dict[str, Any]] = {

@@ -6,6 +6,7 @@ Otherwise the record headers are read one by one.
 """
 
 import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,10 +16,9 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from turtlelog.errors import LogError
+from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
-from turtlelog.log.engine.framing import RECORD, check_start
+from turtlelog.log.engine.framing import CHUNK_HEAD, RECORD, check_start
 from turtlelog.log.engine.limits import (
     DAMAGES,
     DESCRIPTIONS,
@@ -27,6 +27,7 @@ from turtlelog.log.engine.limits import (
     RECORDS,
     Allowance,
     measure_stored,
+    unpack_chunk,
 )
 from turtlelog.log.engine.parsing import (
     COUNTED_HEAD,
@@ -40,8 +41,9 @@ from turtlelog.log.engine.parsing import (
     take_apart,
     take_whole,
 )
+from turtlelog.log.engine.summary import ChunkEntry
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.error_boundary import DamageError, LimitError
+from turtlelog.log.file_access import DamageError, LimitError
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -50,6 +52,7 @@ _NOTES: Final = frozenset({Opcode.METADATA, Opcode.ATTACHMENT})
 _SLOT: Final = 4  # bits of an offset: no two messages start within 16 bytes
 _WITHIN: Final = 15
 _UNMARKED: Final = 255
+_SIZE: Final = struct.Struct("<Q")
 _INDEX: Final = struct.Struct("<HI")  # channel, size of the pairs of log time and offset [bytes]
 
 
@@ -100,7 +103,7 @@ def build_indexed_block(
             f" found opcode {opcode} with {RECORD.size + length}"
         )
     body = memoryview(stored)[RECORD.size : entry.length]
-    data = open_chunk(entry, body, largest)
+    data = _open_chunk(entry, body, largest)
     offsets = _parse_indexes(memoryview(stored)[entry.length :], byte + entry.length)
     places = _check_tiling(data, offsets, byte)
     rest = tuple(
@@ -110,6 +113,40 @@ def build_indexed_block(
         if place.opcode in OF_CHUNKS
     )
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)
+
+
+def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
+    """Return the unpacked records of a chunk, after a check of its header and checksum."""
+    byte = entry.start
+    try:
+        start_ns, end_ns, size, crc, length = CHUNK_HEAD.unpack_from(body)
+        data_start = CHUNK_HEAD.size + length + _SIZE.size
+        (data_size,) = _SIZE.unpack_from(body, data_start - _SIZE.size)
+        compression = bytes(body[CHUNK_HEAD.size : CHUNK_HEAD.size + length]).decode()
+    except (struct.error, ValueError) as err:
+        raise DamageError(f"byte {byte}: expected a chunk, found {describe_error(err)}") from err
+    if data_start + data_size > len(body) or size > largest:
+        raise DamageError(
+            f"byte {byte}: expected a chunk of up to {len(body) - data_start} bytes for up to"
+            f" {largest}, found {data_size} for {size}"
+        )
+    found = (start_ns, end_ns, size)
+    if found != (entry.start_ns, entry.end_ns, entry.size):
+        expected = f"times {entry.start_ns} to {entry.end_ns} and {entry.size} bytes"
+        raise DamageError(
+            f"byte {byte}: expected a chunk of {expected} as its index says, found {found}"
+        )
+    try:
+        data = unpack_chunk(compression, body[data_start : data_start + data_size], size)
+    except LogError as err:
+        raise DamageError(f"byte {byte}: chunk: {err}") from err
+    if len(data) != size:
+        raise DamageError(f"byte {byte}: chunk: expected {size} bytes, found {len(data)}")
+    if crc and crc != (found_crc := zlib.crc32(data)):
+        raise DamageError(
+            f"byte {byte}: chunk: expected checksum {crc:#010x}, found {found_crc:#010x}"
+        )
+    return data
 
 
 def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Block:

@@ -1,7 +1,9 @@
-"""The topics of a file from its channels, and the decoding of their messages."""
+"""The topics of a file from its channels, the decoding of their messages, and known definitions."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -11,7 +13,6 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from turtlelog.display import join_words
 from turtlelog.errors import LogError
 from turtlelog.log.engine.json_messages import JsonField, read_json_schema
-from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.log.engine.limits import FIELDS, Allowance
 from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
@@ -20,10 +21,10 @@ from turtlelog.log.engine.message_types import (
     TEXT_SIZE,
     Field,
     Layout,
-    MessageType,
     read_type,
+    shorten_type,
 )
-from turtlelog.log.error_boundary import DamageError, LimitError
+from turtlelog.log.file_access import DamageError, LimitError
 
 _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -34,30 +35,12 @@ _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
     }
 )
-"""Encodings of schemas by the encoding of their messages."""
-
-_ADVICE: Final = "record the topic in one of these"
-"""Advice about messages in an encoding that turtlelog cannot read."""
-
+"""Encodings of schemas by the encoding of their messages; each belongs to one."""
 
 _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
 
-
 Decode = Callable[[int, bytes], dict[str, Any]]
 """A function from the number and the bytes of a message to an object. Errors contain the number."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObjectType:
-    """A message type that is decoded into objects.
-
-    Attributes:
-        fields: Fields of each message.
-        decode: Function that decodes a message into an object; None for JSON.
-    """
-
-    fields: tuple[JsonField, ...]
-    decode: Decode | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +106,6 @@ class Catalogue:
         self.allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
-        self._types: dict[int, MessageType | ObjectType | str] = {}
         self._readings: dict[tuple[int, str], dict[str, Any]] = {}
 
     @property
@@ -177,7 +159,7 @@ class Catalogue:
         """Return the reasons why topics cannot be decoded, by topic in order of names."""
         reasons = {}
         for topic, channels in sorted(self._of_topics.items()):
-            if len(channels) == 1:
+            if len(channels) == 1:  # a reading takes less time than a plan
                 reason = self._find_reading(channels[0]).get("reason")
             else:
                 reason = self.find_plan(topic).reason
@@ -220,16 +202,16 @@ class Catalogue:
             self._plans.pop(record.topic, None)
 
     def _merge_plans(self, topic: str) -> TopicPlan:
-        first, *others = [self._plan(channel) for channel in self._of_topics[topic]]
+        first, *others = [
+            TopicPlan(topic=topic, **self._find_reading(channel))
+            for channel in self._of_topics[topic]
+        ]
         for plan in others:
             if plan.meaning != first.meaning:
                 kinds = " and ".join(sorted({plan.type or "none" for plan in (first, *others)}))
                 reason = f"channels of one type expected, found different ones: {kinds}"
                 return TopicPlan(topic=topic, type=first.type, reason=reason)
         return first
-
-    def _plan(self, channel: Channel) -> TopicPlan:
-        return TopicPlan(topic=channel.topic, **self._find_reading(channel))
 
     def _find_reading(self, channel: Channel) -> Mapping[str, Any]:
         """Return the fields of a topic's plan except its topic, from schema and encoding."""
@@ -243,50 +225,27 @@ class Catalogue:
 
     def _choose_reading(self, number: int, encoding: str) -> dict[str, Any]:
         schema = self.schemas.get(number)
-        found = {"type": "" if schema is None else schema.name}
+        found: dict[str, Any] = {"type": "" if schema is None else schema.name}
         if encoding not in _SCHEMAS:
-            return {**found, "reason": _describe_encoding(encoding)}
-        if schema is None:
-            return {**found, "reason": "it has no schema"}
-        if schema.encoding not in _SCHEMAS[encoding]:
+            reason = _describe_encoding(encoding)
+        elif schema is None:
+            reason = "it has no schema"
+        elif schema.encoding not in _SCHEMAS[encoding]:
             expected = " or ".join(filter(None, _SCHEMAS[encoding][:2]))
             reason = f"a schema in {expected} expected, found {schema.encoding!r}"
-            return {**found, "reason": reason}
-        match self._read_type(schema):
-            case str(reason):
-                return {**found, "reason": reason}
-            case MessageType() as described:
-                return {
-                    **found,
-                    "fields": described.fields,
-                    "layout": described.layout,
-                    "sequence": described.sequence,
-                    "is_ros1": encoding == MessageEncoding.ROS1,
-                    "row_size": described.row_size,
-                }
-            case described:
-                return {
-                    **found,
-                    "json": described.fields,
-                    "decode": described.decode,
-                    "row_size": measure_object(described.fields),
-                }
-
-    def _read_type(self, schema: Schema) -> MessageType | ObjectType | str:
-        """Return the message type, or the reason why it cannot be read."""
-        if schema.id not in self._types:
+        else:
             try:
-                self._types[schema.id] = _parse(schema, self.allowance)
+                return found | _read_schema(schema, self.allowance)
             except (LogError, UnicodeDecodeError) as err:
-                self._types[schema.id] = str(err)
-        return self._types[schema.id]
+                reason = str(err)
+        return {**found, "reason": reason}
 
 
 def _name_type(record: Any) -> Any:
     """Return a schema record; a ROS 1 schema gets the ROS 2 name of its type."""
     if not isinstance(record, Schema) or record.encoding != SchemaEncoding.ROS1:
         return record
-    from turtlelog.log.engine.ros1_messages import name_as_ros2  # only files of ROS 1 need it
+    from turtlelog.log.ros1 import name_as_ros2  # only files of ROS 1 need it
 
     name = name_as_ros2(record.name)
     return Schema(id=record.id, name=name, encoding=record.encoding, data=record.data)
@@ -294,42 +253,52 @@ def _name_type(record: Any) -> Any:
 
 def _describe_encoding(encoding: str) -> str:
     """Return why messages in an encoding are not read, with advice."""
-    read = join_words([*_SCHEMAS])
-    if not encoding:
-        return f"its messages name no encoding, and turtlelog reads {read}; {_ADVICE}"
-    return f"its messages are in the encoding {encoding}, and turtlelog reads {read}; {_ADVICE}"
+    found = f"are in the encoding {encoding}" if encoding else "name no encoding"
+    return (
+        f"its messages {found}, and turtlelog reads {join_words([*_SCHEMAS])}; record the topic in"
+        " one of these"
+    )
 
 
-def _parse(schema: Schema, allowance: Allowance) -> MessageType | ObjectType:
+def _read_schema(schema: Schema, allowance: Allowance) -> dict[str, Any]:
+    """Return the fields of a plan that follow from a schema alone.
+
+    Raises:
+        LogError, UnicodeDecodeError: If the schema cannot be read.
+    """
     allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
-    if schema.encoding in {SchemaEncoding.JSONSchema, SchemaEncoding.Protobuf}:
-        described = _describe_objects(schema)
-        allowance.spend(FIELDS, len(described.fields))
-        return described
-    if schema.encoding == SchemaEncoding.ROS1:
-        from turtlelog.log.engine.ros1_messages import read_ros1_type  # only ROS 1 files need it
+    objects, decode = None, None
+    if schema.encoding == SchemaEncoding.JSONSchema:
+        objects = read_json_schema(schema.name, schema.data)
+    elif schema.encoding == SchemaEncoding.Protobuf:
+        from turtlelog.log.engine.protobuf_messages import read_protobuf_type  # few files need it
+
+        kind = read_protobuf_type(schema.name, schema.data)
+        objects, decode = tuple(kind.list_fields()), kind.decode
+    if objects is not None:
+        allowance.spend(FIELDS, len(objects))
+        return {"json": objects, "decode": decode, "row_size": measure_object(objects)}
+    is_ros1 = schema.encoding == SchemaEncoding.ROS1
+    if is_ros1:
+        from turtlelog.log.ros1 import read_ros1_type  # only ROS 1 files need it
 
         found = read_ros1_type(schema.name, _read_text(schema, None))
-        allowance.spend(FIELDS, found.size)
-        return found
-    known = find_definition(schema.name)
-    try:
-        found = read_type(schema.name, _read_text(schema, known))
-    except (LogError, UnicodeDecodeError):
-        if known is None:
-            raise
-        found = read_type(schema.name, known)
+    else:
+        known = find_definition(schema.name)
+        try:
+            found = read_type(schema.name, _read_text(schema, known))
+        except (LogError, UnicodeDecodeError):
+            if known is None:
+                raise
+            found = read_type(schema.name, known)
     allowance.spend(FIELDS, found.size)
-    return found
-
-
-def _describe_objects(schema: Schema) -> ObjectType:
-    if schema.encoding == SchemaEncoding.JSONSchema:
-        return ObjectType(fields=read_json_schema(schema.name, schema.data))
-    from turtlelog.log.engine.protobuf_messages import read_protobuf_type  # only protobuf needs it
-
-    found = read_protobuf_type(schema.name, schema.data)
-    return ObjectType(fields=tuple(found.list_fields()), decode=found.decode)
+    return {
+        "fields": found.fields,
+        "layout": found.layout,
+        "sequence": found.sequence,
+        "is_ros1": is_ros1,
+        "row_size": found.row_size,
+    }
 
 
 def _read_text(schema: Schema, known: str | None) -> str:
@@ -349,3 +318,120 @@ def _read_text(schema: Schema, known: str | None) -> str:
     from turtlelog.log.engine.idl import convert_idl
 
     return convert_idl(schema.name, text)
+
+
+# Definitions of common ROS 2 types, for files that name a type without defining it.
+_FIELDS: Final = """\
+builtin_interfaces/Time: int32 sec, uint32 nanosec
+builtin_interfaces/Duration: int32 sec, uint32 nanosec
+std_msgs/Header: builtin_interfaces/Time stamp, string frame_id
+std_msgs/Empty:
+std_msgs/String: string data
+std_msgs/Bool: bool data
+std_msgs/Byte: byte data
+std_msgs/Char: char data
+std_msgs/Float32: float32 data
+std_msgs/Float64: float64 data
+std_msgs/Int8: int8 data
+std_msgs/Int16: int16 data
+std_msgs/Int32: int32 data
+std_msgs/Int64: int64 data
+std_msgs/UInt8: uint8 data
+std_msgs/UInt16: uint16 data
+std_msgs/UInt32: uint32 data
+std_msgs/UInt64: uint64 data
+geometry_msgs/Vector3: float64 x, float64 y, float64 z
+geometry_msgs/Point: float64 x, float64 y, float64 z
+geometry_msgs/Quaternion: float64 x 0, float64 y 0, float64 z 0, float64 w 1
+geometry_msgs/Pose: geometry_msgs/Point position, geometry_msgs/Quaternion orientation
+geometry_msgs/Pose2D: float64 x, float64 y, float64 theta
+geometry_msgs/PoseStamped: std_msgs/Header header, geometry_msgs/Pose pose
+geometry_msgs/PoseArray: std_msgs/Header header, geometry_msgs/Pose[] poses
+geometry_msgs/PoseWithCovariance: geometry_msgs/Pose pose, float64[36] covariance
+geometry_msgs/PoseWithCovarianceStamped: \
+std_msgs/Header header, geometry_msgs/PoseWithCovariance pose
+geometry_msgs/Transform: \
+geometry_msgs/Vector3 translation, geometry_msgs/Quaternion rotation
+geometry_msgs/TransformStamped: \
+std_msgs/Header header, string child_frame_id, geometry_msgs/Transform transform
+geometry_msgs/Twist: geometry_msgs/Vector3 linear, geometry_msgs/Vector3 angular
+geometry_msgs/TwistStamped: std_msgs/Header header, geometry_msgs/Twist twist
+geometry_msgs/TwistWithCovariance: geometry_msgs/Twist twist, float64[36] covariance
+geometry_msgs/TwistWithCovarianceStamped: \
+std_msgs/Header header, geometry_msgs/TwistWithCovariance twist
+nav_msgs/Odometry: \
+std_msgs/Header header, string child_frame_id, \
+geometry_msgs/PoseWithCovariance pose, geometry_msgs/TwistWithCovariance twist
+nav_msgs/Path: std_msgs/Header header, geometry_msgs/PoseStamped[] poses
+tf2_msgs/TFMessage: geometry_msgs/TransformStamped[] transforms
+sensor_msgs/Imu: \
+std_msgs/Header header, \
+geometry_msgs/Quaternion orientation, float64[9] orientation_covariance, \
+geometry_msgs/Vector3 angular_velocity, float64[9] angular_velocity_covariance, \
+geometry_msgs/Vector3 linear_acceleration, float64[9] linear_acceleration_covariance
+sensor_msgs/JointState: \
+std_msgs/Header header, string[] name, float64[] position, float64[] velocity, float64[] effort
+sensor_msgs/LaserScan: \
+std_msgs/Header header, float32 angle_min, float32 angle_max, float32 angle_increment, \
+float32 time_increment, float32 scan_time, float32 range_min, float32 range_max, \
+float32[] ranges, float32[] intensities
+sensor_msgs/BatteryState: \
+std_msgs/Header header, float32 voltage, float32 temperature, float32 current, float32 charge, \
+float32 capacity, float32 design_capacity, float32 percentage, uint8 power_supply_status, \
+uint8 power_supply_health, uint8 power_supply_technology, bool present, \
+float32[] cell_voltage, float32[] cell_temperature, string location, string serial_number
+sensor_msgs/NavSatStatus: int8 status, uint16 service
+sensor_msgs/NavSatFix: \
+std_msgs/Header header, sensor_msgs/NavSatStatus status, \
+float64 latitude, float64 longitude, float64 altitude, \
+float64[9] position_covariance, uint8 position_covariance_type
+rcl_interfaces/Log: \
+byte DEBUG=10, byte INFO=20, byte WARN=30, byte ERROR=40, byte FATAL=50, \
+builtin_interfaces/Time stamp, uint8 level, string name, string msg, string file, \
+string function, uint32 line
+rosgraph_msgs/Clock: builtin_interfaces/Time clock
+turtlesim/Pose: \
+float32 x, float32 y, float32 theta, float32 linear_velocity, float32 angular_velocity
+turtlesim_msgs/Pose: \
+float32 x, float32 y, float32 theta, float32 linear_velocity, float32 angular_velocity
+ackermann_msgs/AckermannDrive: \
+float32 steering_angle, float32 steering_angle_velocity, float32 speed, float32 acceleration, \
+float32 jerk
+ackermann_msgs/AckermannDriveStamped: \
+std_msgs/Header header, ackermann_msgs/AckermannDrive drive
+"""
+
+_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        name: "".join(f"{field.strip()}\n" for field in fields.split(",") if field.strip())
+        for name, _, fields in (line.partition(":") for line in _FIELDS.splitlines())
+    }
+)
+"""Fields of each type in `ros2msg`, by `package/Type`."""
+
+KNOWN_TYPES: Final = tuple(name.replace("/", "/msg/") for name in _TEXTS)
+"""ROS 2 names of the types with a known definition."""
+
+_NESTED: Final = re.compile(r"^(\w+/\w+)", re.MULTILINE | re.ASCII)
+
+
+@cache
+def find_definition(type_name: str) -> str | None:
+    """Return the `ros2msg` text of a common type and its nested types; None for other types.
+
+    Args:
+        type_name: `package/msg/Type` or `package/Type`.
+    """
+    name = shorten_type(type_name)
+    if name not in _TEXTS:
+        return None
+    # Each type once, before the types that follow it in its fields.
+    nested = dict.fromkeys(_iterate_nested(name))
+    parts = [f"{'=' * 80}\nMSG: {other}\n{_TEXTS[other]}" for other in nested]
+    return "".join([_TEXTS[name], *parts])
+
+
+def _iterate_nested(name: str) -> Iterator[str]:
+    for other in _NESTED.findall(_TEXTS[name]):
+        yield other
+        yield from _iterate_nested(other)

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import Decode, TopicPlan
-from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.json_messages import JsonField, decode_objects
-from turtlelog.log.engine.limits import UNPACKED, Allowance
+from turtlelog.log.engine.limits import UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,
@@ -106,7 +105,7 @@ def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block,
     """
     if not plan.is_ros1:
         return block, starts
-    from turtlelog.log.engine.ros1_messages import convert_ros1  # only files of ROS 1 need it
+    from turtlelog.log.ros1 import convert_ros1  # only files of ROS 1 need it
 
     try:
         data, places = convert_ros1(plan.fields, block.data, starts)

@@ -22,6 +22,9 @@ takes 20 ms to load."""
 RECORD: Final = struct.Struct("<BQ")
 """Opcode, and length of the body [bytes]."""
 
+CHUNK_HEAD: Final = struct.Struct("<QQQII")
+"""Start and end time, unpacked size, checksum, and length of the compression's name."""
+
 SUMMARY_ONLY: Final = frozenset(
     {
         Opcode.CHUNK_INDEX,
@@ -42,11 +45,11 @@ row occur once in a gigabyte, four in a row once in 100 GB. After damage, messag
 this number of them are consecutive.
 """
 
-_SQLITE: Final = b"SQLite format 3\0"
+SQLITE_MAGIC: Final = b"SQLite format 3\0"
 _RERUN: Final = b"RRF2"
 _BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
 _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
-START_SIZE: Final = len(_SQLITE)
+START_SIZE: Final = len(SQLITE_MAGIC)
 """Number of bytes at the start of a file that determine its kind."""
 
 _LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
@@ -103,7 +106,7 @@ def find_wrong_start(start: bytes) -> str | None:
     if start.startswith(MCAP0_MAGIC):
         return None
     found = f"it begins with 0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "it is empty"
-    if start.startswith(_SQLITE):
+    if start.startswith(SQLITE_MAGIC):
         found = "it is a bag in SQLite"
     elif start.startswith(_RERUN):
         found = "it is a Rerun recording, which turtlelog view shows"

@@ -1,18 +1,19 @@
-"""Limits on memory and time for reading a file, in proportion to the file's size.
+"""Limits on memory and time for reading a file, by its size, and unpacking within them.
 
 A few kilobytes can unpack to gigabytes, or contain millions of empty records. In every command, a
 file of less than 10 MB takes less than 256 MB and 10 s, whatever its content. A larger file may
 take more. Most limits are about ten times the needs of recordings.
 """
 
-from collections.abc import Mapping
-from threading import Lock
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from io import SEEK_END, BytesIO
 from types import MappingProxyType
 from typing import BinaryIO, Final
 
 from mcap.records import Channel, Schema
 
-from turtlelog.errors import LogError
+from turtlelog.errors import LogError, describe_error
 
 UNPACKED: Final = "bytes in chunks"
 UNPACKED_FILE: Final = "bytes of a file that is compressed as a whole"
@@ -105,7 +106,7 @@ class Allowance:
         self._most = {kind: grow_bound(bound, file_size) for kind, bound in _BASES.items()}
         self._most[COLUMNS] = _COLUMNS + _COLUMNS_SHARE * max(0, file_size - SMALL_FILE)
         self._left = dict(self._most)
-        self._spending = Lock()
+        self._spending = threading.Lock()
 
     def count_left(self, kind: str) -> int:
         """Return the remaining number of a kind."""
@@ -166,3 +167,99 @@ def measure_stored(stream: BinaryIO) -> int:
     size = stream.seek(0, 2)
     stream.seek(place)
     return size
+
+
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+
+_SPARE: Final = 2**25
+"""Largest number of bytes that may be allocated when only a header claims the size."""
+
+_STEP: Final = 2**22  # bytes unpacked at a time if the header's size may be wrong
+
+_OF_THREAD: Final = threading.local()
+"""The decompressor of each thread."""
+
+
+def unpack_chunk(
+    compression: str,
+    packed: bytes | memoryview,
+    size: int,
+    *,
+    largest: int = LARGEST_CHUNK,
+    spend: Callable[[int], None] = lambda _: None,
+) -> bytes:
+    """Return the unpacked bytes of a chunk. The claimed `size` is not trusted.
+
+    The result may be longer or shorter than claimed; the checksum shows whether it is valid.
+
+    Args:
+        compression: `zstd`, `lz4` or empty.
+        packed: Compressed bytes.
+        size: Claimed size [bytes].
+        largest: Largest size of any unpacked chunk [bytes].
+        spend: Function that is called with the number of unpacked bytes, also for damaged streams.
+            The function may raise an error.
+
+    Raises:
+        LogError: If the stream is damaged, or unpacks to far more than claimed or to more than
+            `largest`; the message is one clause.
+    """
+    limit = min(max(size, _SPARE), largest)
+    try:
+        match compression:
+            case "":
+                return bytes(packed)
+            case "zstd":
+                return _unpack_zstd(packed, size, limit, spend)
+            case "lz4":
+                return _join(_iterate_lz4(packed, size), limit, spend)
+    except LogError:
+        raise
+    except Exception as err:  # the libraries raise ZstdError, RuntimeError, MemoryError and more
+        raise LogError(f"expected sound {compression} data, found {describe_error(err)}") from err
+    raise LogError(f"expected the compression zstd, lz4 or none, found {compression[:20]!r}")
+
+
+def _unpack_zstd(
+    packed: bytes | memoryview, size: int, limit: int, spend: Callable[[int], None]
+) -> bytes:
+    import zstandard  # tables need only the limits
+
+    promised = zstandard.frame_content_size(packed)  # -1: not given
+    # The size is trusted if two headers agree; a single header may be damaged.
+    if promised in {-1, size} and size <= (limit if promised == size else _SPARE):
+        spend(size)
+        unpacker = getattr(_OF_THREAD, "unpacker", None)
+        if unpacker is None:  # making one takes as long as 500 kB
+            unpacker = _OF_THREAD.unpacker = zstandard.ZstdDecompressor()
+        data: bytes = unpacker.decompress(packed, size)
+        return data
+    # The frame's header determines how large a window is allocated; a valid one fits the chunk.
+    reader = zstandard.ZstdDecompressor(max_window_size=limit).stream_reader(packed)
+    return _join(iter(lambda: reader.read(_STEP), b""), limit, spend)
+
+
+def _iterate_lz4(packed: bytes | memoryview, size: int) -> Iterator[bytes]:
+    import lz4.frame  # type: ignore[import-untyped]  # files of zstd spare it
+
+    unpacker = lz4.frame.LZ4FrameDecompressor()
+    yield unpacker.decompress(packed, max_length=min(max(size, 1), _SPARE))
+    while not unpacker.eof:
+        if unpacker.needs_input:
+            raise LogError("expected sound lz4 data, found the end of the chunk within it")
+        yield unpacker.decompress(b"", max_length=_STEP)
+
+
+def _join(pieces: Iterator[bytes], limit: int, spend: Callable[[int], None]) -> bytes:
+    first = next(pieces, b"")
+    spend(len(first))
+    data = BytesIO(first)  # takes and returns bytes without a copy
+    data.seek(0, SEEK_END)
+    for piece in pieces:
+        spend(len(piece))
+        data.write(piece)
+        if data.tell() > limit:
+            break
+    if data.tell() > limit:
+        raise LogError(f"expected up to {limit} bytes in a chunk, found more")
+    return data.getvalue()

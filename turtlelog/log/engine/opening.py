@@ -13,21 +13,30 @@ import zstandard
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.engine.chunks import ZSTD_MAGIC
-from turtlelog.log.engine.framing import find_wrong_start
-from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, Allowance, measure_stored
+from turtlelog.log.engine.framing import (
+    MCAP0_MAGIC,
+    SQLITE_MAGIC,
+    START_SIZE,
+    find_wrong_start,
+)
+from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, ZSTD_MAGIC, Allowance, measure_stored
 from turtlelog.log.engine.source import Source
-from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
-from turtlelog.log.error_boundary import DamageError, name_file, open_file
+from turtlelog.log.file_access import DamageError, name_file, open_file
 
-ROS1_MAGIC: Final = b"#ROSBAG V"
+_ROS1_MAGIC: Final = b"#ROSBAG V"
+_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, _ROS1_MAGIC)
 
 BAG_SUFFIXES: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 """Suffixes of rosbag2's files."""
 
-_LONGEST_MAGIC: Final = 16
 _STEP: Final = 2**9  # bytes unpacked at a time; the result may have up to 16 MiB
+
+
+def is_bag_file(path: Path) -> bool:
+    """Return whether a file begins like an MCAP, SQLite or compressed file, or a ROS 1 bag."""
+    with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
+        return stream.read(START_SIZE).startswith(_MAGICS)
 
 
 class NoMcapError(LogError):
@@ -45,7 +54,8 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
             is open.
     """
     path = make_path(path)
-    with name_file(path, expected=_describe_expected(path)), _open_content(path) as (stream, place):
+    expected = "a bag in SQLite" if ".db3" in path.suffixes else "an MCAP file"
+    with name_file(path, expected=expected), _open_content(path) as (stream, place):
         if _read_head(stream) == SQLITE_MAGIC:
             stored_size = measure_stored(stream)
             stream.close()
@@ -168,7 +178,7 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
                 faults.append(str(err))
             stream = closing.enter_context(_Unpacked(place, stored_size))
         head = _read_head(stream)
-        if head.startswith(ROS1_MAGIC):
+        if head.startswith(_ROS1_MAGIC):
             if faults is not None:
                 raise LogError("a bag of ROS 1 is not recovered; rosbag reindex FILE does")
             stored_size = measure_stored(stream)
@@ -190,7 +200,7 @@ def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
     """Return the path of an MCAP file with a ROS 1 bag's messages, which exists until the exit."""
     from multiprocessing.util import Finalize  # few files need these
 
-    from turtlelog.log.ros1_bag import copy_ros1_bag
+    from turtlelog.log.ros1 import copy_ros1_bag
 
     known = None if isinstance(path, RemotePath) else path.stat()
     key = known and (str(path.resolve()), known.st_mtime_ns, known.st_size, known.st_ino)
@@ -208,10 +218,6 @@ def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
     return folder / "copied.mcap"
 
 
-def _describe_expected(path: Path) -> str:
-    return "a bag in SQLite" if ".db3" in path.suffixes else "an MCAP file"
-
-
 def _require_start(path: Path, stream: BinaryIO) -> None:
     """Refuse a file that has the suffix of a SQLite bag but another content."""
     head = _read_head(stream)
@@ -221,7 +227,7 @@ def _require_start(path: Path, stream: BinaryIO) -> None:
 
 
 def _read_head(stream: BinaryIO) -> bytes:
-    head = stream.read(_LONGEST_MAGIC)
+    head = stream.read(START_SIZE)
     stream.seek(0)
     return head
 

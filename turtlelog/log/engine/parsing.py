@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.framing import RECORD, MessageWalk
 from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 
 Rare = TypeVar("Rare")
 

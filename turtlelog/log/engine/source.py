@@ -19,7 +19,6 @@ from turtlelog.log.engine.blocks import (
     walk_blocks,
 )
 from turtlelog.log.engine.channels import Catalogue, TopicPlan, measure_object
-from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     FixedColumns,
@@ -37,13 +36,14 @@ from turtlelog.log.engine.limits import COLUMNS, Allowance, measure_stored
 from turtlelog.log.engine.parsing import gather_heads, read_record
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import (
+    ChunkEntry,
     Ends,
     check_data,
     find_lone_records,
     parse_summary,
     read_ends,
 )
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

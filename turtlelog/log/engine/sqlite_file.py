@@ -15,14 +15,12 @@ from mcap.well_known import MessageEncoding
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import DESCRIPTIONS, SCHEMA_BYTES, Allowance
-from turtlelog.log.error_boundary import DamageError, open_file
+from turtlelog.log.file_access import DamageError, open_file
 
 if TYPE_CHECKING:
     import sqlite3
     from sqlite3 import Cursor
 
-
-SQLITE_MAGIC: Final = b"SQLite format 3\x00"
 
 _HEADER: Final = 100  # bytes
 _PAGE_SIZE: Final = slice(16, 18)

@@ -17,7 +17,7 @@ from typing import BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 
 _TABLE_LEAF, _TABLE_INTERIOR, _INDEX_LEAF, _INDEX_INTERIOR = 13, 5, 10, 2
 _PARENTS: Final = (_TABLE_INTERIOR, _INDEX_INTERIOR)

@@ -5,11 +5,15 @@ blob. All headers are written at once. After that, decoding is the same as for M
 
 A recording cannot run code: only tables are read, never views, and no function of the schema is
 called. Reading a file whose pages form a loop stops after a limited number of steps.
+
+A damaged bag is read row by row: the readable rows, and the gaps between them. A table is a tree of
+pages in order of row numbers, so with a page its rows are lost. The rows after it are found by
+searching the smallest row number that SQLite can read again.
 """
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -18,12 +22,20 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.limits import DAMAGES, Allowance
 from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
-from turtlelog.log.engine.sqlite_file import list_tables, open_connection, read_channels
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.engine.sqlite_file import (
+    describe_sqlite_error,
+    list_tables,
+    measure_pages,
+    open_connection,
+    read_channels,
+)
+from turtlelog.log.engine.walk import Loss, Section
+from turtlelog.log.file_access import DamageError
 
 if TYPE_CHECKING:
     import sqlite3
@@ -57,7 +69,7 @@ class SqliteRows:
     """
 
     def __init__(self) -> None:
-        self.ids, self.times, self.lengths = array("q"), array("q"), array("q")
+        self.ids, self.times, self.lengths = (array("q") for _ in range(3))
         self.size = 0
         self._parts: list[bytearray] = []
 
@@ -157,20 +169,17 @@ class SqliteSource:
             if channels is None or number in channels
         ]
         query = "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"
-        values = list[object]()
-        conditions = []
-        if len(wanted) < len(self._numbers):
-            # The plus sign keeps SQLite from converting a text to a number.
-            conditions.append(f"+topic_id IN ({','.join(map(str, wanted))})")
-        if start_ns > 0:
-            conditions.append("+timestamp >= ?")
-            values.append(min(start_ns, 2**63 - 1))
-        if end_ns < 2**63:
-            conditions.append("+timestamp < ?")
-            values.append(end_ns)
+        # The plus sign keeps SQLite from converting a text to a number.
+        conditions = (
+            [f"+topic_id IN ({','.join(map(str, wanted))})"]
+            if len(wanted) < len(self._numbers)
+            else []
+        )
+        conditions += [f"+timestamp >= {min(start_ns, 2**63 - 1)}"] if start_ns > 0 else []
+        conditions += [f"+timestamp < {end_ns}"] if end_ns < 2**63 else []
         if conditions:
             query += f" WHERE {' AND '.join(conditions)}"
-        cursor = self.execute(f"{query} ORDER BY {self.row_number}", *values)
+        cursor = self.execute(f"{query} ORDER BY {self.row_number}")
         yield from map(work, self._iterate_blocks(cursor))
 
     def _iterate_blocks(self, cursor: "sqlite3.Cursor") -> Iterator[Block]:
@@ -216,7 +225,7 @@ class SqliteSource:
         return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
 
     def find_fault_of(self, row: Row) -> str | None:
-        """Return the error in a row of topic, time and data; None if the row is valid."""
+        """Return the error in a row of topic, time and data; None if valid."""
         topic_id, timestamp, data = row
         if not isinstance(topic_id, int):
             return f"topic_id: expected a whole number, found {_name_kind(topic_id)}"
@@ -311,3 +320,144 @@ def _scatter_heads(
     kind = f"V{MESSAGE_HEAD}"
     places = np.ndarray((len(data) - MESSAGE_HEAD + 1,), kind, buffer=data, strides=(1,))
     places[starts] = heads.view(kind)
+
+
+_BATCH: Final = 4096  # rows
+_BATCH_BYTES: Final = 2**22
+_MOST_NAMED: Final = 10_000  # invalid rows that are listed with their reasons
+_LEAST, _MOST = -(2**63), 2**63 - 1  # smallest and largest row number
+_BEFORE: Final = _LEAST - 1
+"""Row number before the first row. The smallest number itself may belong to a row."""
+
+
+def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
+    """Yield the messages of a bag that was opened as damaged, and the unreadable parts."""
+    size, claimed, _ = measure_pages(path)
+    yield from _group_rows(source, size)
+    if size < claimed:
+        reason = f"expected a file of {claimed} bytes, found its end: cut short"
+        yield Loss(start=size, end=claimed, reason=reason)
+
+
+def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
+    """Yield readable rows and losses in sections of some thousand rows."""
+    rows = SqliteRows()
+
+    def join() -> Section:
+        data = source.build_block(rows, 1).data
+        return Section(data=data, start=0, is_chunk=True, is_checked=False)
+
+    for found in _judge_rows(source):
+        if isinstance(found, str):
+            yield Loss(start=0, end=size, reason=found)
+            continue
+        rows.take([found])
+        if len(rows.times) == _BATCH or rows.size > _BATCH_BYTES:
+            yield join()
+            rows = SqliteRows()
+    if rows.times:
+        yield join()
+
+
+def _judge_rows(source: SqliteSource) -> Iterator[Row | str]:
+    """Yield the rows that are messages; for other rows and for gaps, yield the reason."""
+    faults, left = 0, source.size
+    for found in _walk_rows(source):
+        if isinstance(found, str):
+            yield found
+            continue
+        number, *values = found
+        left -= sum(len(value) for value in values if isinstance(value, str | bytes))
+        if left < 0:
+            yield "expected messages of the size of the file"
+            break
+        fault = source.find_fault_of(tuple(values))
+        faults += fault is not None
+        if fault is None:
+            yield tuple(values)
+        elif faults <= _MOST_NAMED:
+            yield f"messages: row {number}: {fault}"
+    if faults > _MOST_NAMED:
+        yield f"messages: {faults - _MOST_NAMED} rows more that are no messages"
+
+
+def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
+    """Yield the rows that SQLite can read, with their numbers; for gaps, yield the reason."""
+    last: int | None = _BEFORE
+    while last is not None:
+        last, error = yield from _walk_sound(source, last)
+        if error is None:
+            return
+        try:
+            source.catalogue.allowance.spend(DAMAGES)
+        except LogError as err:
+            yield str(err)
+            return
+        # The cursor reads one row ahead: the row that it would return next may be valid.
+        row = _read_row(source, last)
+        if row:
+            yield row
+            last = int(row[0])
+        elif row is None:
+            after = _find_next(source, last)
+            since = "the first row" if last == _BEFORE else f"row {last + 1}"
+            until = "the last" if after is None else f"row {after - 1}"
+            yield f"messages from {since} to {until}: {describe_sqlite_error(error)}"
+            last = None if after is None else after - 1
+        else:
+            yield f"messages behind row {last}: {describe_sqlite_error(error)}"
+            return
+
+
+def _walk_sound(
+    source: SqliteSource, last: int
+) -> "Generator[Row, None, tuple[int, sqlite3.Error | None]]":
+    """Yield rows after `last` up to an error; return the last row's number and the error."""
+    import sqlite3
+
+    try:
+        for row in source.execute(_build_query(source), last + 1):
+            if row[0] <= last:
+                return last, sqlite3.DatabaseError("rows out of order")
+            last = row[0]
+            yield row
+    except sqlite3.Error as err:
+        return last, err
+    return last, None
+
+
+def _build_query(source: SqliteSource) -> str:
+    number = source.row_number
+    return (
+        f"SELECT {number}, topic_id, timestamp, data FROM messages NOT INDEXED"
+        f" WHERE {number} >= ? ORDER BY {number}"
+    )
+
+
+def _read_row(source: SqliteSource, after: int) -> Row | None:
+    """Return the first row after another row; () after the last row, None if it cannot be read."""
+    import sqlite3
+
+    if after == _MOST:
+        return ()
+    try:
+        found: Row | None = source.execute(f"{_build_query(source)} LIMIT 1", after + 1).fetchone()
+    except sqlite3.Error:
+        return None
+    return () if found is None else found
+
+
+def _find_next(source: SqliteSource, after: int) -> int | None:
+    """Return the number of the first readable row after a gap; None if no such row exists."""
+    lost = max(after, 0)
+    step, found = 1, None
+    while lost + step <= _MOST and (found := _read_row(source, lost + step)) is None:
+        step *= 2
+    if found is None:
+        return None
+    least, most = step // 2, step  # the row after `least` is lost, the row after `most` is not
+    while most - least > 1:
+        middle = (least + most) // 2
+        nearer = _read_row(source, lost + middle)
+        least, most, found = (middle, most, found) if nearer is None else (least, middle, nearer)
+    return int(found[0]) if found else None

@@ -16,11 +16,10 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
 from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record, take_whole
-from turtlelog.log.error_boundary import DamageError, UnfinishedError
+from turtlelog.log.file_access import DamageError, UnfinishedError
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary offsets, crc
 _DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
@@ -62,6 +61,34 @@ class Ends:
     data_crc: int
     summary_start: int
     summary: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkEntry:
+    """Entry of a chunk in the summary.
+
+    Attributes:
+        start: Offset in the file [bytes].
+        length: Length of the chunk record [bytes].
+        index_length: Length of the message indexes after the chunk [bytes].
+        start_ns: Earliest log time of the chunk's messages [ns]; 0 without messages.
+        end_ns: Latest log time [ns].
+        channels: Ids of the channels that have messages in the chunk.
+        size: Decompressed size of the chunk's records [bytes].
+    """
+
+    start: int
+    length: int
+    index_length: int
+    start_ns: int
+    end_ns: int
+    channels: frozenset[int]
+    size: int
+
+    @property
+    def end(self) -> int:
+        """Offset after the chunk's message indexes [bytes]."""
+        return self.start + self.length + self.index_length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

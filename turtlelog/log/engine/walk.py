@@ -12,8 +12,8 @@ from typing import BinaryIO, Final
 from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.chunks import CHUNK_HEAD, unpack_chunk
 from turtlelog.log.engine.framing import (
+    CHUNK_HEAD,
     MCAP0_MAGIC,
     RECORD,
     START_SIZE,
@@ -27,7 +27,15 @@ from turtlelog.log.engine.framing import (
     measure_record,
     skip_followed,
 )
-from turtlelog.log.engine.limits import CHUNKS, DAMAGES, LARGEST_CHUNK, NOTES, UNPACKED, Allowance
+from turtlelog.log.engine.limits import (
+    CHUNKS,
+    DAMAGES,
+    LARGEST_CHUNK,
+    NOTES,
+    UNPACKED,
+    Allowance,
+    unpack_chunk,
+)
 
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
 _LONGEST_NAME: Final = 64  # bytes of the name of a compression

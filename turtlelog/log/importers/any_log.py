@@ -8,7 +8,7 @@ from typing import Final
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.framing import MCAP0_MAGIC
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.importers.paper_log import (
     PAPER_MARKS,
     PaperLog,

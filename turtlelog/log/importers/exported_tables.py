@@ -16,7 +16,7 @@ from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
 from turtlelog.files.text_files import describe_csv_error
 from turtlelog.files.urls import make_path
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.importers.table_text import read_header, require_few_columns
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
 from turtlelog.log.planar import compute_heading

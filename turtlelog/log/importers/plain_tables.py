@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.display import format_utc, join_words
 from turtlelog.errors import LogError, RunError
 from turtlelog.files.urls import make_path
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.importers.table_cells import Cells, Times, Values
 from turtlelog.log.importers.table_columns import Choice, assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table

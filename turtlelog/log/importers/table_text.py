@@ -12,7 +12,7 @@ import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
-from turtlelog.log.error_boundary import open_file
+from turtlelog.log.file_access import open_file
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
 
 TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")

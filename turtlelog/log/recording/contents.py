@@ -21,7 +21,7 @@ from turtlelog.log.engine.source import Selection, Source, read_piece
 from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
 from turtlelog.log.engine.walk import Loss
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.file_access import DamageError
 from turtlelog.log.recording.head import HEAD, Head, describe_recovery, parse_head
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -225,7 +225,7 @@ def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
         kind = found.type or "no type"
         raise LogError(f"topic {topic}: expected {expected.type}, found {kind}")
     if found.reason:
-        raise LogError(f"topic {topic}: not understood: {found.reason}")
+        raise LogError(found.describe_reason())
     if found.fields != expected.fields:
         wanted = f"{expected.type} as ROS 2 defines it"
         wanted = "the declared states, each a float64" if is_state else wanted

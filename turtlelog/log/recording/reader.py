@@ -13,7 +13,6 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.complete_files import is_live
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.decode import Rows
@@ -24,7 +23,7 @@ from turtlelog.log.engine.opening import NoMcapError, open_mcap
 from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
+from turtlelog.log.file_access import DamageError, UnfinishedError, is_live, name_file, open_file
 from turtlelog.log.file_info import Survey, survey_file
 from turtlelog.log.recording.contents import (
     Contents,

@@ -13,8 +13,7 @@ from typing import BinaryIO, Final, Self
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.complete_files import mark_live
-from turtlelog.log.interrupts import exit_on_terminate, hold_stop
+from turtlelog.log.file_access import exit_on_terminate, hold_stop, mark_live
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
 from turtlelog.log.writing.container import McapFile, name_write_error

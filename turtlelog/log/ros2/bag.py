@@ -12,7 +12,7 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import (
     RecordingInfo,
     TopicInfo,

@@ -15,7 +15,7 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import iterate_lines
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.file_access import name_file, open_file
 
 METADATA_FILE: Final = "metadata.yaml"
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short, format_utc
 from turtlelog.errors import LogError
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_height, describe_level, lift_poses
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, parse_utc
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_maps import GRID, OccupancyMap, name_frame, pick_maps, place_map

@@ -40,9 +40,9 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_access import replace_when_complete
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.log.writing.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
 from turtlelog.version import __version__

@@ -15,7 +15,7 @@ from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
 from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
-from turtlelog.log.complete_files import create_folder, replace_when_complete
+from turtlelog.log.file_access import create_folder, replace_when_complete
 from turtlelog.log.file_info import survey_file
 from turtlelog.log.parquet_file import MOST_ROWS
 from turtlelog.log.recording.run_writer import write_recording

@@ -13,7 +13,7 @@ from turtlelog.compare import order_ids
 from turtlelog.errors import LibraryError, LogError, TurtlelogError
 from turtlelog.files.urls import make_path
 from turtlelog.log import ReadChoice, read_as_chosen
-from turtlelog.log.error_boundary import open_file
+from turtlelog.log.file_access import open_file
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
 from turtlelog.sweep.find_recordings import FoundRecording, list_contents

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, SweepError
 from turtlelog.files.urls import is_there
 from turtlelog.libraries import load_library
-from turtlelog.log.complete_files import replace_when_complete
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file, replace_when_complete
 from turtlelog.log.parquet_file import ParquetFile, list_cells
 from turtlelog.version import __version__
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
 from turtlelog.files.text_files import parse_toml
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.run.loops import ControlLoop
 from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario

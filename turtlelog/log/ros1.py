@@ -1,14 +1,15 @@
-"""Conversion of a ROS 1 bag to an MCAP file with the same messages.
+"""ROS 1: a bag as an MCAP file with the same messages, and its messages as CDR.
 
-The format is described at wiki.ros.org/Bags/Format/2.0: records have a header and data, each after
-its length. Messages are in chunks, plain or compressed. The bag is read once, from start to end,
-within limits in proportion to its size. Messages are not changed: `engine/ros1_messages.py` reads
-those of the requested topics.
+In a bag (wiki.ros.org/Bags/Format/2.0), records have a header and data, each after its length, and
+messages are in chunks, plain or compressed. The bag is read once, within limits in proportion to
+its size, and messages are copied unchanged. Those of the requested topics are converted on reading:
+ROS 1 (wiki.ros.org/msg) writes little-endian numbers one after another, and the length before a
+text or a sequence. CDR aligns each number to its own size and counts the zero after a text.
 """
 
 import bz2
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,12 +18,21 @@ from typing import BinaryIO, Final
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.chunks import unpack_chunk
-from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, grow_bound
-from turtlelog.log.engine.ros1_messages import name_as_ros2
-from turtlelog.log.error_boundary import DamageError
+from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, grow_bound, unpack_chunk
+from turtlelog.log.engine.message_types import (
+    TEXT,
+    Field,
+    MessageType,
+    name_parts,
+    read_type,
+    shorten_type,
+)
+from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_heads
+from turtlelog.log.file_access import DamageError
 from turtlelog.log.writing.container import McapFile
 from turtlelog.log.writing.records import ChunkRows
 
@@ -105,16 +115,12 @@ class _Copy:
 def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
     """Write the messages of a ROS 1 bag as an MCAP file.
 
-    Args:
-        stream: The bag.
-        place: Path of the file to write.
-        stored_size: Size of the bag before unpacking [bytes], which sets the limits.
+    `stored_size` is the size of the bag before unpacking [bytes], which sets the limits.
 
     Raises:
         LogError: If the file is not a bag of version 2.0, is damaged, truncated or unfinished, or
             exceeds the limits for its size.
     """
-    allowance = Allowance(stored_size)
     if stream.read(len(_START)) != _START:
         raise LogError("expected a bag of ROS 1 in version 2.0, found another version")
     with place.open("wb") as output:
@@ -122,7 +128,7 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
         file.begin(profile="ros1")
         copy = _Copy(
             file,
-            allowance,
+            Allowance(stored_size),
             largest_chunk=grow_bound(_LARGEST_CHUNK, stored_size),
             messages_left=grow_bound(_MESSAGES, stored_size),
             bz2_left=grow_bound(_BZ2_BYTES, stored_size),
@@ -148,18 +154,14 @@ def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
             header = _read_header(_read(stream, _unpack_length(start, _LONGEST_HEADER)))
             size = _unpack_length(stream.read(_LENGTH.size), None)
             operation = _find(header, "op", 1)[0]
+            if operation == _BAG:  # an index that was never written has offset 0
+                index_byte = _PLACE.unpack(_find(header, "index_pos", 8))[0]
             if operation in {_INDEX, _CHUNK_INFO, _BAG}:
-                if operation == _BAG:  # an index that was never written has offset 0
-                    index_byte = _PLACE.unpack(_find(header, "index_pos", 8))[0]
                 stream.seek(size, 1)
                 continue
-            data = _read(stream, size)
+            _take(copy, operation, header, _read(stream, size))
         except _EndError:
             return False
-        except LogError as err:
-            raise LogError(f"byte {byte}: {err}") from err
-        try:
-            _take(copy, operation, header, data)
         except LogError as err:
             raise LogError(f"byte {byte}: {err}") from err
 
@@ -190,11 +192,10 @@ def _unpack(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> bytes:
         return found
     if compression not in {"none", "lz4"}:
         raise LogError(f"expected the compression none, bz2 or lz4, found {compression[:20]!r}")
-    kind = "" if compression == "none" else compression
-    found = unpack_chunk(kind, data, claimed, largest=largest, spend=spend)
-    if not kind:
-        spend(len(found))
-    return found
+    if compression == "none":
+        spend(len(data))
+        return data
+    return unpack_chunk(compression, data, claimed, largest=largest, spend=spend)
 
 
 def _unpack_bz2(data: bytes, most: int) -> bytes:
@@ -267,17 +268,12 @@ def _take_message(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> None
     seconds, rest = _TIME.unpack(_find(header, "time", 8))
     time_ns = seconds * 1_000_000_000 + rest
     channel = known[1].id
-    entries = copy.index.setdefault(channel, [])
-    entries.append((time_ns, len(copy.records)))
-    size = _RECORD.size - _RECORD_HEAD + len(data)
+    copy.index.setdefault(channel, []).append((time_ns, len(copy.records)))
+    size = COUNTED_HEAD + len(data)
     copy.records += _RECORD.pack(Opcode.MESSAGE, size, channel, 0, time_ns, time_ns)
     copy.records += data
     if len(copy.records) >= _CHUNK_BYTES:
         copy.flush()
-
-
-_RECORD_HEAD: Final = 9
-"""Size of opcode and length, which the length does not include [bytes]."""
 
 
 def _read_header(data: bytes) -> dict[str, bytes]:
@@ -320,3 +316,164 @@ def _read(stream: BinaryIO, size: int) -> bytes:
             raise _EndError
         found += part
     return bytes(found)
+
+
+_ENCAPSULATION: Final = b"\x00\x01\x00\x00"
+_HEADER: Final = f"{'=' * 80}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+"""Header of ROS 1, which counts messages. Definitions always include the header."""
+
+_RENAMED: Final = {"tf/tfMessage": "tf2_msgs/TFMessage"}
+"""Types that have another name in ROS 2."""
+
+Places = NDArray[np.int64]
+_Step = Callable[["_Message"], None]
+
+
+def name_as_ros2(kind: str) -> str:
+    """Return the ROS 2 name of a type: `nav_msgs/Odometry` becomes `nav_msgs/msg/Odometry`."""
+    known = _RENAMED.get(kind, kind)
+    package, slash, name = known.partition("/")
+    return f"{package}/msg/{name}" if slash and "/" not in name else known
+
+
+def read_ros1_type(name: str, text: str) -> MessageType:
+    """Return a type from its definition in `ros1msg`.
+
+    Raises:
+        LogError: As for `read_type`, and if there is no text.
+    """
+    if not text.strip():
+        raise LogError(f"schema {name}: the file holds no definition of it")
+    has_header = "MSG: std_msgs/Header" in text or shorten_type(name) == "std_msgs/Header"
+    return read_type(name, text if has_header else f"{text.rstrip()}\n{_HEADER}")
+
+
+def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tuple[bytes, Places]:
+    """Return ROS 1 messages, given as records with their starts, as records of CDR messages.
+
+    Raises:
+        LogError: If a message does not have this type.
+    """
+    heads, steps = gather_heads(data, starts), _plan(fields)
+    ends = starts + RECORD.size + heads["length"].astype(np.int64)
+    found, places = bytearray(), np.empty_like(starts)
+    for number, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        message = _Message(data[start + MESSAGE_HEAD : end])
+        try:
+            for step in steps:
+                step(message)
+        except LogError as err:
+            raise LogError(f"message {number}: {err}") from err
+        if message.place != len(message.data):
+            raise LogError(
+                f"message {number}: expected {message.place} bytes, found {len(message.data)}"
+            )
+        heads["length"][number] = COUNTED_HEAD + len(_ENCAPSULATION) + len(message.body)
+        places[number] = len(found)
+        found += heads[number].tobytes()
+        found += _ENCAPSULATION
+        found += message.body
+    return bytes(found), places
+
+
+class _Message:
+    """A message in the ROS 1 format, read up to `place`, and its body in CDR so far."""
+
+    __slots__ = ("body", "data", "place")
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.place, self.body = data, 0, bytearray()
+
+    def take(self, size: int) -> bytes:
+        """Return the next bytes."""
+        start, self.place = self.place, self.place + size
+        if self.place > len(self.data):
+            raise LogError(
+                f"expected {size} bytes more at byte {start}, found {len(self.data) - start}"
+            )
+        return self.data[start : self.place]
+
+    def take_count(self) -> int:
+        """Return the next length."""
+        count: int = _LENGTH.unpack(self.take(_LENGTH.size))[0]
+        if count > len(self.data) - self.place:
+            raise LogError(
+                f"expected at most {len(self.data) - self.place} items at byte {self.place}, found"
+                f" {count}"
+            )
+        return count
+
+    def align(self, size: int) -> None:
+        """Pad the body to a multiple of a size [bytes]."""
+        self.body += bytes(-len(self.body) % size)
+
+
+def _plan(fields: tuple[Field, ...]) -> tuple[_Step, ...]:
+    """Return the steps that convert a message. Consecutive numbers of one size form one step."""
+    runs: list[tuple[int, int] | _Step] = []
+    _append_steps(runs, fields)
+    return tuple(partial(_copy_run, *run) if isinstance(run, tuple) else run for run in runs)
+
+
+def _append_steps(runs: list[tuple[int, int] | _Step], fields: tuple[Field, ...]) -> None:
+    for one in fields:
+        count = 1 if one.length is None else one.length
+        if one.is_sequence:
+            runs.append(_copy_sequence(one.kind))
+        elif one.kind == TEXT:
+            runs += [_copy_text] * count
+        elif isinstance(one.kind, str):
+            size = np.dtype(one.kind).itemsize
+            _append_run(runs, size, size * count)
+        else:
+            for _ in name_parts(one):
+                _append_steps(runs, one.kind)
+    if not fields:  # ROS 2 gives a type without fields one byte, ROS 1 none
+        runs.append(lambda message: message.body.append(0))
+
+
+def _append_run(runs: list[tuple[int, int] | _Step], size: int, total: int) -> None:
+    last = runs[-1] if runs else None
+    if isinstance(last, tuple) and last[0] == size:
+        runs[-1] = size, last[1] + total
+    elif total:
+        runs.append((size, total))
+
+
+def _copy_run(size: int, total: int, message: _Message) -> None:
+    message.align(size)
+    message.body += message.take(total)
+
+
+def _copy_text(message: _Message) -> None:
+    data = message.take(message.take_count())
+    message.align(_LENGTH.size)
+    message.body += _LENGTH.pack(len(data) + 1)
+    message.body += data
+    message.body.append(0)
+
+
+def _copy_sequence(kind: str | tuple[Field, ...]) -> _Step:
+    if not isinstance(kind, str) or kind == TEXT:
+        items = (_copy_text,) if isinstance(kind, str) else _plan(kind)
+        return partial(_copy_items, items)
+    size = np.dtype(kind).itemsize
+
+    def step(message: _Message) -> None:
+        if count := _copy_count(message):
+            _copy_run(size, size * count, message)
+
+    return step
+
+
+def _copy_items(items: tuple[_Step, ...], message: _Message) -> None:
+    for _ in range(_copy_count(message)):
+        for item in items:
+            item(message)
+
+
+def _copy_count(message: _Message) -> int:
+    count = message.take_count()
+    message.align(_LENGTH.size)
+    message.body += _LENGTH.pack(count)
+    return count

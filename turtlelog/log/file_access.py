@@ -1,0 +1,356 @@
+"""Access to files: errors of one line, files that appear when complete, signals held meanwhile."""
+
+import os
+import shutil
+import signal
+import stat
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from io import UnsupportedOperation
+from pathlib import Path
+from types import FrameType
+from typing import Any, BinaryIO, Final
+
+from turtlelog.errors import LogError, TurtlelogError, describe_error
+from turtlelog.files.text_files import LFS_POINTER, describe_missing
+from turtlelog.files.urls import RemotePath, make_path
+
+_DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
+
+_POINTER_BYTES: Final = 1024
+"""Size from which a file is not a pointer, by the specification of Git LFS [bytes]."""
+
+
+class DamageError(LogError):
+    """A damaged or incomplete file."""
+
+
+class LimitError(DamageError):
+    """A file that exceeds the limits for its size, so that the rest would be refused as well."""
+
+
+class UnfinishedError(DamageError):
+    """An unfinished or truncated file."""
+
+
+@contextmanager
+def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
+    """Convert errors during reading into a one-line LogError with the file's name.
+
+    For damaged files, libraries raise many kinds of errors: struct.error, KeyError, MemoryError,
+    OverflowError, UnicodeDecodeError, RecursionError and their own. Errors that no file content can
+    cause are defects of turtlelog and are not converted.
+    """
+    try:
+        yield
+    except _DEFECTS:
+        raise
+    except FileNotFoundError as err:
+        from turtlelog.scenario import PRESETS  # only errors need them
+
+        raise LogError(f"{path}: {describe_missing(path, PRESETS)}") from err
+    except OSError as err:
+        raise LogError(f"{path}: expected {expected}, found: {err.strerror or err}") from err
+    except TurtlelogError as err:
+        raise LogError(f"{path}: {err}") from err
+    except Exception as err:
+        raise LogError(f"{path}: expected {expected}, found {describe_error(err)}") from err
+
+
+def open_file(path: str | Path) -> BinaryIO:
+    """Open a file for reading. Pipes, which may block, and devices, which may not end, are refused.
+
+    Raises:
+        LogError: If the path is a pipe, a device or a Git LFS pointer.
+        OSError: If the file cannot be read.
+    """
+    path = make_path(path)
+    found = path.stat()
+    if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
+        kind = "pipe" if stat.S_ISFIFO(found.st_mode) else "device"
+        raise LogError(f"expected a file, found a {kind}")
+    stream = path.file.open() if isinstance(path, RemotePath) else path.open("rb")
+    if found.st_size < _POINTER_BYTES:
+        _refuse_pointer(stream)
+    return stream
+
+
+def _refuse_pointer(stream: BinaryIO) -> None:
+    """Refuse and close a Git LFS pointer. The position in other files does not change."""
+    start = stream.read(len(LFS_POINTER))
+    if start == LFS_POINTER:
+        stream.close()
+        raise LogError("this is a Git LFS pointer, not the file: git lfs pull")
+    stream.seek(0)
+
+
+@contextmanager
+def replace_when_complete(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary file name next to `path`; the file is renamed when the block succeeds.
+
+    If the block fails, the temporary file is removed and an existing file stays. A replaced file
+    keeps its permissions and, if the system allows it, its owner. If `path` is a symbolic link, the
+    link stays, and its target is replaced or created. The temporary name ends in `.part`, so it
+    does not match `*.mcap`. Writers that guess the format from the name need the format explicitly.
+
+    Raises:
+        LogError: If the path cannot be written, or contains a recording in progress; one line.
+    """
+    path = make_path(path)
+    if isinstance(path, RemotePath):
+        with _put_when_complete(path) as temporary:
+            yield temporary
+        return
+    # Renaming a file to the name of a device would replace the device.
+    if path.exists() and not path.is_file():
+        kind = "folder" if path.is_dir() else "device"
+        raise LogError(f"{path}: expected the name of a file to write, found a {kind}")
+    _refuse_live(path)
+    target = Path(os.path.realpath(path))
+    if target.is_symlink():
+        raise LogError(f"{path}: expected the name of a file to write, found a link to itself")
+    temporary = _name_beside(target)
+    try:
+        # Created at once: if the place is not writable, the error comes before any work is done.
+        temporary.touch(exist_ok=False)
+        # A file that only its owner may read stays private while it is written.
+        _copy_rights(target, temporary, extra=stat.S_IRUSR | stat.S_IWUSR)
+        yield temporary
+        _refuse_live(path)  # a recording may have begun meanwhile
+        _copy_rights(target, temporary)
+        temporary.replace(target)
+    except OSError as err:
+        raise LogError(f"{path}: cannot be written: {err.strerror or err}") from err
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _name_beside(target: Path) -> Path:
+    return target.with_name(f".turtlelog-{os.urandom(6).hex()}.part")
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files of killed processes from a folder.
+
+    Use this only if no other process writes to the folder, because that process would lose its
+    temporary files.
+    """
+    for leftover in folder.glob(".turtlelog-" + "[0-9a-f]" * 12 + ".part"):
+        with suppress(OSError):  # a folder, or a file that is being renamed
+            leftover.unlink()
+
+
+@contextmanager
+def _put_when_complete(path: RemotePath) -> Iterator[Path]:
+    """Yield a local temporary name; at the end the file is uploaded to the URL."""
+    with name_file(path, expected="a place that can be written"):
+        from turtlelog.files.requests import require_writable
+
+        require_writable(path.url)
+    try:
+        with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+            temporary = Path(folder) / f"{path.name}.part"
+            temporary.touch()
+            yield temporary
+            with name_file(path, expected="a place that can be written"):
+                path.put(temporary)
+    except OSError as err:
+        raise LogError(
+            f"{path}: expected room for it in {tempfile.gettempdir()}, found: {err.strerror or err}"
+        ) from err
+
+
+def _copy_rights(source: Path, target: Path, *, extra: int = 0) -> None:
+    """Copy owner and permissions of another file, if it exists."""
+    try:
+        found = source.stat()
+    except FileNotFoundError:
+        return
+    if hasattr(os, "chown"):
+        with suppress(PermissionError):
+            os.chown(target, found.st_uid, found.st_gid)
+    with suppress(PermissionError):  # a disk without permissions
+        target.chmod(stat.S_IMODE(found.st_mode) | extra)
+
+
+def _refuse_live(path: Path) -> None:
+    if is_live(path):
+        raise LogError(
+            f"{path}: expected a file that may be replaced, found a live recording of it"
+        )
+
+
+@contextmanager
+def create_folder(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary folder next to `path` for writing; it is renamed when the block succeeds.
+
+    An existing folder is refused, as by `ros2 bag`, because it may contain other files. An empty
+    folder is accepted.
+
+    Raises:
+        LogError: If the folder is not empty or cannot be written; one line.
+    """
+    path = make_path(path)
+    is_empty = path.is_dir() and not any(path.iterdir())
+    if (path.exists() or path.is_symlink()) and not is_empty:
+        kind = "a folder with files" if path.is_dir() else "a file"
+        raise LogError(f"{path}: expected the name of a new folder, found {kind}")
+    # "." and "run/.." get a name only as absolute paths.
+    target = path.resolve()
+    temporary = _name_beside(target)
+    try:
+        temporary.mkdir()
+        yield temporary
+        if is_empty:
+            target.rmdir()
+        temporary.rename(target)
+    except OSError as err:
+        raise LogError(f"{path}: cannot be written: {err.strerror or err}") from err
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+if sys.platform == "win32":
+    # On this system nobody can replace an open file.
+    def mark_live(stream: BinaryIO) -> None:
+        """Do nothing."""
+
+    def is_live(path: Path) -> bool:  # noqa: ARG001
+        """Return False, because the system itself refuses to replace an open file."""
+        return False
+
+else:
+    import fcntl
+
+    def mark_live(stream: BinaryIO) -> None:
+        """Lock a file while it is open, so that `is_live` detects it, if the system can lock files.
+
+        Readers are not affected; only programs that test the lock see it.
+        """
+        try:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (UnsupportedOperation, OSError):
+            return  # no file, or a file system without locks
+
+    def is_live(path: Path) -> bool:
+        """Return whether a process is recording to the file with this name; False without one."""
+        try:
+            with path.open("rb") as stream:
+                fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return False
+
+
+Handler = Callable[[int, FrameType | None], object]
+
+
+def _find_signals(*names: str) -> tuple[signal.Signals, ...]:
+    """Return the signals with these names that exist, because Windows lacks some."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+_KEYBOARD: Final = _find_signals("SIGINT", "SIGQUIT")
+_REQUESTS: Final = _find_signals("SIGTERM", "SIGHUP")
+_STOPS: Final = (*_KEYBOARD, *_REQUESTS)
+
+
+@dataclass(slots=True)
+class StopRequest:
+    """A request to end the program.
+
+    Attributes:
+        signal_number: Number of the signal; None if no signal has arrived.
+    """
+
+    signal_number: int | None = None
+
+
+@contextmanager
+def catch_stop() -> Iterator[StopRequest]:
+    """Record SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending; a second signal interrupts.
+
+    The block checks the yielded request at suitable times. If SIGTERM or SIGHUP was ignored before,
+    as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled in any case, because a shell
+    ignores them for every background job of a script. Outside the main thread, where Python
+    delivers no signals, nothing changes.
+    """
+    request = StopRequest()
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        if request.signal_number is not None:
+            raise KeyboardInterrupt
+        request.signal_number = number
+
+    ignored = [number for number in _REQUESTS if signal.getsignal(number) == signal.SIG_IGN]
+    with _handle(note, [number for number in _STOPS if number not in ignored]):
+        yield request
+
+
+@contextmanager
+def hold_stop() -> Iterator[None]:
+    """Delay the signals of `catch_stop` until the block ends."""
+    held: list[int] = []
+    try:
+        with _handle(lambda number, _frame: held.append(number), _STOPS):
+            yield
+    finally:
+        for number in dict.fromkeys(held):
+            signal.raise_signal(number)
+
+
+@contextmanager
+def exit_on_terminate() -> Iterator[None]:
+    """Make SIGTERM, SIGHUP and SIGQUIT raise an exception in the block, so that files are finished.
+
+    Ctrl-C raises an exception by default. Existing settings by `nohup` or a handler stay. On
+    Windows, only a console sends SIGTERM; ending a task kills the process.
+    """
+
+    def leave(number: int, _frame: FrameType | None) -> None:
+        sys.exit(128 + number)
+
+    with _handle(leave, _find_defaults((*_REQUESTS, *_KEYBOARD))):
+        yield
+
+
+@contextmanager
+def interrupt_on_quit() -> Iterator[None]:
+    """Make SIGQUIT act like Ctrl-C if the default action of SIGQUIT is set."""
+    with _handle(signal.default_int_handler, _find_defaults(_find_signals("SIGQUIT"))):
+        yield
+
+
+def _find_defaults(numbers: Iterable[signal.Signals]) -> list[signal.Signals]:
+    return [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
+
+
+@contextmanager
+def _handle(handler: Handler, numbers: Iterable[signal.Signals]) -> Iterator[None]:
+    """Set a handler during the block, only in the main thread, because Python allows no other."""
+    before = {}
+    try:
+        if threading.current_thread() is threading.main_thread():
+            for number in numbers:
+                before[number] = signal.getsignal(number)
+                if before[number] is not None:  # None: set outside Python
+                    signal.signal(number, handler)
+        yield
+    finally:
+        try:
+            _restore(before)
+        except BaseException:  # restored handlers may raise an error before the others are restored
+            _restore(before)
+            raise
+
+
+def _restore(before: Mapping[signal.Signals, Any]) -> None:
+    for number, previous in before.items():
+        if previous is not None:
+            signal.signal(number, previous)
