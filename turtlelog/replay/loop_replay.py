@@ -13,7 +13,6 @@ from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.laws import Law, LawPart, Pose, find_law
 from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
-from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants import find_plant
 from turtlelog.replay.differences import (
     Difference,
@@ -184,6 +183,8 @@ def replay_law(
 
 def _describe_nothing_read(run: Run) -> str:
     """Return why there are no samples: the file has none, or they were not read."""
+    from turtlelog.log.ros2.bag_reader import NOT_READ  # only this error needs the readers of bags
+
     if CONTROL.name in run.notes.get(NOT_READ, ""):
         return (
             f"{run.notes[NOT_READ]} in a file without turtlelog's metadata record are not read as"
