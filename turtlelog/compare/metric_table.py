@@ -7,10 +7,7 @@ from typing import Final
 
 from turtlelog.compare.run_selection import name_runs, order_by_gain
 from turtlelog.compare.table import Cell, Column, Table, group_ids, group_loops
-from turtlelog.display import (
-    format_number,
-    join_words,
-)
+from turtlelog.display import format_number, join_words
 from turtlelog.measure import MeasureSettings, Metric, Status, list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop, Declaration

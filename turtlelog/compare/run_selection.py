@@ -10,12 +10,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from turtlelog import expressions
-from turtlelog.compare.run_summary import (
-    TEXTS,
-    RunSummary,
-    complete_parameters,
-    describe_run_end,
-)
+from turtlelog.compare.run_summary import TEXTS, RunSummary, complete_parameters, describe_run_end
 from turtlelog.compare.table import order_ids
 from turtlelog.display import describe_count, describe_range, split_numbers
 from turtlelog.errors import CompareError, describe_unknown

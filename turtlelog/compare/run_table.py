@@ -20,11 +20,7 @@ from turtlelog.compare.run_summary import RunSummary
 from turtlelog.compare.table import Cell, Column, Mark, Table
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import CompareError
-from turtlelog.measure import (
-    Status,
-    find_metric_kind,
-    list_metrics,
-)
+from turtlelog.measure import Status, find_metric_kind, list_metrics
 from turtlelog.run import Parameter
 from turtlelog.run.loops import ControlLoop, Declaration
 

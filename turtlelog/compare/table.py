@@ -11,13 +11,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-from turtlelog.display import (
-    describe_count,
-    fit_line,
-    format_html,
-    format_notebook,
-    format_number,
-)
+from turtlelog.display import describe_count, fit_line, format_html, format_notebook, format_number
 from turtlelog.run.loops import RESERVED, ControlLoop, Declaration
 from turtlelog.run.tables import Tabular
 

@@ -52,12 +52,7 @@ from turtlelog.run import Run, SampleColumns, require_run
 from turtlelog.scenario import Scenario, choose_scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import PlainLoop, SampleRow, SampleRows, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.step_budget import (
-    STEP_BUDGET_S,
-    LimitedLoop,
-    needs_watch,
-    require_budget,
-)
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, LimitedLoop, needs_watch, require_budget
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
