@@ -13,8 +13,7 @@ import pyfunnel
 
 import turtlelog as tl
 from benchmarks.table import Cost, Row, run_alone, time_calls
-from turtlelog.compare.alignment import align_runs
-from turtlelog.compare.signal_comparison import _measure_rows, compare_aligned_signals
+from turtlelog.compare.signal_comparison import _measure_rows, align_runs, compare_aligned_signals
 from turtlelog.compare.tube import lay_grid, read_rows
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 

@@ -29,7 +29,7 @@ GRID = ["--grid", "law.kp_linear=-1,4", "--grid", "max_duration_s=2,3"]
 TUNE = ["--grid", "law.k=1:4", "--minimise", "run.path_length", "--evaluations", "8"]
 SHARERS = {
     "turtlelog.cli.info": [["info", *ALL]],
-    "turtlelog.compare.measured_files": [["metrics", *ALL, *BRIEF], ["compare", *ALL, *BRIEF]],
+    "turtlelog.compare.run_summary": [["metrics", *ALL, *BRIEF], ["compare", *ALL, *BRIEF]],
     "turtlelog.cli.compare_reference": [["compare", *ALL[:3], "--reference", "kp10.mcap"]],
     "turtlelog.cli.check": [["check", "spec.toml", *ALL, "--junit", "junit.xml"]],
     "turtlelog.sweep.table.recording_table": [

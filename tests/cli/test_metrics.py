@@ -223,13 +223,13 @@ def test_long_work_is_shared_by_as_many_processes_as_cores(
     started: list[str] = []
     monkeypatch.setattr(processes, "LONG_S", 0.0)
     monkeypatch.setattr(processes, "count_cores", lambda: 2)
-    for name in ("compare.measured_files", "cli.check", "cli.info"):
+    for name in ("compare.run_summary", "cli.check", "cli.info"):
         module = importlib.import_module(f"turtlelog.{name}")
         monkeypatch.setattr(module, "map_in_processes", pickle_both_ways(module.__name__, started))
     together = [call(*one, kp10, "none.mcap", kp4) for one in words]
     assert together == alone
     assert [name.rpartition(".")[2] for name in started] == [
-        "measured_files",
+        "run_summary",
         "check",
         "info",
     ]

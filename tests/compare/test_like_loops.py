@@ -4,7 +4,7 @@ import pytest
 
 import turtlelog as tl
 from tests.draw.laws import simulate_law, simulate_tracker
-from turtlelog.compare.like_loops import group_ids, group_loops, order_ids
+from turtlelog.compare.table import group_ids, group_loops, order_ids
 from turtlelog.laws import SequentialP
 from turtlelog.run.loops import ControlLoop, Declaration
 

@@ -6,7 +6,7 @@ import pytest
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
-from turtlelog.compare.run_summary import list_usual_metrics
+from turtlelog.compare.run_selection import list_usual_metrics
 from turtlelog.compare.signal_comparison import explain_lack
 from turtlelog.errors import CompareError
 from turtlelog.run import Run

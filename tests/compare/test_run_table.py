@@ -4,7 +4,7 @@ import pickle
 import pytest
 
 import turtlelog as tl
-from turtlelog.compare.run_summary import list_usual_metrics
+from turtlelog.compare.run_selection import list_usual_metrics
 from turtlelog.errors import CompareError
 
 RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.scenario.PAPER_RUNS]

@@ -11,7 +11,7 @@ import numpy as np
 from turtlelog.charts.curves import is_limit
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.compare import name_runs
-from turtlelog.compare.run_names import has_one_gain, list_differing
+from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.run import Run
 

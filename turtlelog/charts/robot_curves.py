@@ -14,7 +14,7 @@ from turtlelog.errors import ReplayError
 from turtlelog.measure import find_outliers
 from turtlelog.measure.breaks import PoseGap, find_gaps
 from turtlelog.plants import LAGGED, find_plant
-from turtlelog.replay.plant_ticks import find_breaks, read_motion
+from turtlelog.replay.recorded_motion import find_breaks, read_motion
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS
 

@@ -1,23 +1,17 @@
-from .alignment import ALIGNMENTS as ALIGNMENTS
 from .difference import (
     MetricDifference as MetricDifference,
+    PathDeviation as PathDeviation,
     RunComparison as RunComparison,
     compare_metrics as compare_metrics,
     compare_runs as compare_runs,
+    measure_path_error as measure_path_error,
     tabulate_differences as tabulate_differences,
-)
-from .like_loops import order_ids as order_ids
-from .measured_files import (
-    complete_summaries as complete_summaries,
-    summarise_files as summarise_files,
 )
 from .metric_table import (
     list_metric_units as list_metric_units,
     list_reasons as list_reasons,
     tabulate_measured as tabulate_measured,
     tabulate_metrics as tabulate_metrics,
-)
-from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
 )
@@ -35,28 +29,26 @@ from .robot_comparison import (
     RobotComparison as RobotComparison,
     tabulate_robots as tabulate_robots,
 )
-from .robot_prediction import (
-    compare_robot as compare_robot,
-)
-from .run_ends import (
-    describe_end as describe_end,
+from .robot_prediction import compare_robot as compare_robot
+from .run_selection import (
+    choose_columns as choose_columns,
     describe_runs as describe_runs,
-)
-from .run_names import (
     label_file as label_file,
+    list_needed_metrics as list_needed_metrics,
+    list_usual_of_run as list_usual_of_run,
     name_runs as name_runs,
     order_by_gain as order_by_gain,
+    select_runs as select_runs,
     shorten_names as shorten_names,
+    sort_runs as sort_runs,
 )
 from .run_summary import (
     RunSummary as RunSummary,
-    choose_columns as choose_columns,
+    complete_summaries as complete_summaries,
+    describe_end as describe_end,
     describe_reached as describe_reached,
     list_lacks as list_lacks,
-    list_needed_metrics as list_needed_metrics,
-    list_usual_of_run as list_usual_of_run,
-    select_runs as select_runs,
-    sort_runs as sort_runs,
+    summarise_files as summarise_files,
     summarise_run as summarise_run,
 )
 from .run_table import (
@@ -69,6 +61,7 @@ from .run_table import (
     tabulate_runs as tabulate_runs,
 )
 from .signal_comparison import (
+    ALIGNMENTS as ALIGNMENTS,
     SignalDifference as SignalDifference,
     compare_signals as compare_signals,
 )
@@ -79,6 +72,7 @@ from .table import (
     Table as Table,
     format_cell as format_cell,
     narrow_table as narrow_table,
+    order_ids as order_ids,
 )
 from .trajectory_comparison import (
     Delta as Delta,
@@ -89,8 +83,4 @@ from .trajectory_comparison import (
     tabulate_trajectories as tabulate_trajectories,
 )
 from .trajectory_errors import ErrorStatistics as ErrorStatistics
-from .tube import (
-    PathDeviation as PathDeviation,
-    Tolerance as Tolerance,
-    measure_path_error as measure_path_error,
-)
+from .tube import Tolerance as Tolerance

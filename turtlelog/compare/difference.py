@@ -4,19 +4,28 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from turtlelog.compare.alignment import CommonClock, align_runs
-from turtlelog.compare.signal_comparison import compare_aligned_signals, share_track
+import numpy as np
+
+from turtlelog.compare.signal_comparison import (
+    CommonClock,
+    align_runs,
+    compare_aligned_signals,
+    share_track,
+)
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.compare.tube import Tolerance
+from turtlelog.compare.tube import Tolerance, lay_grid, read_rows
 from turtlelog.display import fit_line, format_html, format_notebook, show_angle
 from turtlelog.measure import (
     SIGNALS,
     Metric,
+    find_signal,
     list_metrics,
     list_signal_units,
     measure_run,
     miss_metric,
 )
+from turtlelog.measure.references import compute_path_distances
+from turtlelog.measure.step_response import compute_rms
 from turtlelog.replay.differences import SignalDifference
 from turtlelog.run import Run, require_run
 
@@ -205,3 +214,68 @@ def _list_overlaps(comparisons: Sequence[RunComparison], names: Sequence[str]) -
     compared = "; ".join(f"{', '.join(runs)}: {stretch}" for stretch, runs in stretches.items())
     notes = dict.fromkeys(note for found in comparisons for note in found.notes)
     return f"Compared over {compared}.", *notes
+
+
+_MOST_POINTS: Final = 20_000
+"""Largest number of points of a path for distances: more points take minutes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathDeviation:
+    """Deviation of a run from a reference's path and position, over the segment that both cover.
+
+    Attributes:
+        largest_m: Largest distance from the nearest point of the reference's path [m].
+        largest_at_s: Time of that distance on the common clock [s].
+        rms_m: Root of the mean square over time of that distance [m].
+        largest_apart_m: Largest distance from the reference's position at the same time [m].
+        largest_apart_at_s: Time of that distance on the common clock [s].
+        rms_apart_m: Root of the mean square over time of that distance [m].
+    """
+
+    largest_m: float
+    largest_at_s: float
+    rms_m: float
+    largest_apart_m: float
+    largest_apart_at_s: float
+    rms_apart_m: float
+
+
+def measure_path_error(
+    reference: Run, run: Run, *, alignment: str = "first_sample"
+) -> PathDeviation:
+    """Return the deviation of a run from a reference's path, and from the reference at equal times.
+
+    Args:
+        reference: Run whose poses, joined by lines, are the path. Of more than 20,000 poses, every
+            n-th is used.
+        run: Other run.
+        alignment: Alignment, as in `compare_runs`.
+
+    Raises:
+        CompareError: If `compare_runs` raises it.
+    """
+    clock = align_runs(reference, run, alignment)
+    columns = []
+    for name in ("x", "y"):
+        theirs, ours = (find_signal(who, name) for who in (reference, run))
+        assert theirs is not None
+        assert ours is not None
+        placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
+        grid = lay_grid(placed[0].time_ns, placed[1].time_ns, clock.span)
+        columns.append([read_rows(one, grid).values for one in placed])
+    theirs_m, ours_m = (np.column_stack(pair) for pair in zip(*columns, strict=True))
+    at_s = np.array([clock.read_ns(int(unit)) for unit in grid.at]) / 1e9
+    path_m = reference.poses.xy_m[:: -(-len(reference.poses) // _MOST_POINTS)]
+    path_m = np.concatenate([path_m, reference.poses.xy_m[-1:]])
+    beside = compute_path_distances(ours_m, path_m)
+    apart = np.hypot(*(ours_m - theirs_m).T)
+    step_s = np.diff(at_s)
+    return PathDeviation(
+        largest_m=float(beside.max()),
+        largest_at_s=float(at_s[beside.argmax()]),
+        rms_m=compute_rms(step_s, beside, None),
+        largest_apart_m=float(apart.max()),
+        largest_apart_at_s=float(at_s[apart.argmax()]),
+        rms_apart_m=compute_rms(step_s, apart, None),
+    )

@@ -1,33 +1,37 @@
-"""Short summaries of runs for large tables: conditions and results, read file by file."""
+"""Short summaries of runs: conditions, results and ends, of runs or file by file."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from fnmatch import fnmatchcase
-from functools import lru_cache
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache, partial
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog import expressions
-from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.ranking import Conditions, find_conditions
-from turtlelog.display import fit_line, join_words
-from turtlelog.errors import CompareError, describe_unknown
+from turtlelog.display import fit_line, format_short, join_words
+from turtlelog.errors import CompareError, TurtlelogError
+from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.measure import (
+    MeasureSettings,
     Metric,
     Metrics,
+    choose_metrics,
     find_metric_kind,
-    is_lawless,
-    is_metric_pattern,
     list_essential_metrics,
     list_metrics,
     measure_run,
     miss_metric,
 )
 from turtlelog.measure.metric import Status
+from turtlelog.processes import map_in_processes
 from turtlelog.run import Parameter, Run, require_run
 from turtlelog.run.ending import GoalEnd, find_goal_end
 from turtlelog.run.loops import Declaration
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
 
 TEXTS: Final = ("name", "source", "stop_reason")
 """Texts that filters and orders may use in addition to parameters and metrics."""
@@ -253,186 +257,136 @@ def _take_gains(run: Run, known: Mapping[str, Parameter]) -> Mapping[str, Parame
     return {key: known[key] for key in run.declaration.list_gains() if key in known}
 
 
-def select_runs(
-    summaries: Sequence[RunSummary], where: str, *, source: str = "where"
-) -> tuple[tuple[RunSummary, ...], tuple[str, ...]]:
-    """Return the runs for which an expression is true, and notes on runs without its values.
-
-    Args:
-        summaries: Runs to choose from.
-        where: Expression over parameters, metric ids, `name`, `source` and `stop_reason`:
-            `law.kp_linear >= 2 and run.duration < 20`.
-        source: Beginning of error lines.
-
-    Raises:
-        ExpressionError: If the expression does not parse, or contains a name that no run has.
-        CompareError: If the expression is not a condition.
-    """
-    expression = expressions.parse_expression(where, source=source)
-    others = (name for name in expression.names if find_metric_kind(name) is not None)
-    known = dict.fromkeys([*_list_names(summaries), *others])
-    chosen, lacking = [], {}
-    for summary in summaries:
-        values = {name: summary.find_value(name) for name in known.keys() & expression.names}
-        truth = expressions.evaluate_expression(expression, {**known, **values})
-        if truth is None:
-            lacking[summary.file or summary.name] = _describe_lack(summary, values)
-        elif not isinstance(truth, bool):
-            raise CompareError(f"{source}: expected a condition, found {truth!r}")
-        elif truth:
-            chosen.append(summary)
-    notes = [f"{run} is left out: {lack}." for run, lack in lacking.items()]
-    if len(notes) > _MOST_NOTES:
-        more = len(notes) - _MOST_NOTES
-        notes = [*notes[:_MOST_NOTES], f"{more} more are left out for lack of values."]
-    return tuple(chosen), tuple(notes)
+Choice = Collection[str] | Callable[[Run], Collection[str]] | None
+"""Metrics to compute: ids and patterns, or a function that returns the metrics of a run. None: all
+metrics."""
 
 
-def sort_runs(
-    summaries: Sequence[RunSummary], by: str, *, source: str = "sort"
-) -> tuple[RunSummary, ...]:
-    """Return the runs in rising order of a metric, parameter, `name`, `source` or `stop_reason`.
-
-    Runs without a value come last; runs with equal values keep their order.
-
-    Args:
-        summaries: Runs to sort.
-        by: Sort key; with a leading minus, in falling order.
-        source: Beginning of error lines.
-
-    Raises:
-        CompareError: If no run has the sort key.
-    """
-    name = by.removeprefix("-")
-    if find_metric_kind(name) is None:
-        _require_name(name, _list_names(summaries), source)
-    valued = [found for found in summaries if found.find_value(name) is not None]
-    rest = [found for found in summaries if found.find_value(name) is None]
-    valued.sort(key=lambda found: _rank(found.find_value(name)), reverse=by != name)
-    return (*valued, *rest)
-
-
-def choose_columns(
-    summaries: Sequence[RunSummary], only: Sequence[str], *, source: str = "only"
-) -> tuple[str, ...]:
-    """Return the metrics and parameters that names and patterns (`translate.*`) select.
-
-    A full name selects a metric also if none of the runs has its loop. A pattern that matches only
-    loops of other laws selects nothing.
-
-    Raises:
-        CompareError: If a name or pattern is invalid, or all together select nothing.
-    """
-    parameters, metrics = _list_parameters(summaries), _list_ids(summaries)
-    chosen: dict[str, None] = {}
-    for pattern in only:
-        found = [name for name in metrics if fnmatchcase(name, pattern)]
-        found += [pattern] if pattern in parameters else []
-        if not found and find_metric_kind(pattern) is not None:
-            found = [pattern]
-        if not found and not is_metric_pattern(pattern):
-            _require_name(pattern, [*metrics, *parameters], source)
-        chosen |= dict.fromkeys(found)
-    if only and not chosen:
-        asked = ", ".join(only)
-        raise CompareError(f"{source}: these runs have no metric {asked}")
-    return tuple(chosen)
-
-
-def list_usual_of_run(run: Run | RunSummary) -> tuple[str, ...]:
-    """Return the ids of the metrics that characterise a run."""
-    has_no_law = run.is_lawless if isinstance(run, RunSummary) else is_lawless(run)
-    return USUAL_OF_MOTION if has_no_law else list_usual_metrics(run.declaration)
-
-
-def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
-    """Return the ids of the metrics that characterise runs of these laws.
-
-    The metrics describe the final state and the response of the loops that turn the robot; for laws
-    without such loops, the response of all loops. The final position shows the response of the
-    driving loops. For laws without a goal, the distance driven is included.
-    """
-    chosen: dict[str, None] = {}
-    for declaration in declarations:
-        turning = [loop.name for loop in declaration.loops if loop.command == "turn_rate"]
-        loops = turning or [loop.name for loop in declaration.loops]
-        essential = list_essential_metrics(declaration)
-        usual = (f"{loop}.{name}" for loop in loops for name in _USUAL_OF_LOOP)
-        chosen |= dict.fromkeys(name for name in usual if name in essential)
-    is_free = bool(declarations) and not any(one.uses_goal for one in declarations)
-    of_run = _USUAL_WITHOUT_GOAL if is_free else _USUAL_OF_RUN
-    return order_ids([*chosen, *of_run], declarations)
-
-
-def list_needed_metrics(
-    columns: Sequence[str] = (),
+def summarise_files(
+    paths: Sequence[str | Path],
+    settings: MeasureSettings | None = None,
     *,
-    where: str | None = None,
-    sort: str | None = None,
-    source: str = "where",
-) -> tuple[str, ...]:
-    """Return ids and patterns of the metrics that a table across runs needs.
+    only: Choice = None,
+    topics: ReadChoice | None = None,
+    jobs: "int | Executor" = 1,
+    with_parameters: bool = True,
+) -> Iterator[RunSummary | TurtlelogError]:
+    """Yield the summary of every file in the given order, or the error if it cannot be read.
 
-    Other metrics are not measured; the law of a run decides which of these the run has.
+    Each process has one run at a time in memory.
 
     Args:
-        columns: Columns as for `choose_columns`; empty: the default ones.
-        where: Expression as for `select_runs`.
-        sort: Sort key as for `sort_runs`.
-        source: Beginning of error lines.
+        paths: Any files that `read_run` takes.
+        settings: Settings of the metrics, as in `measure_run`.
+        only: Metrics, as in `measure_run`; a pattern selects the metrics that each run has. A
+            function may choose the metrics of each run.
+        topics: Topics to read from bags, the same for all files.
+        jobs: Number of processes, at least 1, or a pool. Processes import the main module: a script
+            that uses several processes keeps its own work under `if __name__ == "__main__":`.
+        with_parameters: Whether summaries contain all parameters, which are half of their size, or
+            only the gains.
 
     Raises:
-        ExpressionError: If `where` does not parse; the meaning of its names is not checked.
+        MeasureError: If `only` names no metric.
+        CompareError: If `jobs` is not a number of processes.
     """
-    named = [] if where is None else list(expressions.parse_expression(where, source=source).names)
-    named += [] if sort is None else [sort.removeprefix("-")]
-    wanted = dict.fromkeys([*(columns or _USUAL_PATTERNS), *named])
-    return tuple(name for name in wanted if is_metric_pattern(name))
+    if isinstance(jobs, int) and jobs < 1:
+        raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
+    if only is not None and not callable(only):
+        choose_metrics(only, Declaration())  # refuses what names no metric of any law
+        only = (only,) if isinstance(only, str) else tuple(only)
+    measure = partial(
+        _measure_file,
+        settings=settings,
+        only=only,
+        topics=topics or ReadChoice(),
+        with_parameters=with_parameters,
+    )
+    return map_in_processes(measure, [str(path) for path in paths], jobs)
 
 
-_MOST_NOTES: Final = 5
-
-_USUAL_OF_LOOP: Final = ("settling_time", "overshoot", "rms_error")
-_USUAL_OF_RUN: Final = ("final.heading_error", "final.position_error", "run.duration")
-_USUAL_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.turn_rate_effort")
-USUAL_OF_MOTION: Final = (
-    *("final.position_error", "run.duration", "run.path_length", "run.measured_speed_max"),
-    *("run.speed_lag", "run.turn_rate_lag"),
-)
-"""Default metrics of runs with an unknown law."""
-_USUAL_PATTERNS: Final = (*(f"*.{name}" for name in _USUAL_OF_LOOP), *_USUAL_OF_RUN)
-"""Patterns of the default metrics for any law, before the runs are read."""
-
-
-def _list_ids(summaries: Sequence[RunSummary]) -> list[str]:
-    return list(list_metrics(*(found.declaration for found in summaries)))
-
-
-def _list_parameters(summaries: Sequence[RunSummary]) -> list[str]:
-    return list(dict.fromkeys(name for found in summaries for name in found.parameters))
+def _measure_file(
+    path: str,
+    *,
+    settings: MeasureSettings | None,
+    only: Choice,
+    topics: ReadChoice,
+    with_parameters: bool,
+) -> RunSummary | TurtlelogError:
+    try:
+        run = read_as_chosen(path, topics)
+    except TurtlelogError as err:
+        return err
+    chosen = only(run) if callable(only) else only
+    metrics = measure_run(run, settings, only=chosen)
+    return summarise_measured(run, path, metrics, with_parameters=with_parameters)
 
 
-def _list_names(summaries: Sequence[RunSummary]) -> list[str]:
-    return [*TEXTS, *_list_ids(summaries), *_list_parameters(summaries)]
+def complete_summaries(
+    summaries: Sequence[RunSummary],
+    settings: MeasureSettings | None = None,
+    *,
+    topics: ReadChoice | None = None,
+) -> tuple[RunSummary, ...]:
+    """Return runs with all metrics of `final` and `run` that any of the runs has.
+
+    If third-party bags are compared with runs of a law, the files are read again; otherwise nothing
+    changes.
+    """
+    if len({found.is_lawless for found in summaries}) < 2:
+        return tuple(summaries)
+    ids = dict.fromkeys(name for found in summaries for name in found.metrics)
+    shared = [name for name in ids if name.partition(".")[0] in {"final", "run"}]
+    return tuple(_complete(found, shared, settings, topics or ReadChoice()) for found in summaries)
 
 
-def _require_name(name: str, known: Sequence[str], source: str) -> None:
-    if name not in known:
-        problem = describe_unknown("metric or parameter", name, known)
-        raise CompareError(f"{source}: {problem}")
+def _complete(
+    summary: RunSummary,
+    ids: Sequence[str],
+    settings: MeasureSettings | None,
+    topics: ReadChoice,
+) -> RunSummary:
+    lacking = [name for name in ids if name not in summary.metrics]
+    if not lacking:
+        return summary
+    found = measure_run(read_as_chosen(summary.file, topics), settings, only=lacking)
+    return replace(summary, metrics={**summary.metrics, **found})
 
 
-def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
-    lacks = []
-    for name in sorted(values):
-        if values[name] is None:
-            metric = summary.find_metric(name)
-            lacks.append(
-                f"{name} is {metric.status.value}" if metric is not None else f"{name} is not known"
-            )
-    return ", ".join(lacks) or "the expression has no value"
+def describe_end(summary: RunSummary) -> str:
+    """Return place and time of a run's end; without a goal, the length of its path."""
+
+    def show(name: str) -> str | None:
+        metric = summary.metrics.get(name)
+        if metric is None or metric.value is None:
+            return None
+        return format_short(metric.value, metric.unit)
+
+    length, off, duration = show(_LENGTH), show(_FURTHEST), show(_DURATION)
+    if "poses" in summary.lacks:
+        return f"commands for {duration}, no poses"
+    if summary.goal_end is not None:
+        return summary.goal_end.describe()
+    if off is not None and not summary.is_lawless:
+        rms = next(map(show, _list_rms(summary)), None)
+        sizes = f"{off} at most" if rms is None else f"{rms} RMS, {off} at most"
+        return f"cross-track error {sizes}, in {duration}"
+    if length is None:
+        return f"lasts {duration}"
+    return f"the path is {length} long and takes {duration}"
 
 
-def _rank(value: Any) -> tuple[int, Any]:
-    """Return a sort key that places numbers before texts."""
-    return (0, value) if isinstance(value, int | float) else (1, str(value))
+_LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.duration"
+
+
+def describe_run_end(run: Run) -> str:
+    """Return place and time of a run's end, as `describe_end` does; it measures what that reads."""
+    furthest = [_FURTHEST] if run.path is not None else []
+    needed = [_LENGTH, *furthest, _DURATION, *_list_rms(run)]
+    return describe_end(summarise_run(run, metrics=measure_run(run, only=needed)))
+
+
+def _list_rms(run: Run | RunSummary) -> list[str]:
+    """Return the RMS of the first loop that controls the cross-track error, if there is one."""
+    loops = [one.name for one in run.declaration.loops if one.signal == "cross_track"]
+    return [f"{name}.rms_error" for name in loops[:1]]

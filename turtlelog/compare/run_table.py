@@ -8,22 +8,19 @@ from typing import Any, Final
 
 from turtlelog.compare.metric_table import get_cell, list_metric_units
 from turtlelog.compare.ranking import Ranking, judge_runs
-from turtlelog.compare.run_names import has_one_gain, name_runs
-from turtlelog.compare.run_summary import (
+from turtlelog.compare.run_selection import (
     USUAL_OF_MOTION,
-    RunSummary,
     choose_columns,
+    has_one_gain,
     list_usual_metrics,
+    name_runs,
     sort_runs,
 )
+from turtlelog.compare.run_summary import RunSummary
 from turtlelog.compare.table import Cell, Column, Mark, Table
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import CompareError
-from turtlelog.measure import (
-    Status,
-    find_metric_kind,
-    list_metrics,
-)
+from turtlelog.measure import Status, find_metric_kind, list_metrics
 from turtlelog.run import Parameter
 from turtlelog.run.loops import ControlLoop, Declaration
 

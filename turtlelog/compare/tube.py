@@ -9,17 +9,12 @@ this half-width grows no faster than the distance, so the nearest values below a
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compare.alignment import align_runs
 from turtlelog.errors import CompareError
-from turtlelog.measure import Signal, find_signal
-from turtlelog.measure.references import compute_path_distances
-from turtlelog.measure.step_response import compute_rms
-from turtlelog.run import Run
+from turtlelog.measure import Signal
 from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
@@ -287,68 +282,3 @@ class _Blocks:
         below = np.where(place > start, self._ranks[np.maximum(place - 1, 0)], -1)
         above = np.where(place < end, self._ranks[np.minimum(place, last)], self._most)
         return below, above
-
-
-_MOST_POINTS: Final = 20_000
-"""Largest number of points of a path for distances: more points take minutes."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PathDeviation:
-    """Deviation of a run from a reference's path and position, over the segment that both cover.
-
-    Attributes:
-        largest_m: Largest distance from the nearest point of the reference's path [m].
-        largest_at_s: Time of that distance on the common clock [s].
-        rms_m: Root of the mean square over time of that distance [m].
-        largest_apart_m: Largest distance from the reference's position at the same time [m].
-        largest_apart_at_s: Time of that distance on the common clock [s].
-        rms_apart_m: Root of the mean square over time of that distance [m].
-    """
-
-    largest_m: float
-    largest_at_s: float
-    rms_m: float
-    largest_apart_m: float
-    largest_apart_at_s: float
-    rms_apart_m: float
-
-
-def measure_path_error(
-    reference: Run, run: Run, *, alignment: str = "first_sample"
-) -> PathDeviation:
-    """Return the deviation of a run from a reference's path, and from the reference at equal times.
-
-    Args:
-        reference: Run whose poses, joined by lines, are the path. Of more than 20,000 poses, every
-            n-th is used.
-        run: Other run.
-        alignment: Alignment, as in `compare_runs`.
-
-    Raises:
-        CompareError: If `compare_runs` raises it.
-    """
-    clock = align_runs(reference, run, alignment)
-    columns = []
-    for name in ("x", "y"):
-        theirs, ours = (find_signal(who, name) for who in (reference, run))
-        assert theirs is not None
-        assert ours is not None
-        placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
-        grid = lay_grid(placed[0].time_ns, placed[1].time_ns, clock.span)
-        columns.append([read_rows(one, grid).values for one in placed])
-    theirs_m, ours_m = (np.column_stack(pair) for pair in zip(*columns, strict=True))
-    at_s = np.array([clock.read_ns(int(unit)) for unit in grid.at]) / 1e9
-    path_m = reference.poses.xy_m[:: -(-len(reference.poses) // _MOST_POINTS)]
-    path_m = np.concatenate([path_m, reference.poses.xy_m[-1:]])
-    beside = compute_path_distances(ours_m, path_m)
-    apart = np.hypot(*(ours_m - theirs_m).T)
-    step_s = np.diff(at_s)
-    return PathDeviation(
-        largest_m=float(beside.max()),
-        largest_at_s=float(at_s[beside.argmax()]),
-        rms_m=compute_rms(step_s, beside, None),
-        largest_apart_m=float(apart.max()),
-        largest_apart_at_s=float(at_s[apart.argmax()]),
-        rms_apart_m=compute_rms(step_s, apart, None),
-    )

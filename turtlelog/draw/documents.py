@@ -15,7 +15,7 @@ from turtlelog.compare import (
     tabulate_table1,
     tabulate_whole_runs,
 )
-from turtlelog.compare.run_names import name_runs
+from turtlelog.compare.run_selection import name_runs
 from turtlelog.display import describe_count
 from turtlelog.draw.table_formats import format_markdown
 from turtlelog.escapes import escape_markdown

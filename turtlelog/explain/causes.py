@@ -16,12 +16,7 @@ from turtlelog.laws import find_law, list_causes, list_sample_counters, name_law
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
 from turtlelog.run.loops import Cause
-from turtlelog.scenario import (
-    Scenario,
-    flatten_scenario,
-    override_scenario,
-    resolve_scenario,
-)
+from turtlelog.scenario import Scenario, flatten_scenario, override_scenario, resolve_scenario
 from turtlelog.simulate import simulate_run
 from turtlelog.simulate.loop_parts import RANDOM_KEYS, STREAMS
 

@@ -33,8 +33,12 @@ from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, Robo
 from turtlelog.identify.structure_choice import LEAST_BELOW, choose_structure
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
-from turtlelog.replay.plant_ticks import find_breaks, read_motion
-from turtlelog.replay.taken_commands import follow_commands, place_commands
+from turtlelog.replay.recorded_motion import (
+    find_breaks,
+    follow_commands,
+    place_commands,
+    read_motion,
+)
 from turtlelog.run import Run, list_runs
 
 _DIFFERENT: Final = 3.0

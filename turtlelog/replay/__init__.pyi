@@ -2,15 +2,15 @@ from .commanded_plant import (
     CommandReplay as CommandReplay,
     drive_commands as drive_commands,
 )
-from .law_replay import (
+from .differences import (
     Difference as Difference,
-    LawReplay as LawReplay,
-    ReplayError as ReplayError,
     SignalDifference as SignalDifference,
-    replay_law as replay_law,
 )
 from .loop_replay import (
+    LawReplay as LawReplay,
     LoopReplay as LoopReplay,
+    ReplayError as ReplayError,
+    replay_law as replay_law,
     replay_loop as replay_loop,
 )
 from .plant_replay import (
@@ -19,15 +19,13 @@ from .plant_replay import (
     PoseError as PoseError,
     replay_plant as replay_plant,
 )
-from .plant_ticks import (
+from .recorded_motion import (
+    CommandUse as CommandUse,
     Gap as Gap,
     Jump as Jump,
+    follow_commands as follow_commands,
     moves_as_turtlesim as moves_as_turtlesim,
 )
 from .run_pairs import (
     RowCount as RowCount,
-)
-from .taken_commands import (
-    CommandUse as CommandUse,
-    follow_commands as follow_commands,
 )

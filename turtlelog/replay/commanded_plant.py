@@ -1,7 +1,7 @@
 """Recorded commands that drive a plant: alone, or through the robot model of the scenario."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +12,8 @@ from turtlelog.errors import ReplayError
 from turtlelog.parts import NEVER_NS
 from turtlelog.plants import find_plant
 from turtlelog.plants.kinds import PLANTS, read_plant
-from turtlelog.replay.plant_ticks import Gap
+from turtlelog.replay.recorded_motion import CommandUse, Gap
 from turtlelog.replay.run_pairs import has_all_commands, has_ticks
-from turtlelog.replay.taken_commands import CommandUse
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
 from turtlelog.simulate import loop
@@ -79,19 +78,8 @@ def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
         end_ns += int(plant.watchdog_ns) + plant.period_ns
     ticks = -(-end_ns // plant.period_ns)
     drive = _DrivenPlant(scenario)
-    given = [(at_ns - origin_ns, speed, rate) for at_ns, speed, rate in _list_commands(commands)]
-    published_ns = commands.time_ns - origin_ns
-    # A tick owns the time up to the next: what is published then leaves after its pose.
-    bounds = np.searchsorted(published_ns, np.arange(1, ticks + 2) * plant.period_ns).tolist()
-    states: list[_State] = []
-    put = 0
-    for tick in range(ticks + 1):
-        for _ in drive.visit(tick):
-            pass
-        states.append(drive.read())
-        for command in given[put : bounds[tick]]:
-            drive.put(tick, *command)
-        put = bounds[tick]
+    given = replace(commands, time_ns=commands.time_ns - origin_ns)
+    states = [*drive.follow(given, ticks)]
     x_m, y_m, heading_rad, speed_m_s, turn_rate_rad_s = np.array(states).T
     time_ns = origin_ns + np.arange(ticks + 1, dtype=np.int64) * plant.period_ns
     xy_m = np.column_stack([x_m, y_m])
@@ -167,20 +155,11 @@ def drive_lagged(run: Run) -> LaggedPoses:
     """
     _require_whole(run)
     scenario, plant = restore_scenario(run), find_plant(run)
-    drive, commands = _DrivenPlant(scenario), _list_commands(run.commands)
-    published_ns = run.commands.time_ns
+    drive = _DrivenPlant(scenario)
     ticks = run.poses.time_ns // plant.period_ns
-    last = int(ticks[-1])
-    # A tick owns the time up to the next: what is published then leaves after its pose.
-    bounds = np.searchsorted(published_ns, np.arange(1, last + 2) * plant.period_ns).tolist()
-    states, put = np.empty((last + 1, 3)), 0
-    for tick in range(last + 1):
-        for _ in drive.visit(tick):
-            pass
-        states[tick] = drive.read()[:3]
-        for command in commands[put : bounds[tick]]:
-            drive.put(tick, *command)
-        put = bounds[tick]
+    states = np.empty((int(ticks[-1]) + 1, 3))
+    for tick, state in enumerate(drive.follow(run.commands, len(states) - 1)):
+        states[tick] = state[:3]
     apart = np.diff(ticks)
     return LaggedPoses(
         states=states[ticks],
@@ -230,19 +209,9 @@ def sense_driven(
     origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
     sensing = replace(scenario.sensing, dropout_probability=0.0)
     scenario = replace(scenario, start=origin, sensing=sensing)
-    drive, given = _DrivenPlant(scenario), _list_commands(commands)
-    states: list[_State] = []
-    ticks = np.arange(-(-int(time_ns[-1]) // period_ns) + 1) * period_ns
-    visits = np.searchsorted(time_ns, ticks, side="right").tolist()
-    puts = np.searchsorted(commands.time_ns, ticks + period_ns).tolist()
-    times, put = time_ns.tolist(), 0
-    for tick, visit in enumerate(visits):
-        states += drive.visit(tick, times[len(states) : visit])
-        for command in given[put : puts[tick]]:
-            drive.put(tick, *command)
-        put = puts[tick]
-    poses = [(state[0], state[1], state[2]) for state in states]
-    return np.array([drive.sense(number, pose) for number, pose in enumerate(poses)])
+    drive = _DrivenPlant(scenario)
+    states = [*drive.follow(commands, -(-int(time_ns[-1]) // period_ns), time_ns)]
+    return np.array([drive.sense(number, state[:3]) for number, state in enumerate(states)])
 
 
 def _require_whole(run: Run) -> None:
@@ -291,7 +260,32 @@ class _DrivenPlant:
         self._last = -1
         self._acts_in_steps = PLANTS[scenario.plant.kind].acts_in_steps
 
-    def put(self, tick: int, time_ns: int, speed: float, turn_rate: float) -> None:
+    def follow(
+        self, commands: CommandColumns, ticks: int, time_ns: NDArray[np.int64] | None = None
+    ) -> Iterator[_State]:
+        """Yield the states at given times, or else at each tick, while commands drive the plant.
+
+        Raises:
+            SimulationError: If the plant diverges.
+        """
+        period_ns = self._settings.scene.period_ns
+        ends_ns = np.arange(ticks + 1) * period_ns
+        # A tick owns the time up to the next: what is published then leaves after its pose.
+        puts = np.searchsorted(commands.time_ns, ends_ns + period_ns).tolist()
+        columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
+        given = [*zip(*(column.tolist() for column in columns), strict=True)]
+        wanted_ns = np.zeros(0, np.int64) if time_ns is None else time_ns
+        visits = np.searchsorted(wanted_ns, ends_ns, side="right").tolist()
+        times, seen, put = wanted_ns.tolist(), 0, 0
+        for tick, (visit, bound) in enumerate(zip(visits, puts, strict=True)):
+            yield from self._visit(tick, times[seen:visit])
+            if time_ns is None:
+                yield self._parts.read(self._state.plant)
+            for command in given[put:bound]:
+                self._publish(tick, *command)
+            seen, put = visit, bound
+
+    def _publish(self, tick: int, time_ns: int, speed: float, turn_rate: float) -> None:
         """Publish a command in a tick, at a time [ns], with speed [m/s] and turn rate [rad/s]."""
         number = self._now.samples
         row = self._rows.samples[number] = SampleRow()
@@ -300,22 +294,20 @@ class _DrivenPlant:
         self._now.samples += 1
         loop.publish(self._settings, self._state, self._rows, self._parts, tick, number)
 
-    def visit(self, tick: int, times_ns: Sequence[int] = ()) -> Iterator[_State]:
-        """Yield the states at times since the previous tick; advance to the time of the tick [ns].
-
-        Raises:
-            SimulationError: If the plant diverges.
-        """
-        scene, until_ns = self._settings.scene, tick * self._settings.scene.period_ns
+    def _visit(self, tick: int, times: list[int]) -> Iterator[_State]:
+        """Yield the states at times since the previous tick; advance to the time of the tick."""
+        settings, state, rows = self._settings, self._state, self._rows
+        scene, until_ns = settings.scene, tick * settings.scene.period_ns
         since_ns = until_ns - scene.period_ns
         self._hold(tick, since_ns, until_ns)
-        times, at_ns = list(times_ns), since_ns
+        at_ns = since_ns
         is_pushed = scene.is_pushed and (tick > 0 or self._acts_in_steps)
         if is_pushed and self._acts_in_steps:
             at_ns = until_ns
         while is_pushed and at_ns <= until_ns:
-            self._push(tick, at_ns)
-            before_ns, at_ns = at_ns, self._find_next_push(tick, at_ns)
+            loop.push_at(settings, state, rows, self._parts, tick, at_ns)
+            before_ns = at_ns
+            at_ns = self._parts.next_push(settings, state, rows, tick, at_ns, NEVER_NS)
             while times and times[0] < min(at_ns, until_ns) and times[0] >= before_ns:
                 yield self._move_to(times.pop(0))
             if self._acts_in_steps or at_ns >= until_ns:
@@ -323,11 +315,6 @@ class _DrivenPlant:
         for time_ns in times:
             yield self._move_to(time_ns)
         self._move_to(until_ns)
-
-    def read(self) -> _State:
-        """Return the present state of the plant."""
-        state: _State = self._parts.read(self._state.plant)
-        return state
 
     def sense(self, number: int, pose: tuple[float, float, float]) -> tuple[float, float, float]:
         """Return the sensed pose for a pose, by its number."""
@@ -354,23 +341,9 @@ class _DrivenPlant:
             self.taken += sample != self._last
             self._last = sample
 
-    def _push(self, tick: int, at_ns: int) -> None:
-        loop.push_at(self._settings, self._state, self._rows, self._parts, tick, at_ns)
-
-    def _find_next_push(self, tick: int, at_ns: int) -> int:
-        never = NEVER_NS
-        found: int = self._parts.next_push(
-            self._settings, self._state, self._rows, tick, at_ns, never
-        )
-        return found
-
     def _move_to(self, time_ns: int) -> _State:
-        if not self._parts.move(self._settings, self._state.plant, self._rows, time_ns):
-            raise describe_runaway(time_ns, self.read())
-        return self.read()
-
-
-def _list_commands(commands: CommandColumns) -> list[tuple[int, float, float]]:
-    """Return time [ns], speed [m/s] and turn rate [rad/s] of commands."""
-    columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
-    return [*zip(*(column.tolist() for column in columns), strict=True)]
+        moves = self._parts.move(self._settings, self._state.plant, self._rows, time_ns)
+        state: _State = self._parts.read(self._state.plant)
+        if not moves:
+            raise describe_runaway(time_ns, state)
+        return state

@@ -71,7 +71,7 @@ class SignalDifference:
         return None if self.at_ns is None else self.at_ns / 1e9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
     """Recorded and replayed values of a signal, row by row.
 

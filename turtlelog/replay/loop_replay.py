@@ -1,15 +1,22 @@
-"""Repeated simulation of the closed loop, compared with the whole recording."""
+"""Replay of a recording in closed loop, or of its poses through a law alone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
-from turtlelog.errors import ReplayError
+from turtlelog.errors import ReplayError as ReplayError
+from turtlelog.laws import Law, LawPart, Pose, find_law
+from turtlelog.log.recording.head import LOSS_NOTES
+from turtlelog.log.recording.topics import CONTROL
 from turtlelog.plants import find_plant
 from turtlelog.replay.differences import (
     Difference,
+    Pairing,
     SignalDifference,
     compare_pairing,
     describe_replay,
@@ -18,25 +25,223 @@ from turtlelog.replay.differences import (
     require_tolerance,
 )
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
-from turtlelog.replay.plant_ticks import advise_other_mode
+from turtlelog.replay.recorded_motion import advise_other_mode
 from turtlelog.replay.run_pairs import (
+    COMMANDS,
+    PUBLISHED,
     SENSED,
     TIME_IS_UP,
     Answers,
     RowCount,
     compare_declarations,
     compare_ends,
+    compare_last_answer,
+    count_missing_samples,
     count_recorded_rows,
     find_count_difference,
+    has_all_commands,
+    has_published,
     has_ticks,
     list_unrecorded,
     pair_by_sample,
     pair_by_tick,
+    pair_published,
+    pair_samples,
 )
-from turtlelog.run import Run, require_run
-from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
-from turtlelog.simulate import simulate_run
-from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.run import Run, SampleColumns, require_run
+from turtlelog.scenario import Scenario, choose_scenario, resolve_scenario, restore_scenario
+from turtlelog.simulate import PlainLoop, SampleRow, SampleRows, simulate_run
+from turtlelog.simulate.class_law import is_built_in
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, LimitedLoop, needs_watch, require_budget
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LawReplay:
+    """Commands of a law for the recorded poses, compared with the recording.
+
+    Attributes:
+        name: Name of the run.
+        scenario: Scenario with the law, limits and goal.
+        samples: Number of compared samples: all, or those up to the stop of the replayed law.
+        missing_samples: Number of recorded samples that are lost: the law did not read their poses.
+        signals: Differences by signal, commands first.
+        commands: Difference of the counts, unless one command per sample was published. None if
+            there was one command per sample, or if rows are lost.
+        stop: Difference of the ends, if the law ends the run at another sample or for another
+            reason; else None.
+        declaration: Difference of the declarations, if the law declares other loops, phases or
+            states than the recording; else None. The runs do not count as different because of this
+            alone.
+        first_difference: The earliest difference; of several in one sample, that of the first
+            signal in `signals`. None if nothing differs.
+        first_command_difference: The earliest difference of the commands, computed or published.
+        absent: Signals of the replay that are not recorded, or of which rows are lost.
+        answers: Replayed samples.
+    """
+
+    name: str
+    scenario: Scenario
+    samples: int
+    missing_samples: int
+    signals: tuple[SignalDifference, ...]
+    commands: Difference | None
+    stop: Difference | None
+    declaration: Difference | None
+    first_difference: Difference | None
+    first_command_difference: Difference | None
+    absent: tuple[str, ...]
+    answers: SampleColumns
+
+    @property
+    def others(self) -> tuple[Difference, ...]:
+        """Differences that belong to no signal: those of `commands` and `stop`."""
+        return tuple(found for found in (self.commands, self.stop) if found is not None)
+
+    def __repr__(self) -> str:
+        found = describe_replay(self.samples, self.first_difference)
+        return fit_line(f"<LawReplay of {self.name}: {found}>")
+
+    def _repr_html_(self) -> str:
+        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
+
+
+def replay_law(
+    run: Run,
+    scenario: Scenario | None = None,
+    *,
+    law: Any = None,
+    tolerance: float = 0.0,
+    trust_law: bool = False,
+    step_budget_s: float | None = STEP_BUDGET_S,
+) -> LawReplay:
+    """Let a law answer the recorded poses, in the order and at the times of the samples.
+
+    If poses were sensed, the law answers the sensed poses. Shaping and limits act again. The
+    answers are compared with the recorded samples and the published commands. The law reads the
+    same poses as the recorded law; its commands have no effect on the poses. Only the law, the
+    path, the shaping, the limits and the goal of the scenario are used.
+
+    Args:
+        run: Run with samples.
+        scenario: Scenario to use. Default: the scenario of the recording.
+        law: Law that replaces the law of the scenario: a law with its parameters, or a class, a
+            function or text as in `simulate_run`.
+        tolerance: Largest difference that counts as equal, in the unit of each signal.
+        trust_law: Whether to run the code of a recorded law that is not built in.
+        step_budget_s: Largest computing time for one answer [s]; None: unlimited.
+
+    Raises:
+        ReplayError: If the run contains no samples.
+        LawError: If `law` is not a law.
+        ScenarioError: If no scenario is given, and the run does not contain its whole scenario or
+            names a law that is neither built in nor trusted.
+        SimulationError: If the law fails, exceeds its computing time, or returns a value that is
+            not a number.
+    """
+    require_run(run)
+    require_tolerance(tolerance)
+    if not len(run.samples):
+        raise ReplayError(
+            f"{run.name}: {_describe_nothing_read(run)}: {run.source}; {advise_other_mode(run)}"
+        )
+    scenario = restore_scenario(run) if scenario is None else scenario
+    is_made = not isinstance(law, type | LawPart) and hasattr(law, "step") and hasattr(law, "reset")
+    if law is not None and not is_made:
+        scenario, law = choose_scenario(scenario, law=law), None
+    if law is None:
+        scenario = resolve_scenario(scenario, trust_law=trust_law)
+    found, blocks_ticks, stop_reason = _answer_poses(run, scenario, law, step_budget_s)
+    answers, recorded = found.samples, Answers(run.samples, run.declaration)
+    rows = slice(len(answers))
+    pairings = [*pair_samples(recorded, found, rows=rows, others=rows)]
+    pairings += [*pair_published(run, answers), *_pair_pauses(run, blocks_ticks)]
+    signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
+    stop = compare_last_answer(run, len(answers) - 1, stop_reason, blocks=bool(blocks_ticks[-1]))
+    others = [_count_published(run), stop]
+    return LawReplay(
+        name=run.name,
+        scenario=scenario,
+        samples=len(answers),
+        missing_samples=count_missing_samples(run.samples),
+        signals=signals,
+        commands=others[0],
+        stop=stop,
+        declaration=compare_declarations(run, found.declaration),
+        first_difference=find_earliest([*(signal.first_difference for signal in signals), *others]),
+        first_command_difference=find_earliest(
+            signal.first_difference for signal in signals if signal.signal in COMMANDS
+        ),
+        absent=(*list_unrecorded(recorded, found), *(() if has_published(run) else PUBLISHED)),
+        answers=answers,
+    )
+
+
+def _describe_nothing_read(run: Run) -> str:
+    """Return why there are no samples: the file has none, or they were not read."""
+    from turtlelog.log.ros2.bag_reader import NOT_READ  # only this error needs the readers of bags
+
+    if CONTROL.name in run.notes.get(NOT_READ, ""):
+        return (
+            f"{run.notes[NOT_READ]} in a file without turtlelog's metadata record are not read as"
+            " samples of a controller"
+        )
+    return (
+        f"no samples of a controller (topic {CONTROL.name}): what the law read and commanded is not"
+        " recorded"
+    )
+
+
+def _answer_poses(
+    run: Run, scenario: Scenario, law: Law | None, step_budget_s: float | None
+) -> tuple[Answers, NDArray[np.int64], str | None]:
+    """Return the samples up to the law's end, the blocking ticks of each, and the stop reason."""
+    loop = PlainLoop(scenario, law=law, step_budget_s=step_budget_s)
+    samples = _iterate_answers(run, loop)
+    if step_budget_s is not None:
+        require_budget(step_budget_s)
+        built_in = law is None and is_built_in(find_law(scenario.law.kind))
+        if needs_watch(step_budget_s, is_built_in=built_in):
+            kind = scenario.law.kind
+            limited = LimitedLoop(samples, [loop], step_budget_s, law=kind, one_by_one=False)
+            samples = limited.iterate()
+    rows = SampleRows(loop.declaration, has_shaping=scenario.has_action("shape"))
+    blocks_ticks = []
+    for sample, states in samples:
+        rows.add(sample, states)
+        blocks_ticks.append(sample.blocks_ticks)
+    answers = Answers(rows.build_columns(), loop.declaration)
+    reason = loop.name_stop(sample.stop) if sample.stop else None
+    return answers, np.array(blocks_ticks, dtype=np.int64), reason
+
+
+def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tuple[float, ...]]]:
+    poses, read = run.poses, run.samples.pose_sequence
+    columns = (run.samples.time_ns, read, *poses.read_xy_m[read].T, poses.read_heading_rad[read])
+    for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
+        sample = loop.answer_pose(time_ns, row, Pose(x, y, heading))
+        yield sample, loop.take_states(sample.sequence)
+        if sample.stop:
+            break
+
+
+def _count_published(run: Run) -> Difference | None:
+    """Return the number of commands beside the number of samples, if no row is lost."""
+    is_lossy = count_missing_samples(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
+    if has_published(run) or is_lossy or "commands" in run.absent:
+        return None
+    samples, commands = len(run.samples), len(run.commands)
+    return Difference(signal="commands", time_ns=run.end_ns, recorded=commands, replayed=samples)
+
+
+def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
+    """Return the ticks between samples and their commands, if the clock counts in ticks."""
+    rows = min(len(run.commands), len(blocks_ticks))
+    held_ns = run.commands.time_ns[:rows] - run.samples.time_ns[:rows]
+    if not has_ticks(run) or not has_all_commands(run):
+        return []
+    held = held_ns / find_plant(run).period_ns
+    return [Pairing("pause", "tick", run.samples.time_ns[:rows], held, blocks_ticks[:rows])]
+
 
 _OF_TICKS: Final = (
     *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),
@@ -154,6 +359,7 @@ def replay_loop(
     )
     pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
+    known = {found.signal: found for found in signals}
     counts = count_recorded_rows(run, replayed, by_tick=by_tick)
     stop = compare_ends(run, replayed.stop_reason)
     ends = [find_count_difference(run, name, count) for name, count in counts.items()]
@@ -163,7 +369,7 @@ def replay_loop(
         scenario=scenario,
         run=replayed,
         by_tick=by_tick,
-        samples=next((found.rows for found in signals if found.signal == "phase"), 0),
+        samples=known["phase"].rows if "phase" in known else 0,
         max_abs_error=find_pose_error(signals),
         signals=signals,
         counts=MappingProxyType(counts),
@@ -171,25 +377,19 @@ def replay_loop(
         others=others,
         declaration=compare_declarations(run, replayed.declaration) if len(run.samples) else None,
         first_difference=find_earliest([*(found.first_difference for found in signals), *others]),
-        absent=(*_list_absent(run, replayed), *_list_missing(_OF_TICKS, signals)),
+        absent=(*_list_absent(run, replayed), *(name for name in _OF_TICKS if name not in known)),
     )
 
 
 def _shorten(scenario: Scenario, run: Run) -> Scenario:
     """Return the scenario, shortened if it lasts much longer than its recording."""
     most_s = max(_LONGEST_S, _LONGER * run.end_ns / 1e9)
-    return (
-        replace(scenario, max_duration_s=most_s) if scenario.max_duration_s > most_s else scenario
-    )
+    is_long = scenario.max_duration_s > most_s
+    return replace(scenario, max_duration_s=most_s) if is_long else scenario
 
 
 def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
     was = Answers(run.samples, run.declaration)
     is_lacking = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
-    sensed = tuple(SENSED) if is_lacking else ()
+    sensed = SENSED if is_lacking else ()
     return (*sensed, *list_unrecorded(was, Answers(replayed.samples, replayed.declaration)))
-
-
-def _list_missing(names: Sequence[str], signals: Sequence[SignalDifference]) -> tuple[str, ...]:
-    found = {signal.signal for signal in signals}
-    return tuple(name for name in names if name not in found)

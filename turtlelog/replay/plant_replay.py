@@ -22,8 +22,16 @@ from turtlelog.replay.differences import (
     find_earliest,
     format_replay_html,
 )
-from turtlelog.replay.plant_ticks import Gap, Jump, RecordedMotion, find_breaks, read_motion
-from turtlelog.replay.taken_commands import CommandUse, Velocity, place_commands
+from turtlelog.replay.recorded_motion import (
+    CommandUse,
+    Gap,
+    Jump,
+    RecordedMotion,
+    Velocity,
+    find_breaks,
+    place_commands,
+    read_motion,
+)
 from turtlelog.run import Run, require_run
 
 _HALF_STEP_M: Final = 2.0**-21
@@ -180,25 +188,22 @@ def replay_plant(run: Run) -> PlantReplay:
         )
 
     stretches, heading_bits = drive(keeps_32_bits=False), 64
-    if not _explains(stretches) and _explains(old := drive(keeps_32_bits=True)):
-        stretches, heading_bits = old, 32
+    first = find_earliest(stretch.first_difference for stretch in stretches)
+    if first is not None:
+        old = drive(keeps_32_bits=True)
+        if all(stretch.within_rounding for stretch in old):
+            stretches, heading_bits, first = old, 32, None
     return PlantReplay(
         name=run.name,
         samples=len(motion.time_ns),
         max_abs_error=_find_largest(stretch.max_abs_error for stretch in stretches),
-        first_difference=next(
-            (found.first_difference for found in stretches if found.first_difference), None
-        ),
+        first_difference=first,
         stretches=stretches,
         jumps=jumps,
         gaps=gaps,
         commands=use,
         heading_bits=heading_bits,
     )
-
-
-def _explains(stretches: Iterable[PlantStretch]) -> bool:
-    return all(stretch.within_rounding for stretch in stretches)
 
 
 def _replay_stretch(
@@ -275,19 +280,12 @@ def _compare_stretch(
     rounding_rad: float,
 ) -> PlantStretch:
     replayed = _round_alike(states, recorded)
-    signals = tuple(
-        compare_pairing(
-            Pairing(
-                signal=name,
-                unit="rad" if name == "heading" else "m",
-                time_ns=time_ns,
-                recorded=recorded[:, column],
-                replayed=replayed[:, column],
-                kind="angle" if name == "heading" else "number",
-            ),
-            tolerance=rounding_rad if name == "heading" else rounding_m,
-        )
-        for column, name in enumerate(("x", "y", "heading"))
+    pairs = [*zip(recorded.T, replayed.T, strict=True)]
+    places = (Pairing(name, "m", time_ns, *pairs[axis]) for axis, name in enumerate("xy"))
+    turn = Pairing("heading", "rad", time_ns, *pairs[2], kind="angle")
+    signals = (
+        *(compare_pairing(place, tolerance=rounding_m) for place in places),
+        compare_pairing(turn, tolerance=rounding_rad),
     )
     return PlantStretch(
         start_ns=int(time_ns[0]),

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from turtlelog.run.loops import Declaration
 
 Rows = NDArray[np.int64]
 
-SENSED: Final = MappingProxyType({"sensed_x": "m", "sensed_y": "m", "sensed_heading": "rad"})
-"""Signals of sensed poses, and their units."""
+SENSED: Final = ("sensed_x", "sensed_y", "sensed_heading")
+"""Signals of sensed poses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,6 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
         run.poses.time_ns, replayed.poses.time_ns, assume_unique=True, return_indices=True
     )
     yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, others)
-    yield from _pair_sensed(run.poses, replayed.poses, run.poses.time_ns[rows], rows, others)
     yield from _pair_applied(run.poses, replayed.poses, rows, others)
     if len(run.samples):
         rows, others = _match_samples(run, replayed)
@@ -54,7 +53,6 @@ def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
     rows, others = _match_samples(run, replayed)
     read = run.samples.pose_sequence[rows], replayed.samples.pose_sequence[others]
     yield from _pair_poses(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
-    yield from _pair_sensed(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
     yield from _pair_answers(run, replayed, rows, others)
 
 
@@ -66,14 +64,11 @@ def _pair_answers(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator
 
 def count_recorded_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, RowCount]:
     """Return the number of rows of each kind that is recorded."""
-    kinds = {"samples": (run.samples, replayed.samples)}
-    if by_tick:
-        kinds["poses"] = run.poses, replayed.poses  # type: ignore[assignment]
-        kinds["commands"] = run.commands, replayed.commands  # type: ignore[assignment]
+    kinds = ("samples", "poses", "commands") if by_tick else ("samples",)
     return {
-        name: RowCount(recorded=len(was), replayed=len(now))
-        for name, (was, now) in kinds.items()
-        if len(was)
+        name: RowCount(recorded=count, replayed=len(getattr(replayed, name)))
+        for name in kinds
+        if (count := len(getattr(run, name)))
     }
 
 
@@ -104,46 +99,18 @@ def _match_samples(run: Run, replayed: Run) -> tuple[Rows, Rows]:
 def _pair_poses(
     recorded: PoseColumns, replayed: PoseColumns, time_ns: Rows, rows: Rows, others: Rows
 ) -> Iterator[Pairing]:
-    for axis, name in enumerate("xy"):
-        yield Pairing(
-            signal=name,
-            unit="m",
-            time_ns=time_ns,
-            recorded=recorded.xy_m[rows, axis],
-            replayed=replayed.xy_m[others, axis],
-        )
-    yield Pairing(
-        signal="heading",
-        unit="rad",
-        time_ns=time_ns,
-        recorded=recorded.heading_rad[rows],
-        replayed=replayed.heading_rad[others],
-        kind="angle",
-    )
-
-
-def _pair_sensed(
-    recorded: PoseColumns, replayed: PoseColumns, time_ns: Rows, rows: Rows, others: Rows
-) -> Iterator[Pairing]:
-    """Yield the sensed poses if both runs have a sensor; a lost pose has no value."""
-    was, now = _read_sensed(recorded), _read_sensed(replayed)
-    if was is None or now is None:
-        return
-    for column, (name, unit) in enumerate(SENSED.items()):
-        yield Pairing(
-            signal=name,
-            unit=unit,
-            time_ns=time_ns,
-            recorded=was[rows, column],
-            replayed=now[others, column],
-            kind="angle" if unit == "rad" else "number",
-        )
-
-
-def _read_sensed(poses: PoseColumns) -> NDArray[np.float64] | None:
-    if poses.sensed_xy_m is None or poses.sensed_heading_rad is None:
-        return None
-    return np.column_stack([poses.sensed_xy_m, poses.sensed_heading_rad])
+    """Yield the poses, and the sensed ones if both runs have a sensor; NaN: a lost pose."""
+    for names, xy, heading in (
+        (("x", "y", "heading"), "xy_m", "heading_rad"),
+        (SENSED, "sensed_xy_m", "sensed_heading_rad"),
+    ):
+        if getattr(recorded, xy) is None or getattr(replayed, xy) is None:
+            continue
+        was, now = ((getattr(one, xy), getattr(one, heading)) for one in (recorded, replayed))
+        *places, turn = names
+        for axis, name in enumerate(places):
+            yield Pairing(name, "m", time_ns, was[0][rows, axis], now[0][others, axis])
+        yield Pairing(turn, "rad", time_ns, was[1][rows], now[1][others], "angle")
 
 
 def _pair_applied(
@@ -155,32 +122,16 @@ def _pair_applied(
     )
     for name, unit, was, now in columns:
         if was is not None and now is not None:
-            yield Pairing(
-                signal=name,
-                unit=unit,
-                time_ns=recorded.time_ns[rows],
-                recorded=was[rows],
-                replayed=now[others],
-            )
+            yield Pairing(name, unit, recorded.time_ns[rows], was[rows], now[others])
 
 
 def _pair_clocks(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
     """Yield the time of each sample, and the number of the tick whose pose the sample read."""
     time_ns = run.samples.time_ns[rows]
-    yield Pairing(
-        signal="sample_time",
-        unit="s",
-        time_ns=time_ns,
-        recorded=time_ns / 1e9,
-        replayed=replayed.samples.time_ns[others] / 1e9,
-    )
-    yield Pairing(
-        signal="pose_read",
-        unit="tick",
-        time_ns=time_ns,
-        recorded=_count_ticks_read(run)[rows],
-        replayed=_count_ticks_read(replayed)[others],
-    )
+    again_ns = replayed.samples.time_ns[others]
+    yield Pairing("sample_time", "s", time_ns, time_ns / 1e9, again_ns / 1e9)
+    read, read_again = _count_ticks_read(run)[rows], _count_ticks_read(replayed)[others]
+    yield Pairing("pose_read", "tick", time_ns, read, read_again)
 
 
 def _count_ticks_read(run: Run) -> Rows:
@@ -189,11 +140,8 @@ def _count_ticks_read(run: Run) -> Rows:
 
 
 def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
-    was, now, count = (
-        run.commands,
-        replayed.commands,
-        min(len(run.commands), len(replayed.commands)),
-    )
+    was, now = run.commands, replayed.commands
+    count = min(len(was), len(now))
     columns = (
         ("command_time", "s", was.time_ns / 1e9, now.time_ns / 1e9),
         ("command_speed", "m/s", was.speed_m_s, now.speed_m_s),
@@ -201,13 +149,7 @@ def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
         ("command_turn_rate", "rad/s", was.turn_rate_rad_s, now.turn_rate_rad_s),
     )
     for name, unit, recorded, others in columns:
-        yield Pairing(
-            signal=name,
-            unit=unit,
-            time_ns=was.time_ns[:count],
-            recorded=recorded[:count],
-            replayed=others[:count],
-        )
+        yield Pairing(name, unit, was.time_ns[:count], recorded[:count], others[:count])
 
 
 _SIGNAL: Final = "stop"
@@ -311,22 +253,10 @@ def pair_samples(
     were, are = _read_numbers(recorded), _read_numbers(replayed)
     for name, (unit, was) in were.items():
         if name in are:
-            yield Pairing(
-                signal=name,
-                unit=unit,
-                time_ns=time_ns,
-                recorded=was[rows],
-                replayed=are[name][1][others],
-                kind="angle" if name in _ANGLES else "number",
-            )
-    yield Pairing(
-        signal="phase",
-        unit="1",
-        time_ns=time_ns,
-        recorded=_name_phases(recorded)[rows],
-        replayed=_name_phases(replayed)[others],
-        kind="label",
-    )
+            kind: Literal["angle", "number"] = "angle" if name in _ANGLES else "number"
+            yield Pairing(name, unit, time_ns, was[rows], are[name][1][others], kind)
+    phases = _name_phases(recorded)[rows], _name_phases(replayed)[others]
+    yield Pairing("phase", "1", time_ns, *phases, kind="label")
 
 
 def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]]:
@@ -392,13 +322,9 @@ def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:
         ("rad/s", commands.turn_rate_rad_s, answers.turn_rate_rad_s),
     )
     for name, (unit, recorded, replayed) in zip(PUBLISHED, sides, strict=True):
-        yield Pairing(
-            signal=name,
-            unit=unit,
-            time_ns=commands.time_ns[numbers[rows]],
-            recorded=recorded[numbers[rows]],
-            replayed=replayed[rows],
-        )
+        published = numbers[rows]
+        time_ns = commands.time_ns[published]
+        yield Pairing(name, unit, time_ns, recorded[published], replayed[rows])
 
 
 def has_published(run: Run) -> bool:

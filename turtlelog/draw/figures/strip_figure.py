@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.many_runs import find_gain_unit
 from turtlelog.charts.palette import UNSTABLE, to_hex
-from turtlelog.compare.run_names import has_one_gain, list_differing
+from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.draw.figures.metric_panels import MetricValues, measure_for_figure, set_value_scale
 from turtlelog.draw.figures.page import choose_colors

@@ -24,7 +24,7 @@ from turtlelog.compare import (
     tabulate_measured,
     tabulate_runs,
 )
-from turtlelog.compare.run_ends import describe_runs
+from turtlelog.compare.run_selection import describe_runs
 from turtlelog.display import describe_count, join_words
 from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.output_files import replace_file, write_policy_tag

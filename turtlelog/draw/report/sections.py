@@ -10,7 +10,7 @@ from turtlelog.charts.attribution_steps import draw_up_attribution
 from turtlelog.charts.palette import to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.compare import Table, format_cell
-from turtlelog.compare.run_names import list_differing
+from turtlelog.compare.run_selection import list_differing
 from turtlelog.display import describe_count
 from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
