@@ -1,6 +1,5 @@
 """The command line: its commands, and the conversion of known errors to one line."""
 
-import gc
 import io
 import os
 import signal
@@ -206,15 +205,10 @@ def _help(command: str | None = None, /) -> None:
 
 _register()
 
-_MOST_NEW_OBJECTS: Final = 10_000
-"""Number of new objects after which Python searches for cycles, which commands rarely create. With
-Python's default of 700, the search takes a quarter of the time for a file with 65,000 channels."""
-
 
 def main(tokens: Sequence[str] | None = None) -> None:
     """Run a command and exit: 0 success, 1 failed check, 2 bad usage or unreadable input."""
     _prepare_streams()
-    gc.set_threshold(_MOST_NEW_OBJECTS)
     try:
         code = _call(tokens)
     except (TurtlelogError, CycloptsError) as err:
