@@ -83,7 +83,10 @@ def test_a_command_loads_without_searches_for_cycles(given: str, kp4: Path) -> N
     assert done.stderr.split() == ["0", given or "1"]
 
 
-UNNEEDED = "html sqlite3 difflib lz4 hashlib multiprocessing tomli_w numpy.ma numpy.polynomial"
+UNNEEDED = (
+    "html sqlite3 difflib lz4 hashlib multiprocessing tomli_w numpy.ma numpy.polynomial shutil"
+    " tempfile traceback csv turtlelog.theory.sampled_loop"
+)
 
 
 @pytest.mark.parametrize("words", [["info"], ["metrics"]], ids=["info", "metrics"])

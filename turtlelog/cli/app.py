@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 import threading
-import traceback
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -220,6 +219,8 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except OSError as err:
         code = _fail(_describe_os_error(err), EXIT_BAD_INPUT)
     except Exception:
+        import traceback
+
         traceback.print_exc()
         code = _fail("this is a defect of turtlelog; please report it", EXIT_DEFECT)
     print_held_notes()

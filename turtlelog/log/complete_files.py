@@ -1,10 +1,8 @@
 """Files and folders that appear only when complete; detection of live recordings."""
 
 import os
-import shutil
 import stat
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import UnsupportedOperation
@@ -75,6 +73,8 @@ def remove_leftovers(folder: Path) -> None:
 @contextmanager
 def _put_when_complete(path: RemotePath) -> Iterator[Path]:
     """Yield a local temporary name; at the end the file is uploaded to the URL."""
+    import tempfile  # only writing needs these
+
     with name_file(path, expected="a place that can be written"):
         from turtlelog.files.requests import require_writable
 
@@ -127,6 +127,8 @@ def create_folder(path: str | Path) -> Iterator[Path]:
     if (path.exists() or path.is_symlink()) and not is_empty:
         kind = "a folder with files" if path.is_dir() else "a file"
         raise LogError(f"{path}: expected the name of a new folder, found {kind}")
+    import shutil
+
     # "." and "run/.." get a name only as absolute paths.
     target = path.resolve()
     temporary = _name_beside(target)

@@ -1,6 +1,5 @@
 """A path in the plane, read from a file and measured: points of shape (n, 2), joined by lines."""
 
-import csv
 import math
 from io import StringIO
 from pathlib import Path
@@ -148,6 +147,8 @@ def read_reference_path(path: str | Path) -> NDArray[np.float64]:
     Raises:
         MeasureError: If the file is wrong; one line with the file, the line, expected and found.
     """
+    import csv  # few runs need it
+
     path = make_path(path)
     try:
         text = StringIO(read_text_file(path, most=_MOST_BYTES), newline="")

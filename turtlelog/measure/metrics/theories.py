@@ -26,8 +26,6 @@ from turtlelog.measure.reductions import find_largest
 from turtlelog.measure.response import Response
 from turtlelog.measure.step_response import compute_rms
 from turtlelog.run.loops import ControlLoop
-from turtlelog.theory import compute_step_response
-from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
 
 Values = NDArray[np.float64]
 
@@ -43,10 +41,6 @@ THEORIES: Final[Mapping[str, str]] = MappingProxyType(
 _MOST_SAMPLES: Final = 20_000_000
 
 _NO_GAIN: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the gain")
-_UNSTABLE: Final = Missing(
-    status=Status.TOO_LARGE,
-    reason=f"theory's loop is unstable: beyond {LARGEST_DEVIATION:g} steps before the phase ends",
-)
 _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share one time")
 
 
@@ -93,6 +87,9 @@ def _deviate(theory: str, context: RunContext, response: Response) -> Values | M
 
 
 def _predict(theory: str, context: RunContext, response: Response) -> Values | Missing:
+    from turtlelog.theory import compute_step_response  # only `metrics --all` needs these
+    from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
+
     kp = response.loop.read_gain(context.run.parameters)
     if kp is None:
         return _NO_GAIN
@@ -116,7 +113,9 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
         initial=response.initial,
         reference=response.reference,
     )
-    return _UNSTABLE if predicted is None else predicted
+    limit = f"beyond {LARGEST_DEVIATION:g} steps before the phase ends"
+    unstable = Missing(status=Status.TOO_LARGE, reason=f"theory's loop is unstable: {limit}")
+    return unstable if predicted is None else predicted
 
 
 def _find_dead_time_samples(
