@@ -8,7 +8,6 @@ If loading libraries would take a second per process, Linux forks the processes 
 import os
 import signal
 import sys
-import traceback
 import warnings
 from abc import ABC, abstractmethod
 from collections import deque
@@ -342,6 +341,7 @@ def _serve(pipe: "Connection", work: Callable[[Any], Any]) -> None:
 
 def _answer(work: Callable[[Any], Any], packed: bytes) -> Any:
     """Return the packed result of an item and False, or the packed error and True."""
+    import traceback
     from multiprocessing.reduction import ForkingPickler
 
     try:

@@ -60,7 +60,33 @@ def test_a_command_loads_few_of_our_modules(words: list[str], most: int, kp4: Pa
     assert int(count) <= most, loaded
 
 
-UNNEEDED = "html sqlite3 difflib lz4 hashlib multiprocessing tomli_w numpy.ma numpy.polynomial"
+SEARCHES = """
+import gc, os, sys
+from turtlelog.__main__ import main
+searches = []
+gc.callbacks.append(lambda phase, facts: searches.append(phase))
+try: main()
+except SystemExit: pass
+print(len(searches) // 2, os.environ["OPENBLAS_NUM_THREADS"], file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("given", ["", "2"], ids=["no threads set", "threads set"])
+def test_a_command_loads_without_searches_for_cycles(given: str, kp4: Path) -> None:
+    """Searching while modules load takes 17 ms, and threads of numpy 25 ms."""
+    threads = {"OPENBLAS_NUM_THREADS": given} if given else {}
+    usual = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run(
+        [sys.executable, "-c", SEARCHES, "metrics", str(kp4)],
+        check=True, timeout=60, capture_output=True, text=True, env=usual | threads,
+    )  # fmt: skip
+    assert done.stderr.split() == ["0", given or "1"]
+
+
+UNNEEDED = (
+    "html sqlite3 difflib lz4 hashlib multiprocessing tomli_w numpy.ma numpy.polynomial shutil"
+    " tempfile traceback csv turtlelog.theory.sampled_loop"
+)
 
 
 @pytest.mark.parametrize("words", [["info"], ["metrics"]], ids=["info", "metrics"])

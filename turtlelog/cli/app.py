@@ -1,12 +1,10 @@
 """The command line: its commands, and the conversion of known errors to one line."""
 
-import gc
 import io
 import os
 import signal
 import sys
 import threading
-import traceback
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -206,15 +204,10 @@ def _help(command: str | None = None, /) -> None:
 
 _register()
 
-_MOST_NEW_OBJECTS: Final = 10_000
-"""Number of new objects after which Python searches for cycles, which commands rarely create. With
-Python's default of 700, the search takes a quarter of the time for a file with 65,000 channels."""
-
 
 def main(tokens: Sequence[str] | None = None) -> None:
     """Run a command and exit: 0 success, 1 failed check, 2 bad usage or unreadable input."""
     _prepare_streams()
-    gc.set_threshold(_MOST_NEW_OBJECTS)
     try:
         code = _call(tokens)
     except (TurtlelogError, CycloptsError) as err:
@@ -226,6 +219,8 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except OSError as err:
         code = _fail(_describe_os_error(err), EXIT_BAD_INPUT)
     except Exception:
+        import traceback
+
         traceback.print_exc()
         code = _fail("this is a defect of turtlelog; please report it", EXIT_DEFECT)
     print_held_notes()

@@ -1,15 +1,12 @@
 """Output of commands: results to stdout, notes to stderr."""
 
-import csv
 import errno
 import json
 import math
 import os
 import re
-import shutil
 import stat
 import sys
-import tempfile
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -186,7 +183,11 @@ _LINE: Final = 80
 
 def find_width() -> int:
     """Return the number of characters in a line of the terminal; without a terminal 80."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else _LINE
+    if not sys.stdout.isatty():
+        return _LINE
+    from shutil import get_terminal_size  # not loaded where the answer is a file
+
+    return get_terminal_size().columns
 
 
 def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
@@ -328,6 +329,8 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
 
     Without rows nothing is printed.
     """
+    import csv
+
     with _spool() as spool:
         writer = csv.writer(spool, lineterminator="\n")
         for number, row in enumerate(rows):
@@ -344,6 +347,9 @@ def _show_cell(cell: Any) -> Any:
 @contextmanager
 def _spool() -> Iterator[IO[str]]:
     """Yield a stream whose text is printed at the end of the block."""
+    import shutil  # Few answers are that long.
+    import tempfile
+
     with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8", newline="") as spool:
         yield spool
         spool.seek(0)
@@ -360,7 +366,9 @@ def find_command_name() -> str:
     """Return the command name by which a user can call turtlelog again."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:
         return "uv run turtlelog"
-    if shutil.which("turtlelog"):
+    from shutil import which
+
+    if which("turtlelog"):
         return "turtlelog"
     python = Path(sys.executable)
     if python.is_relative_to(Path.cwd()):

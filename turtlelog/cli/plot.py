@@ -1,8 +1,6 @@
 """`turtlelog plot`: figures and tables for print."""
 
-import gc
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -135,7 +133,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         if is_file
         else split_names("pdf" if formats is None else formats, "--format")
     )
-    page = _build_page(where or PageOptions(), kinds, names)
+    page = (where or PageOptions()).build_page(kinds, names)
     asked.require_figures(names or [])
     runs = _collect_runs(files, topics)
     kinds_of = None if names is None else asked.bind(names, runs)
@@ -163,27 +161,6 @@ def _require_no_figures(table: Path, given: Mapping[str, object]) -> None:
     for name, value in given.items():
         if value is not None:
             raise UsageError(f"{name}: leave it out, {table} is the table of a sweep")
-
-
-@contextmanager
-def _collect_rarely() -> Iterator[None]:
-    """Search for cyclic garbage rarely, because for figures it would take a sixth of the time.
-
-    Existing objects, which are mostly libraries, are never searched.
-    """
-    usual = gc.get_threshold()
-    gc.freeze()
-    gc.set_threshold(10_000, 20, 20)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*usual)
-        gc.unfreeze()
-
-
-@_collect_rarely()
-def _build_page(where: PageOptions, kinds: list[str], names: list[str] | None) -> "Page":
-    return where.build_page(kinds, names)  # loads matplotlib
 
 
 def _tell_whole(names: Iterable[str], page: "Page") -> None:
@@ -393,7 +370,6 @@ class _Drawing:
         )
 
 
-@_collect_rarely()
 def _draw_one(output: Path, drawing: _Drawing) -> Path:
     from turtlelog.draw.output_files import replace_file
 
@@ -407,7 +383,6 @@ def _draw_one(output: Path, drawing: _Drawing) -> Path:
     return output
 
 
-@_collect_rarely()
 def _draw_all(output: Path, drawing: _Drawing) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
     from turtlelog.draw.figures.writing import add_tables

@@ -3,7 +3,6 @@
 No library is used, so that printed and stored tables do not change with its version.
 """
 
-import csv
 import io
 import re
 import textwrap
@@ -91,6 +90,8 @@ def format_markdown(table: Table) -> str:
 
 def format_csv(table: Table) -> str:
     """Return a table as CSV with full precision and units in titles; missing values are empty."""
+    import csv
+
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([guard_cell(_join_title(column)) for column in table.columns])

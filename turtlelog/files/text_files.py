@@ -1,13 +1,11 @@
 """Reading and writing of the user's small text and TOML files, within size limits."""
 
-import csv
 import errno
 import os
 import re
 import stat
 import textwrap
 import time
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -120,8 +118,10 @@ def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, st
         start, number = end + 1, number + 1
 
 
-def describe_csv_error(err: csv.Error) -> str:
+def describe_csv_error(err: Exception) -> str:
     """Return a description of a CSV error in a cell, with a hint."""
+    import csv
+
     text = str(err)
     if text.startswith("field larger"):
         most = f"a cell of more than {csv.field_size_limit():,} characters"
@@ -130,6 +130,12 @@ def describe_csv_error(err: csv.Error) -> str:
     else:
         return text
     return f"{most}; look for a quote that no other closes, and delete it"
+
+
+def _load_toml(text: str) -> dict[str, Any]:
+    import tomllib  # Most commands read no TOML.
+
+    return tomllib.loads(text)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -144,7 +150,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     if _LONG_KEY.search(text):  # tomllib takes the square of its length for each
         raise ValueError(deep)
     try:
-        tables = tomllib.loads(text)
+        tables = _load_toml(text)
     except RecursionError as err:
         raise ValueError(deep) from err
     except ValueError as err:
@@ -183,7 +189,7 @@ def parse_known_toml(text: str) -> dict[str, Any]:
 def _parse_line(line: str) -> tuple[str | None, Any]:
     """Return the key and value of a complete line; `_NO_PAIR` for any other line."""
     try:
-        pairs = [*tomllib.loads(line).items()]
+        pairs = [*_load_toml(line).items()]
     except (ValueError, RecursionError):
         return _NO_PAIR
     is_plain = len(pairs) == 1 and not isinstance(pairs[0][1], dict | list)

@@ -1,11 +1,9 @@
 """Access to files: errors of one line, files that appear when complete, signals held meanwhile."""
 
 import os
-import shutil
 import signal
 import stat
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -147,6 +145,8 @@ def remove_leftovers(folder: Path) -> None:
 @contextmanager
 def _put_when_complete(path: RemotePath) -> Iterator[Path]:
     """Yield a local temporary name; at the end the file is uploaded to the URL."""
+    import tempfile  # only writing needs these
+
     with name_file(path, expected="a place that can be written"):
         from turtlelog.files.requests import require_writable
 
@@ -199,6 +199,8 @@ def create_folder(path: str | Path) -> Iterator[Path]:
     if (path.exists() or path.is_symlink()) and not is_empty:
         kind = "a folder with files" if path.is_dir() else "a file"
         raise LogError(f"{path}: expected the name of a new folder, found {kind}")
+    import shutil
+
     # "." and "run/.." get a name only as absolute paths.
     target = path.resolve()
     temporary = _name_beside(target)

@@ -13,7 +13,6 @@ The reference of a loop, at every pose:
 | `recorded` | heading of the recorded pose | its projection on that line; distance: 0 |
 """
 
-import csv
 import math
 import pathlib
 from collections.abc import Callable
@@ -341,6 +340,8 @@ def read_reference_path(path: str | pathlib.Path) -> NDArray[np.float64]:
     Raises:
         MeasureError: If the file is wrong; one line with the file, the line, expected and found.
     """
+    import csv  # few runs need it
+
     path = make_path(path)
     try:
         text = StringIO(read_text_file(path, most=_MOST_BYTES), newline="")

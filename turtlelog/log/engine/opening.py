@@ -1,8 +1,6 @@
 """Opening of files by their first bytes: MCAP or SQLite, plain or compressed."""
 
 import io
-import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -162,14 +160,15 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
         head = _read_head(stream)
         if isinstance(path, RemotePath) and head == SQLITE_MAGIC:  # SQLite opens only local files
             path.file.require_copy()
-            folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
-            place = Path(folder) / "fetched"
+            from shutil import copyfileobj
+
+            place = closing.enter_context(_make_folder()) / "fetched"
             with place.open("wb") as copy:
-                shutil.copyfileobj(stream, copy, 2**20)
+                copyfileobj(stream, copy, 2**20)
             stream = closing.enter_context(place.open("rb"))
         if head.startswith(ZSTD_MAGIC):
-            folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
-            place, stored_size = Path(folder) / "unpacked", measure_stored(stream)
+            folder = closing.enter_context(_make_folder())
+            place, stored_size = folder / "unpacked", measure_stored(stream)
             try:
                 _unpack_file(stream, place)
             except DamageError as err:
@@ -189,6 +188,14 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
         yield stream, place
 
 
+@contextmanager
+def _make_folder() -> Iterator[Path]:
+    from tempfile import TemporaryDirectory  # few files need it
+
+    with TemporaryDirectory(prefix="turtlelog-") as folder:
+        yield Path(folder)
+
+
 _COPIES: Final[dict[object, Path]] = {}
 """MCAP copies of ROS 1 bags, by the identity of the bag, because a command opens a file several
 times."""
@@ -198,7 +205,9 @@ _MOST_COPIES: Final = 4
 
 def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
     """Return the path of an MCAP file with a ROS 1 bag's messages, which exists until the exit."""
-    from multiprocessing.util import Finalize  # few files need these
+    import shutil  # few files need these
+    import tempfile
+    from multiprocessing.util import Finalize
 
     from turtlelog.log.ros1 import copy_ros1_bag
 

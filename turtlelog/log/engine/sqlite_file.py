@@ -1,12 +1,10 @@
 """Opening of SQLite files without writing next to them, and the tables of a bag."""
 
 import os
-import shutil
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 from mcap.records import Channel, Schema
@@ -53,7 +51,9 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
         LogError: If the file cannot be read, also for errors of SQLite while the file is open; the
             message is one clause.
     """
-    import sqlite3  # MCAP files do not need these
+    import shutil  # MCAP files do not need these
+    import sqlite3
+    from tempfile import TemporaryDirectory
 
     from turtlelog.log.engine.sqlite_pages import check_pages
 
@@ -143,6 +143,8 @@ def describe_sqlite_error(err: "sqlite3.Error") -> str:
 
 
 def _copy_with_sides(path: Path, place: Path, sides: list[Path]) -> None:
+    import shutil
+
     for source in (path, *sides):
         target = place.with_name(place.name + source.name.removeprefix(path.name))
         with open_file(source) as stream, target.open("wb") as copy:

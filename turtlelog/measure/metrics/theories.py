@@ -13,7 +13,7 @@ the measured value minus the theory, which is linearly interpolated at the times
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,9 @@ from turtlelog.measure.response import Response
 from turtlelog.measure.step_response import compute_rms
 from turtlelog.run import Parameter, Run
 from turtlelog.run.loops import ControlLoop
-from turtlelog.theory import LoopModel, MeasuredTiming, compute_step_response, model_loop
-from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
+
+if TYPE_CHECKING:
+    from turtlelog.theory import LoopModel, MeasuredTiming
 
 Values = NDArray[np.float64]
 
@@ -44,10 +45,6 @@ THEORIES: Final[Mapping[str, str]] = MappingProxyType(
 _MOST_SAMPLES: Final = 20_000_000
 
 _NO_GAIN: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the gain")
-_UNSTABLE: Final = Missing(
-    status=Status.TOO_LARGE,
-    reason=f"theory's loop is unstable: beyond {LARGEST_DEVIATION:g} steps before the phase ends",
-)
 _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share one time")
 
 
@@ -94,6 +91,9 @@ def _deviate(theory: str, context: RunContext, response: Response) -> Values | M
 
 
 def _predict(theory: str, context: RunContext, response: Response) -> Values | Missing:
+    from turtlelog.theory import compute_step_response  # only `metrics --all` needs these
+    from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
+
     kp = response.loop.read_gain(context.run.parameters)
     if kp is None:
         return _NO_GAIN
@@ -117,7 +117,9 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
         initial=response.initial,
         reference=response.reference,
     )
-    return _UNSTABLE if predicted is None else predicted
+    limit = f"beyond {LARGEST_DEVIATION:g} steps before the phase ends"
+    unstable = Missing(status=Status.TOO_LARGE, reason=f"theory's loop is unstable: {limit}")
+    return unstable if predicted is None else predicted
 
 
 def _find_dead_time_samples(
@@ -153,7 +155,7 @@ _MEASURED = "measured in the recording"
 
 def model_run_loops(
     run: Run, *, identified: Mapping[str, Parameter] | None = None
-) -> tuple[LoopModel, ...]:
+) -> "tuple[LoopModel, ...]":
     """Return the loops of a run as `theory` models them, one per declared loop.
 
     Gains and plant come from the scenario, period and dead time from the samples and poses. A time
@@ -168,7 +170,7 @@ def model_run_loops(
     return tuple(_model(run, loop, parameters) for loop in run.declaration.loops)
 
 
-def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> LoopModel:
+def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> "LoopModel":
     sources = {}
     if loop.gain not in run.parameters:
         sources["gains"] = "identified from the commands"
@@ -177,10 +179,12 @@ def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> 
     is_plain = parameters.get("plant.kind", "turtlesim") == "turtlesim"
     is_plain = is_plain and parameters.get("loop.trigger", "pose") == "pose"
     timing = _measure_timing(run, loop) if is_plain else None
+    from turtlelog.theory import model_loop
+
     return model_loop(loop, parameters, timing=timing, sources=sources)
 
 
-def _measure_timing(run: Run, loop: ControlLoop) -> MeasuredTiming | str:
+def _measure_timing(run: Run, loop: ControlLoop) -> "MeasuredTiming | str":
     periods_ns = np.diff(run.samples.time_ns)
     periods_ns = periods_ns[periods_ns > 0]  # without those of a burst
     if not len(periods_ns) or len(run.poses) < 2:
@@ -188,6 +192,8 @@ def _measure_timing(run: Run, loop: ControlLoop) -> MeasuredTiming | str:
     found = find_dead_time(run, loop)
     if isinstance(found, Missing):
         return f"the dead time cannot be measured: {found.reason}"
+    from turtlelog.theory import MeasuredTiming
+
     tick_s = compute_median(np.diff(run.poses.time_ns)) / 1e9
     changes = " at the end" if found.changes else ""
     words = f"{_MEASURED}, {found.ticks} tick{'' if found.ticks == 1 else 's'}"
