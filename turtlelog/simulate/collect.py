@@ -2,11 +2,9 @@
 
 import platform
 import sys
-from array import array
 from collections.abc import Iterable, Mapping
 from functools import cache
 from hashlib import sha256
-from itertools import repeat
 from pathlib import Path
 from struct import Struct
 from typing import Any, Final
@@ -27,10 +25,6 @@ from turtlelog.simulate.rows import SampleRow, describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
 from turtlelog.version import __version__
 
-_COMMAND_ROW: Final = Struct("<q2d")
-_COMMAND_KIND: Final = np.dtype(
-    [("published_ns", "<i8"), ("speed_m_s", "<f8"), ("turn_rate_rad_s", "<f8")]
-)
 _POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
 _SENSED: Final = ("sensed_x_m", "sensed_y_m", "sensed_heading_rad")
 _SAMPLE: Final = ("time_ns", "sequence", "pose_sequence", "phase")
@@ -39,6 +33,7 @@ _DECISION: Final = (
     *("world_v_x_m_s", "world_v_y_m_s", "wanted_speed_m_s", "wanted_turn_rate_rad_s"),
     *("speed_m_s", "turn_rate_rad_s"),
 )
+_COMMAND: Final = ("speed_m_s", "turn_rate_rad_s")
 _REFERENCE: Final = ("reference_x_m", "reference_y_m", "reference_heading_rad")
 _SHAPED: Final = ("shaped_speed_m_s", "shaped_turn_rate_rad_s")
 
@@ -98,9 +93,10 @@ class RunCollector:
         self._scenario = resolve_scenario(scenario)
         self._declaration = declare_scenario(self._scenario)
         self._senses = self._scenario.has_action("sense", "lose_pose")
-        self._times_ns, self._poses, self._commands = array("q"), bytearray(), bytearray()
+        self._poses, self._commands = bytearray(), bytearray()
         fields = _POSE + _SENSED * self._senses
-        self._pack_pose, self._pose_row = _find_packing((), fields)
+        self._add_pose, self._pose_row = _find_packing((), fields, "q")
+        self._add_command, self._command_row = _find_packing(("published_ns",), _COMMAND)
         has_shaping = self._scenario.has_action("shape")
         self._samples = SampleRows(self._declaration, has_shaping=has_shaping)
         self._events: list[Event] = []
@@ -113,30 +109,28 @@ class RunCollector:
 
     def take(self, ticks: Iterable[Tick]) -> None:
         """Add the next ticks."""
-        poses, commands, add_sample = self._poses, self._commands, self._samples.add
-        add_time, pack_pose, pack_command = (
-            self._times_ns.append,
-            self._pack_pose,
-            _COMMAND_ROW.pack,
-        )
+        poses, commands, samples = self._poses, self._commands, self._samples.packed
+        add_pose, add_command, add_sample = self._add_pose, self._add_command, self._samples.add_row
         for tick in ticks:
-            add_time(tick.time_ns)
-            poses += pack_pose(tick.row)
-            for sample, states in zip(tick.computed, tick.states or repeat(()), strict=False):
-                add_sample(sample, states)
+            add_pose(poses, tick.row, tick.time_ns)
+            if tick.states:
+                for sample, states in zip(tick.computed, tick.states, strict=True):
+                    add_sample(samples, sample, *states)
+            else:
+                for sample in tick.computed:
+                    add_sample(samples, sample)
             for sample in tick.published:
-                commands += pack_command(
-                    sample.published_ns, sample.speed_m_s, sample.turn_rate_rad_s
-                )
+                add_command(commands, sample)
             self._events += tick.events
             self._stop_reason = tick.stop_reason
 
     def end_late(self, err: StepBudgetError) -> None:
         """Record the failure of a loop whose step could not be ended; there is no last tick."""
-        if self._stop_reason is None and self._times_ns:
+        if self._stop_reason is None and self._poses:
+            last_ns = np.frombuffer(self._poses, self._pose_row)["given"][-1, 0]
             text = describe_stop(STEP_BUDGET, f": {err}")
             self._stop_reason = STEP_BUDGET
-            self._events.append(Event(time_ns=self._times_ns[-1], kind="stop", text=text))
+            self._events.append(Event(time_ns=int(last_ns), kind="stop", text=text))
 
     def build_run(self) -> Run:
         """Return the run of all ticks so far.
@@ -155,8 +149,8 @@ class RunCollector:
         return build_run(
             scenario,
             self._declaration,
-            poses=build_poses(np.array(self._times_ns), poses, senses=self._senses),
-            commands=build_commands(np.frombuffer(self._commands, _COMMAND_KIND)),
+            poses=build_poses(poses["given"][:, 0].copy(), poses, senses=self._senses),
+            commands=build_commands(np.frombuffer(self._commands, self._command_row)),
             samples=self._samples.build_columns(),
             stop_reason=self._stop_reason,
             events=tuple(self._events),
@@ -173,42 +167,55 @@ def _describe_wait(scenario: Scenario) -> str:
 
 
 class SampleRows:
-    """Collector of a law's samples, 8 bytes per value."""
+    """Collector of a law's samples, 8 bytes per value.
 
-    __slots__ = ("_declaration", "_has_shaping", "_pack", "_packed", "_row")
+    Attributes:
+        packed: The samples so far.
+        add_row: Function that appends a sample, and then its law's states, to `packed`.
+    """
+
+    __slots__ = ("_declaration", "_has_shaping", "_row", "add_row", "packed")
 
     def __init__(self, declaration: Declaration, *, has_shaping: bool = False) -> None:
         """Allocate space for the declared states and reference of a law, and for shaping."""
         self._declaration, self._has_shaping = declaration, has_shaping
         numbers = _DECISION + _REFERENCE * declaration.has_reference + _SHAPED * has_shaping
-        self._pack, self._row = _find_packing(_SAMPLE, numbers, len(declaration.states))
-        self._packed = bytearray()
+        self.add_row, self._row = _find_packing(_SAMPLE, numbers, "d" * len(declaration.states))
+        self.packed = bytearray()
 
     def __len__(self) -> int:
-        return len(self._packed) // self._row.itemsize
+        return len(self.packed) // self._row.itemsize
 
     def add(self, sample: SampleRow, states: tuple[float, ...] = ()) -> None:
         """Add the next sample and the states of its law."""
-        self._packed += self._pack(sample, *states)
+        self.add_row(self.packed, sample, *states)
 
     def build_columns(self) -> SampleColumns:
         """Return the columns of all samples so far."""
-        rows = np.frombuffer(self._packed, self._row)
-        states = rows["states"].copy() if self._declaration.states else None
+        rows = np.frombuffer(self.packed, self._row)
+        states = rows["given"].copy() if self._declaration.states else None
         return build_samples(rows, states, self._declaration, has_shaping=self._has_shaping)
 
 
 @cache
 def _find_packing(
-    whole: tuple[str, ...], numbers: tuple[str, ...], states: int = 0
+    whole: tuple[str, ...], numbers: tuple[str, ...], given: str = ""
 ) -> tuple[Function, np.dtype[Any]]:
-    """Return a function that packs fields of a row and states, and the type of the packed row."""
-    pack = Struct(f"<{len(whole)}q{len(numbers) + states}d").pack
-    values = ", ".join(f"row.{name}" for name in (*whole, *numbers))
-    lines = ["def pack_row(row, *states):", f"    return pack({values}, *states)"]
+    """Return a function that appends a row to bytes, and the type of the appended row.
+
+    Args:
+        whole: Fields of the row that are whole numbers.
+        numbers: Fields of the row that are other numbers.
+        given: Kinds of the values that the function receives after the row: `q` or `d` for each.
+    """
+    pack = Struct(f"<{len(whole)}q{len(numbers)}d{given}").pack
+    others = [f"given_{place}" for place in range(len(given))]
+    values = ", ".join([*(f"row.{name}" for name in (*whole, *numbers)), *others])
+    head = f"def add_row(packed, {', '.join(['row', *others])}):"
+    add = compile_text("add_row", [head, f"    packed += pack({values})"], {"pack": pack})
     fields = [(name, "<i8") for name in whole] + [(name, "<f8") for name in numbers]
-    kind = np.dtype([*fields, ("states", "<f8", (states,))])
-    return compile_text("pack_row", lines, {"pack": pack}), kind
+    kind = "<i8" if "q" in given else "<f8"
+    return add, np.dtype([*fields, ("given", kind, (len(given),))])
 
 
 # Columns from packed rows, or from the rows of a compiled loop, which have the same fields.
