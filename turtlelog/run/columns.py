@@ -1,10 +1,12 @@
 """The columns of a run, checked and made read-only; their clock; their rows in a time segment."""
 
 import math
+from collections.abc import Callable
 from dataclasses import Field, dataclass, fields, replace
+from functools import cache, partial
 from numbers import Real
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +42,33 @@ _MAY_BE_NAN = frozenset(
 
 _LARGEST_HEADING_RAD = np.pi + 1e-6
 
-Rebuilding = tuple[Any, tuple[type, dict[str, Any]]]
+Rebuilding = tuple[Any, tuple[()]]
 """Pickled form of a value: a new value is built from the fields, so that it is checked and frozen
 again."""
 
 
+class _Columns:
+    """Columns of one length: a frozen dataclass of arrays, or None for a column not recorded."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+        __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+        time_ns: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def __repr__(self) -> str:
+        names = [one.name for one in fields(self) if getattr(self, one.name) is not None]
+        return f"<{type(self).__name__}: {len(self)} rows of {', '.join(names)}>"
+
+    def __reduce__(self) -> Rebuilding:
+        return rebuild_value(self)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PoseColumns:
+class PoseColumns(_Columns):
     """The turtle's pose, one row per tick (imported logs: one row per sample).
 
     The arrays are made read-only without a copy.
@@ -83,7 +105,6 @@ class PoseColumns:
 
     def __post_init__(self) -> None:
         _freeze(self, "pose")
-        _require_finite(self, "pose")
         _require_rising(self.time_ns, "pose.time_ns", strictly=True)
         outside = np.abs(self.heading_rad) > _LARGEST_HEADING_RAD
         if outside.any():
@@ -107,18 +128,9 @@ class PoseColumns:
         rows = np.isnan(self.read_xy_m).any(axis=1) | np.isnan(self.read_heading_rad)
         return np.asarray(rows)
 
-    def __len__(self) -> int:
-        return len(self.time_ns)
-
-    def __repr__(self) -> str:
-        return _describe_columns(self)
-
-    def __reduce__(self) -> Rebuilding:
-        return rebuild, (type(self), list_fields(self))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CommandColumns:
+class CommandColumns(_Columns):
     """The published commands, one row per command. The arrays become read-only.
 
     Attributes:
@@ -135,21 +147,11 @@ class CommandColumns:
 
     def __post_init__(self) -> None:
         _freeze(self, "command")
-        _require_finite(self, "command")
         _require_rising(self.time_ns, "command.time_ns", strictly=False)
-
-    def __len__(self) -> int:
-        return len(self.time_ns)
-
-    def __repr__(self) -> str:
-        return _describe_columns(self)
-
-    def __reduce__(self) -> Rebuilding:
-        return rebuild, (type(self), list_fields(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SampleColumns:
+class SampleColumns(_Columns):
     """Values that the controller computed, one row per sample. The arrays become read-only.
 
     The fields have the order of the table columns.
@@ -206,7 +208,6 @@ class SampleColumns:
 
     def __post_init__(self) -> None:
         _freeze(self, "sample")
-        _require_finite(self, "sample")
         _require_rising(self.time_ns, "sample.time_ns", strictly=False)
         _require_rising(self.sequence, "sample.sequence", strictly=True)
 
@@ -222,15 +223,6 @@ class SampleColumns:
             speed_m_s=none,
             turn_rate_rad_s=none,
         )
-
-    def __len__(self) -> int:
-        return len(self.time_ns)
-
-    def __repr__(self) -> str:
-        return _describe_columns(self)
-
-    def __reduce__(self) -> Rebuilding:
-        return rebuild, (type(self), list_fields(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -323,53 +315,20 @@ def _select(time_ns: NDArray[np.int64], start_ns: int, end_ns: int) -> NDArray[n
     return np.asarray((time_ns >= start_ns) & (time_ns <= end_ns))
 
 
-def list_fields(value: Any) -> dict[str, Any]:
-    """Return the field values of an object in a form that can be pickled."""
-    values = {found.name: getattr(value, found.name) for found in fields(value)}
-    return {
-        name: dict(inner) if isinstance(inner, MappingProxyType) else inner
-        for name, inner in values.items()
-    }
+def rebuild_value(value: Any) -> Rebuilding:
+    """Return the pickled form of a frozen dataclass."""
+    kind: Any = type(value)
+    values = {found.name: getattr(value, found.name) for found in fields(kind)}
+    proxies = {name: dict(one) for name, one in values.items() if isinstance(one, MappingProxyType)}
+    return partial(kind, **values | proxies), ()
 
 
-def rebuild(kind: type, values: dict[str, Any]) -> Any:
-    """Restore a pickled object."""
-    return kind(**values)
+_list_fields: Final[Callable[[type], tuple[Field[Any], ...]]] = cache(fields)
 
 
-def _describe_columns(columns: PoseColumns | CommandColumns | SampleColumns) -> str:
-    names = [field.name for field in fields(columns) if getattr(columns, field.name) is not None]
-    return f"<{type(columns).__name__}: {len(columns)} rows of {', '.join(names)}>"
-
-
-_FIELDS: Final[dict[type, tuple[Field[Any], ...]]] = {}
-
-
-def _fields(kind: type) -> tuple[Field[Any], ...]:
-    """Return the fields of a type from a cache."""
-    if kind not in _FIELDS:
-        _FIELDS[kind] = fields(kind)
-    return _FIELDS[kind]
-
-
-def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
-    _require_arrays(columns, table)
-    rows = len(columns.time_ns)
-    for column in _fields(type(columns)):
-        values = getattr(columns, column.name)
-        if values is None:
-            continue
-        shape = (rows, 2) if column.name in PAIRS else (rows,)
-        if column.name == "states":
-            shape = (rows, values.shape[-1])
-        if values.shape != shape:
-            raise RunError(f"{table}.{column.name}: expected shape {shape}, found {values.shape}")
-        values.flags.writeable = False
-
-
-def _require_arrays(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
-    """Require arrays: integers for times and counts, floats for all other columns."""
-    for column in _fields(type(columns)):
+def _freeze(columns: _Columns, table: str) -> None:
+    """Require arrays of one length: integers for times and counts, floats for all other columns."""
+    for column in _list_fields(type(columns)):
         values, place = getattr(columns, column.name), f"{table}.{column.name}"
         if values is None and column.default is None:
             continue
@@ -378,11 +337,20 @@ def _require_arrays(columns: PoseColumns | CommandColumns | SampleColumns, table
         kinds, expected = ("iu", "whole numbers") if column.name in _WHOLE else ("f", "floats")
         if len(values) and values.dtype.kind not in kinds:
             raise RunError(f"{place}: expected {expected}, found {values.dtype}")
+        shape: tuple[int, ...] = (len(columns),)
+        if column.name in PAIRS:
+            shape = (*shape, 2)
+        elif column.name == "states":
+            shape = (*shape, values.shape[-1])
+        if values.shape != shape:
+            raise RunError(f"{place}: expected shape {shape}, found {values.shape}")
+        values.flags.writeable = False
+    _require_finite(columns, table)
 
 
-def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
+def _require_finite(columns: _Columns, table: str) -> None:
     with np.errstate(all="ignore"):
-        for column in _fields(type(columns)):
+        for column in _list_fields(type(columns)):
             values = getattr(columns, column.name)
             if values is None or values.dtype.kind != "f":
                 continue

@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
@@ -304,8 +305,8 @@ class Declaration:
         return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
-        phases, units = dict(self.phases), dict(self.state_units)
-        return _rebuild, (self.loops, phases, self.states, units, self.uses_goal)
+        made = partial(Declaration, phases=dict(self.phases), state_units=dict(self.state_units))
+        return partial(made, loops=self.loops, states=self.states, uses_goal=self.uses_goal), ()
 
     @property
     def phase_names(self) -> tuple[str, ...]:
@@ -362,18 +363,6 @@ class Cause:
 def is_loop_name(text: str) -> bool:
     """Return whether a loop of any law may have this name."""
     return _NAME.fullmatch(text) is not None and text not in RESERVED
-
-
-def _rebuild(
-    loops: tuple[ControlLoop, ...],
-    phases: dict[str, tuple[str, ...]],
-    states: tuple[str, ...],
-    state_units: dict[str, str],
-    uses_goal: bool,  # noqa: FBT001
-) -> Declaration:
-    return Declaration(
-        loops=loops, phases=phases, states=states, state_units=state_units, uses_goal=uses_goal
-    )
 
 
 def _list_entries(place: str, entries: Any) -> tuple[Any, ...]:

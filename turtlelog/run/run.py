@@ -23,9 +23,8 @@ from turtlelog.run.columns import (
     PoseColumns,
     Rebuilding,
     SampleColumns,
-    list_fields,
     locate_stretch,
-    rebuild,
+    rebuild_value,
     slice_run,
 )
 from turtlelog.run.ending import find_goal_end
@@ -158,7 +157,7 @@ class Run:
         object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
 
     def __reduce__(self) -> Rebuilding:
-        return rebuild, (type(self), list_fields(self))
+        return rebuild_value(self)
 
     def _require_goal(self) -> None:
         goal, heading = self.goal_xy_m, self.goal_heading_rad

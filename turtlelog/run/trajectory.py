@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
 from turtlelog.errors import RunError
-from turtlelog.run.columns import Rebuilding, list_fields, rebuild
+from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.run import Run
 
 Values = NDArray[np.float64]
@@ -78,7 +78,7 @@ class Trajectory:
         return fit_line(f"<Trajectory {self.name}: {len(self)} poses in {self.space}>")
 
     def __reduce__(self) -> Rebuilding:
-        return rebuild, (type(self), list_fields(self))
+        return rebuild_value(self)
 
 
 def build_planar_trajectory(run: Run) -> Trajectory:

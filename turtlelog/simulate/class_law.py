@@ -47,22 +47,6 @@ class ClassLaw:
             from 1.
     """
 
-    __slots__ = (
-        "_declared",
-        "_ended",
-        "_first_phase",
-        "_goal",
-        "_has_reference",
-        "_law",
-        "_limits",
-        "_path",
-        "_phases",
-        "_states",
-        "_step",
-        "_with_reference",
-        "stops",
-    )
-
     def __init__(
         self,
         law: Law,
@@ -78,7 +62,6 @@ class ClassLaw:
         self._goal = goal if declaration.uses_goal else None
         self._path = path
         self._phases = {name: number for number, name in enumerate(declaration.phase_names)}
-        self._first_phase = declaration.phase_names[0]
         self._declared = tuple(declaration.phases)
         self._states = declaration.states
         self._has_reference = declaration.has_reference
@@ -100,11 +83,7 @@ class ClassLaw:
         time_ns: int,
         xyh: tuple[float, float, float],
     ) -> tuple[float, float]:
-        """Record the law's decision; return speed and turn rate. The loop calls this method.
-
-        Raises:
-            SimulationError: If the answer is not a decision, or one of its numbers is invalid.
-        """
+        """Record the law's decision; return speed and turn rate. The loop calls this method."""
         del settings, state
         pose = Pose(*xyh)
         if row.sequence == 0:
@@ -114,7 +93,7 @@ class ClassLaw:
             found = self._step(time_ns, pose)
         finally:
             sys.stdout = stdout
-        decision = read_decision(found)
+        decision = _read_decision(found)
         row.phase = self._judge(decision)
         self._enter(row, decision)
         if self._states:
@@ -153,12 +132,9 @@ class ClassLaw:
             row.reference_heading_rad = decision.reference.heading_rad
 
     def _judge(self, decision: Decision) -> int:
-        """Return the index of a decision's phase.
-
-        Reject a decision that cannot be executed or recorded.
-        """
+        """Return the index of a decision's phase; refuse what cannot be executed or recorded."""
         speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
-        phase = self._first_phase if decision.phase is None else decision.phase
+        phase = self._declared[0] if decision.phase is None else decision.phase
         if not (abs(speed) < LARGEST_FLOAT and abs(turn_rate) < LARGEST_FLOAT):
             raise SimulationError(_describe_command(speed, turn_rate))
         self._require_finite(decision)
@@ -213,31 +189,20 @@ class ClassLaw:
 
 
 def _describe_command(speed: float, turn_rate: float) -> str:
-    """Return a sentence on an invalid command."""
     return (
         f"expected a finite command (below {LARGEST_FLOAT:g}),"
         f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
     )
 
 
-def _read_array(found: Any) -> Decision:
-    """Return the decision from an array of speed and turn rate."""
-    if getattr(found, "shape", None) != (2,):
-        expected = "a Decision, or speed and turn rate"
-        raise SimulationError(f"expected {expected}, found {found!r:.60}")
-    return Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
-
-
-def read_decision(found: object) -> Decision:
-    """Return the answer of a law as a `Decision` with numbers of Python, not of numpy.
-
-    Raises:
-        SimulationError: If the answer is not a decision, or one of its numbers is invalid.
-    """
-    if isinstance(found, tuple | list) and len(found) == 2:  # speed and turn rate
-        found = Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
+def _read_decision(found: Any) -> Decision:
+    """Return the answer of a law as a `Decision` with numbers of Python, not of numpy."""
     if not isinstance(found, Decision):
-        found = _read_array(found)
+        is_pair = isinstance(found, tuple | list) and len(found) == 2
+        if not is_pair and getattr(found, "shape", None) != (2,):
+            expected = "a Decision, or speed and turn rate"
+            raise SimulationError(f"expected {expected}, found {found!r:.60}")
+        found = Decision(speed_m_s=found[0], turn_rate_rad_s=found[1])
     # Most laws return plain floats, which are checked together: a sample takes 5 us in total.
     is_plain = (
         type(found.speed_m_s) is type(found.turn_rate_rad_s) is float
@@ -248,7 +213,7 @@ def read_decision(found: object) -> Decision:
         and type(found.blocks_ticks) is int
         and found.blocks_ticks == 0
     )
-    return found if is_plain and _has_plain_errors(found) else _read_decision(found)
+    return found if is_plain and _has_plain_errors(found) else _convert_decision(found)
 
 
 def _has_plain_errors(found: Decision) -> bool:
@@ -264,7 +229,7 @@ def _has_plain_errors(found: Decision) -> bool:
     )
 
 
-def _read_decision(found: Decision) -> Decision:
+def _convert_decision(found: Decision) -> Decision:
     error_x_m = _read_error("error_x_m", found.error_x_m)
     error_y_m = _read_error("error_y_m", found.error_y_m)
     if isinf(hypot(error_x_m or 0.0, error_y_m or 0.0)):
@@ -282,7 +247,7 @@ def _read_decision(found: Decision) -> Decision:
         world_v_x_m_s=_read_number("world_v_x_m_s", found.world_v_x_m_s),
         world_v_y_m_s=_read_number("world_v_y_m_s", found.world_v_y_m_s),
         states=_read_states(found.states),
-        reference=None if found.reference is None else _read_pose(found.reference),
+        reference=_read_pose(found.reference),
         blocks_ticks=_read_ticks(found.blocks_ticks),
         ends_phase=bool(found.ends_phase),
         stop_reason=found.stop_reason,
@@ -316,16 +281,14 @@ def _read_states(states: Any) -> tuple[float, ...]:
     return tuple([_read_number(f"states[{place}]", value) for place, value in enumerate(states)])
 
 
-def _read_pose(reference: Any) -> Pose:
+def _read_pose(reference: Any) -> Pose | None:
+    if reference is None:
+        return None
     try:
-        x_m, y_m, heading_rad = reference.x_m, reference.y_m, reference.heading_rad
+        found = [(name, getattr(reference, name)) for name in Pose.__struct_fields__]
     except AttributeError as err:
         raise SimulationError(f"reference: expected a Pose, found {reference!r:.60}") from err
-    return Pose(
-        _read_number("reference.x_m", x_m),
-        _read_number("reference.y_m", y_m),
-        _read_number("reference.heading_rad", heading_rad),
-    )
+    return Pose(*(_read_number(f"reference.{name}", value) for name, value in found))
 
 
 def _read_ticks(value: Any) -> int:
@@ -333,13 +296,6 @@ def _read_ticks(value: Any) -> int:
         return index(value)
     expected = f"a whole number from 0 to {_MOST_TICKS}"
     raise SimulationError(f"blocks_ticks: expected {expected}, found {value!r:.60}")
-
-
-_ERRORS: Final = (
-    *("bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"),
-    *("world_v_x_m_s", "world_v_y_m_s"),
-)
-"""Values of a sample that a law may set in addition to its command."""
 
 
 def is_built_in(law: AnyLaw) -> bool:
@@ -384,20 +340,16 @@ def build_goal(scenario: Scenario) -> Goal:
 
 
 def describe_numbers(failure: int, row: SampleRow, states: Mapping[str, float]) -> str:
-    """Return a sentence on the number of an answer that cannot be executed or recorded.
-
-    Args:
-        failure: Kind of failure, as in `rows`.
-        row: Sample that contains the answer.
-        states: States of the sample.
-    """
+    """Return a sentence on a failure of a sample, a kind of `rows`; `states` are the sample's."""
     if failure == COMMAND_FAILED:
         return _describe_command(row.wanted_speed_m_s, row.wanted_turn_rate_rad_s)
     if failure == REFERENCE_FAILED:
         pose = Pose(row.reference_x_m, row.reference_y_m, row.reference_heading_rad)
         return f"expected a finite reference pose, found {pose}"
     if failure == NUMBERS_FAILED:
-        values = {name: getattr(row, name) for name in _ERRORS}
+        names = ["bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"]
+        names += ["world_v_x_m_s", "world_v_y_m_s"]
+        values = {name: getattr(row, name) for name in names}
         bad = {name: value for name, value in values.items() if isinf(value)} or values
         listed = ", ".join(f"{name} {value}" for name, value in bad.items())
         return f"expected finite numbers, found {listed}"

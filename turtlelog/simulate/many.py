@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
 from turtlelog.simulate.compiled.compiled_code import CompiledCode, is_kept
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner
+from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, compile_loop, name_loop
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0
@@ -178,26 +178,14 @@ class ManyRuns(Iterator[Simulated]):
 @cache
 def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledCode:
     """Return the loop of a law and a plant, which is compiled when the work justifies this."""
-    return CompiledCode(
-        partial(_load, law, plant, states),
-        partial(_is_kept, law, plant, states),
-        cost_s=COST_S,
-        first_s=FIRST_S,
-    )
+    load, find = partial(compile_loop, law, plant, states), partial(_is_kept, law, plant, states)
+    return CompiledCode(load, find, cost_s=COST_S, first_s=FIRST_S)
 
 
 ENTRY: Final = "turtlelog.simulate.compiled.compiled_entry"
 
 
-def _load(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Any:
-    from turtlelog.simulate.compiled.compiled_loop import compile_loop
-
-    return compile_loop(law, plant, states)
-
-
 def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
-    from turtlelog.simulate.compiled.compiled_loop import name_loop
-
     try:
         return is_kept(ENTRY, name_loop(law, plant, states))
     except TypeError:  # not compilable; the compilation reports it
@@ -210,10 +198,8 @@ def find_loop(scenario: Scenario, plant: Plant) -> CompiledCode | None:
     if not isinstance(law, LawPart) or (law.needs_path and scenario.path is None):
         return None
     ticks = round(scenario.max_duration_s * 1e9) // plant.period_ns
-    if not (
-        ticks < MOST_TICKS
-        and (scenario.loop.period_s or 1.0) * MOST_TICKS > scenario.max_duration_s
-    ):
+    period_s = scenario.loop.period_s or 1.0
+    if ticks >= MOST_TICKS or period_s * MOST_TICKS <= scenario.max_duration_s:
         return None
     return _find_loop(law, PLANTS[scenario.plant.kind], declare_scenario(scenario).states)
 
@@ -230,12 +216,10 @@ def describe_difference(kind: str, plain: Run, compiled: Run) -> Iterator[str]:
         counts = f"{len(compiled.samples)} samples instead of {len(plain.samples)}"
         yield f"law {kind}: its first run has {counts} when compiled"
         return
-    one, other = plain.samples, compiled.samples
-    found = {
-        "m/s": np.subtract(one.wanted_speed_m_s, other.wanted_speed_m_s),  # type: ignore[arg-type]
-        "rad/s": np.subtract(one.wanted_turn_rate_rad_s, other.wanted_turn_rate_rad_s),  # type: ignore[arg-type]
-    }
-    largest = {unit: float(np.abs(column).max()) for unit, column in found.items()}
+    largest = {}
+    for unit, name in (("m/s", "wanted_speed_m_s"), ("rad/s", "wanted_turn_rate_rad_s")):
+        one, other = getattr(plain.samples, name), getattr(compiled.samples, name)
+        largest[unit] = float(np.abs(one - other).max())
     if any(largest.values()):
         sizes = " and ".join(f"{format_number(one)} {unit}" for unit, one in largest.items())
         yield f"law {kind}: commands of its first run differ by up to {sizes} when compiled"

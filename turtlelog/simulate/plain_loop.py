@@ -74,8 +74,6 @@ cache, and deleting them more often takes longer."""
 
 Samples = tuple[SampleRow, ...]
 
-_NONE: Final[tuple[Any, ...]] = ()
-
 
 class Tick(msgspec.Struct, frozen=True, gc=False):
     """Results of one plant step.
@@ -119,7 +117,7 @@ def iterate_ticks(
             unlimited. From 1 s on, the steps of built-in laws are not watched, and the loop of
             another law computes in its own thread.
         one_by_one: Whether to compute a tick when it is requested instead of some ticks ahead.
-        made: Function that receives the loop at its start.
+        made: List to which the loop is appended at its start.
 
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
@@ -131,11 +129,10 @@ def iterate_ticks(
     if step_budget_s is not None:
         require_budget(step_budget_s)
     made = [] if made is None else made
-    ticks = _iterate(scenario, plant, step_budget_s, made)
-    law = find_law(scenario.law.kind)
-    if step_budget_s is None or not needs_watch(step_budget_s, is_built_in=is_built_in(law)):
+    ticks, kind = _iterate(scenario, plant, step_budget_s, made), scenario.law.kind
+    is_ours = is_built_in(find_law(kind))
+    if step_budget_s is None or not needs_watch(step_budget_s, is_built_in=is_ours):
         return ticks
-    kind = scenario.law.kind
     return LimitedLoop(ticks, made, step_budget_s, law=kind, one_by_one=one_by_one).iterate()
 
 
@@ -176,7 +173,7 @@ class PlainLoop:
         self._kind = scenario.law.kind if law is None else name_law(type(law))
         parameters = getattr(law, "parameters", scenario.law.parameters)
         self._law: AnyLaw = find_law(self._kind) if law is None else type(law)
-        self._budget_s, self._asked_ns = inf if step_budget_s is None else step_budget_s, 0
+        self._budget_s = inf if step_budget_s is None else step_budget_s
         goal = build_goal(scenario)
         self.declaration = declare_law(self._law, parameters, goal, scenario.path)
         plant = scenario.plant.facts if plant is None else plant
@@ -225,8 +222,9 @@ class PlainLoop:
         for tick in range(scene.last_tick + 1):
             move_plant(settings, state, rows, parts, tick)
             if now.failure != 0:
-                raise self._describe_runaway(tick)
-            failure, stop, told = None, None, _NONE
+                raise describe_runaway(tick * period_ns, parts.read(state.plant))
+            failure, stop = None, None
+            told: tuple[Event, ...] = ()
             try:
                 if now.waits_for == 0 or delays_poses:
                     answer(settings, state, rows, parts, tick)
@@ -234,8 +232,10 @@ class PlainLoop:
                 raise
             except BaseException as err:
                 failure = self.describe_failure(err)
-            if failure is not None or now.failure != 0:
-                failure = self._end_failed(failure)
+            if now.failure != 0:
+                failure = self._describe_numbers()
+            if failure is not None:
+                now.stop = LATE if isinstance(failure, StepBudgetError) else LAW_FAILED
             finish_tick(settings, state, rows, parts, tick, before)
             end = now.samples
             computed = (samples[before],) if end == before + 1 else _list_rows(samples, before, end)
@@ -244,9 +244,9 @@ class PlainLoop:
             before, published = end, now.published
             if now.events != events:
                 events = now.events
-                told = self._describe_events(period_ns, "" if failure is None else f": {failure}")
+                told = self._take_events(period_ns, "" if failure is None else f": {failure}")
                 stop = self.name_stop(now.stop) if now.stop != 0 else None
-            own = self._take_states(computed) if states else _NONE
+            own = tuple([self.take_states(one.sequence) for one in computed]) if states else ()
             yield Tick(tick * period_ns, ticks[tick], computed, sent, own, told, stop)
             if failure is not None:
                 raise failure
@@ -254,18 +254,6 @@ class PlainLoop:
                 return
             if tick % _FORGET_EVERY == 0:
                 self._forget()
-
-    def _end_failed(self, failure: SimulationError | None) -> SimulationError:
-        """End the run; return the failure of the law, or of the law's numbers."""
-        if self.now.failure != 0:
-            failure = self._describe_numbers()
-        assert failure is not None
-        self.now.stop = LATE if isinstance(failure, StepBudgetError) else LAW_FAILED
-        return failure
-
-    def _take_states(self, computed: Samples) -> tuple[tuple[float, ...], ...]:
-        """Return the states of samples and delete them."""
-        return tuple([self.take_states(sample.sequence) for sample in computed])
 
     def answer_pose(self, time_ns: int, number: int, pose: Pose) -> SampleRow:
         """Return the sample for a pose from outside, such as a recorded pose; no plant moves.
@@ -341,14 +329,10 @@ class PlainLoop:
         reason = describe_numbers(now.failure, rows.samples[now.samples], states)
         return SimulationError(f"law {self._kind}, sample {now.samples}: {reason}")
 
-    def _describe_runaway(self, tick: int) -> SimulationError:
-        state = self.parts.read(self.state.plant)
-        return describe_runaway(tick * self.settings.scene.period_ns, state)
-
-    def _describe_events(self, period_ns: int, because: str) -> tuple[Event, ...]:
-        rows = self.rows.events
-        found = [rows[number] for number in sorted(rows)]
-        rows.clear()
+    def _take_events(self, period_ns: int, because: str) -> tuple[Event, ...]:
+        """Return the events so far and delete them."""
+        found = [*self.rows.events.values()]
+        self.rows.events.clear()
         return tuple(
             describe_event(row, period_ns, self.name_stop, because=because) for row in found
         )
@@ -370,9 +354,7 @@ class PlainLoop:
 def _list_rows(rows: dict[int, Any], first: int, end: int) -> Samples:
     if first + 1 == end:
         return (rows[first],)
-    if first == end:
-        return _NONE
-    return tuple([rows[number] for number in range(first, end)])
+    return tuple([rows[number] for number in range(first, end)]) if first != end else ()
 
 
 @dataclass(slots=True)
@@ -449,10 +431,8 @@ def _find_reader(
         return None
     if not isinstance(law, LawPart):
         return tuple
-    if len(declaration.states) == 1:
-        read = attrgetter(*declaration.states)
-        return lambda row: (read(row),)
-    return attrgetter(*declaration.states)
+    read: Any = attrgetter(*declaration.states)
+    return read if len(declaration.states) > 1 else lambda row: (read(row),)
 
 
 def describe_runaway(

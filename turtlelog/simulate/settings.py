@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from turtlelog.effects import EFFECTS
 from turtlelog.laws import AnyLaw, LawPart
@@ -37,14 +37,8 @@ class NoNumbers:
     """Settings of a law in any Python, which reads its own parameters."""
 
 
-@dataclass(frozen=True)
-class Mirror:
-    """The numbers of a dataclass of keys.
-
-    Attributes:
-        kind: A dataclass with slots and defaults for the numbers.
-        read: Function that returns the numbers of an object with the keys.
-    """
+class Mirror(NamedTuple):
+    """A dataclass for the numbers of keys, and the function that reads them from an object."""
 
     kind: type[Any]
     read: Callable[[Any], Any]
@@ -58,10 +52,9 @@ def mirror(keys: Any) -> Mirror:
     converts: list[tuple[str, Convert | None]] = []
     for one in fields(keys):
         kind, convert = _find_number(hints[one.name])
-        if kind is None:
-            continue
-        found.append((one.name, kind, dataclasses.field(default=_NONE[kind])))
-        converts.append((one.name, convert))
+        if kind is not None:
+            found.append((one.name, kind, dataclasses.field(default=_NONE[kind])))
+            converts.append((one.name, convert))
     made = dataclasses.make_dataclass(f"{keys.__name__}Numbers", found, slots=True)
 
     def read(table: Any) -> Any:
@@ -90,8 +83,7 @@ def _find_number(hint: Any) -> tuple[type | None, Convert | None]:
     return None, None
 
 
-@dataclass(frozen=True)
-class Shape:
+class Shape(NamedTuple):
     """The dataclasses of a loop's settings and state, nested by part."""
 
     Settings: type[Any]
@@ -104,19 +96,14 @@ def find_shape(
     law: type[Any], law_numbers: type[Any], plant: PlantPart, states: tuple[str, ...]
 ) -> Shape:
     """Return the shape of a loop, from the dataclasses of its law's state and numbers."""
-    make = dataclasses.make_dataclass
-    settings: list[tuple[str, Any]] = [
-        ("scene", Scene),
-        ("goal", GoalNumbers),
-        ("path", PathNumbers),
-    ]
-    settings += [(name, mirror(keys).kind) for name, keys in _TABLES.items()]
-    settings += [("plant", mirror(plant.Keys).kind), ("law", law_numbers)]
-    state: list[tuple[str, Any]] = [("now", Progress), ("plant", plant.State), ("law", law)]
-    state += [(one.name, one.State) for one in EFFECTS if one.State is not None]
+    make, tables = dataclasses.make_dataclass, {**_TABLES, "plant": plant.Keys}
+    settings: dict[str, Any] = {"scene": Scene, "goal": GoalNumbers, "path": PathNumbers}
+    settings |= {name: mirror(keys).kind for name, keys in tables.items()} | {"law": law_numbers}
+    state: dict[str, Any] = {"now": Progress, "plant": plant.State, "law": law}
+    state |= {one.name: one.State for one in EFFECTS if one.State is not None}
     return Shape(
-        make("Settings", settings, slots=True),
-        make("State", state, slots=True),
+        make("Settings", settings.items(), slots=True),
+        make("State", state.items(), slots=True),
         find_states(states),
     )
 
@@ -149,18 +136,11 @@ def read_law(law: AnyLaw, parameters: Any) -> Any:
 def build_settings(
     scenario: Scenario, law: AnyLaw, declaration: Declaration, plant: Plant
 ) -> tuple[Shape, Any, Any]:
-    """Return the shape of a loop, its settings, and its initial state.
-
-    Args:
-        scenario: Scenario with a resolved law.
-        law: Law of the scenario.
-        declaration: Declaration of the law.
-        plant: Plant whose clock is used.
-    """
+    """Return the shape of a loop, its settings, and its initial state; the law is resolved."""
     part, goal, start = PLANTS[scenario.plant.kind], scenario.goal, scenario.start
     state_kind: Any = law.State if isinstance(law, LawPart) else NoNumbers
     shape = find_shape(state_kind, find_law_numbers(law), part, declaration.states)
-    keys = scenario.plant.keys
+    keys, place = scenario.plant.keys, (start.x_m, start.y_m, start.heading_rad)
     settings = shape.Settings(
         build_scene(scenario, law, declaration, plant),
         GoalNumbers(goal.x_m, goal.y_m, math.nan if goal.heading_rad is None else goal.heading_rad),
@@ -171,13 +151,7 @@ def build_settings(
     )
     state = shape.State(
         Progress(waits_for=scenario.loop.start_backlog),
-        part.begin(
-            keys,
-            start.x_m,
-            start.y_m,
-            start.heading_rad,
-            is_rounded=start.precision == "float32",
-        ),
+        part.begin(keys, *place, is_rounded=start.precision == "float32"),
         state_kind(),
         *(one.State() for one in EFFECTS if one.State is not None),
     )

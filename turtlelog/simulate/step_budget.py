@@ -7,6 +7,7 @@ block a run.
 """
 
 import contextvars
+import operator
 import sys
 import threading
 import time
@@ -19,10 +20,13 @@ from itertools import islice
 from math import inf
 from numbers import Real
 from queue import Empty, SimpleQueue
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
+
+if TYPE_CHECKING:
+    from turtlelog.simulate.plain_loop import PlainLoop
 
 STEP_BUDGET: Final = "step_budget"
 """Stop reason of a run whose law exceeded its time limit."""
@@ -67,6 +71,9 @@ Step = Callable[..., Any]
 _Result = TypeVar("_Result")
 _Item = TypeVar("_Item")
 
+_Answer = tuple[_Result | None, BaseException | None, float]
+"""Result or exception of a call, and its duration [s]."""
+
 
 class StepBudgetError(SimulationError):
     """A law that exceeded its computing time."""
@@ -77,11 +84,7 @@ class StepEnded(SystemExit):
 
 
 def require_budget(budget_s: float) -> None:
-    """Raise an error for an invalid budget.
-
-    Raises:
-        SimulationError: If the budget is not above 0, or is infinite.
-    """
+    """Raise a SimulationError for a budget that is not above 0, or is infinite."""
     if not (isinstance(budget_s, Real) and 0.0 < budget_s < inf):
         raise SimulationError(f"step_budget_s: expected a time above 0 s, found {budget_s!r:.60}")
 
@@ -114,8 +117,7 @@ class _Worker(Generic[_Result]):
 
     def __init__(self, call: Callable[..., _Result], name: str) -> None:
         self._questions: SimpleQueue[tuple[Any, ...] | None] = SimpleQueue()
-        self._answers: SimpleQueue[tuple[_Result | None, BaseException | None, float]]
-        self._answers = SimpleQueue()
+        self._answers: SimpleQueue[_Answer[_Result]] = SimpleQueue()
         self.start_s: list[float] = []
         # With the caller's context, such as numpy's error handling.
         call = partial(contextvars.copy_context().run, call)
@@ -131,17 +133,11 @@ class _Worker(Generic[_Result]):
         self.start_s.clear()
         self._questions.put(question)
 
-    def wait(self, most_s: float) -> tuple[_Result | None, BaseException | None, float]:
-        """Return the result or exception of the function, and its duration [s].
-
-        Raises:
-            Empty: If the function takes longer than the given time [s].
-        """
+    def wait(self, most_s: float) -> _Answer[_Result]:
+        """Return the answer of the function; raise Empty after the given time [s]."""
         return self._answers.get(timeout=min(most_s, _LONGEST_S))
 
-    def wait_while(
-        self, count: Callable[[], int], most_s: float
-    ) -> tuple[_Result | None, BaseException | None, float] | None:
+    def wait_while(self, count: Callable[[], int], most_s: float) -> _Answer[_Result] | None:
         """Wait while a count changes within a given time [s]; return None if it stops changing."""
         seen, waited_s, look_s = -1, 0.0, most_s / _LOOKS
         while waited_s < most_s:
@@ -189,11 +185,7 @@ class StepBudget:
     """
 
     def __init__(self, step: Step, budget_s: float) -> None:
-        """Store a law's `step` and its time limit [s]. Only the step itself is timed.
-
-        Raises:
-            SimulationError: If the limit is not a time above 0.
-        """
+        """Store a law's `step` and its time limit [s]. Only the step itself is timed."""
         require_budget(budget_s)
         self._step, self._budget_s = step, budget_s
         self._worker: _Worker[Any] | None = None
@@ -218,7 +210,7 @@ class StepBudget:
             raise error
         return decision
 
-    def _wait(self, worker: _Worker[Any]) -> tuple[Any, BaseException | None, float]:
+    def _wait(self, worker: _Worker[Any]) -> _Answer[Any]:
         """Return the answer. For a late step, wait a little longer to measure its duration."""
         took_s, most_s = 0.0, self._budget_s + _PATIENCE_S
         while took_s < most_s:
@@ -240,17 +232,6 @@ def needs_watch(step_budget_s: float | None, *, is_built_in: bool) -> bool:
     return step_budget_s is not None and not (is_timed or is_built_in or _is_inspected())
 
 
-class WatchedLaw(Protocol):
-    """Number of answers requested from a law, readable from another thread."""
-
-    @property
-    def asked(self) -> int:
-        """Number of requested answers."""
-
-    def describe_late(self, what: str) -> str:
-        """Return a sentence on the late answer."""
-
-
 class LimitedLoop(Generic[_Item]):
     """A loop that runs in its own thread with a time limit for each step.
 
@@ -260,23 +241,18 @@ class LimitedLoop(Generic[_Item]):
     def __init__(
         self,
         items: Iterator[_Item],
-        asked: Sequence[WatchedLaw],
+        loops: "Sequence[PlainLoop]",
         budget_s: float,
         *,
         law: str,
         one_by_one: bool,
     ) -> None:
-        """Store a loop.
+        """Store the items that a loop makes, and a list of the loop once it has started.
 
-        Args:
-            items: Items that the loop makes, such as its ticks.
-            asked: List that contains the object that asks the loop's law, once the loop has
-                started.
-            budget_s: Time limit for one answer of the law [s].
-            law: Kind of the law.
-            one_by_one: Whether to make each item only when it is requested.
+        `budget_s` is the time limit for one answer of the law [s], `law` the kind of the law, and
+        `one_by_one` whether to make each item only when it is requested.
         """
-        self._items, self._asked, self._budget_s = items, asked, budget_s
+        self._items, self._loops, self._budget_s = items, loops, budget_s
         self._law, self._one_by_one = law, one_by_one
         self._made: deque[_Item] = deque()
         self._hands_out = self._is_late = False
@@ -287,11 +263,13 @@ class LimitedLoop(Generic[_Item]):
         Raises:
             StepBudgetError: If a step takes longer than the budget, after the items before it.
         """
-        worker, is_over, error, stdout = _Worker(self._advance, "loop"), False, None, sys.stdout
+        worker, stdout = _Worker(self._advance, "loop"), sys.stdout
+        is_over: bool | None = False
+        error: BaseException | None = None
         while not (is_over or error):
             worker.ask()
             try:
-                is_over, error = self._wait(worker)
+                is_over, error, _ = self._wait(worker)
             except BaseException as err:
                 worker.leave()
                 sys.stdout = stdout  # prints of a law go to stderr while it computes
@@ -316,34 +294,27 @@ class LimitedLoop(Generic[_Item]):
                 return False
         return len(made) < _AT_ONCE
 
-    def _wait(self, worker: _Worker[bool]) -> tuple[bool, BaseException | None]:
-        """Return whether the loop has ended, and its exception.
-
-        Raises:
-            StepBudgetError: If a step is late and cannot be ended.
-        """
+    def _wait(self, worker: _Worker[bool]) -> _Answer[bool]:
+        """Return the worker's answer, or raise an error for a late step that cannot be ended."""
         with suppress(Empty):
-            return _judge(worker.wait(_PIECE_S))
+            return worker.wait(_PIECE_S)
         self._hands_out = True
         answer = worker.wait_while(
-            lambda: self._asked[0].asked if self._asked else 0, self._budget_s
+            lambda: self._loops[0].asked if self._loops else 0, self._budget_s
         )
         if answer is not None:
-            return _judge(answer)
+            return answer
         self._is_late = True
-        return self._end(worker)
-
-    def _end(self, worker: _Worker[bool]) -> tuple[bool, BaseException | None]:
         for _ in range(_ATTEMPTS):
             worker.interrupt()
             with suppress(Empty):
-                return _judge(worker.wait(_PATIENCE_S / _ATTEMPTS))
+                return worker.wait(_PATIENCE_S / _ATTEMPTS)
         raise StepBudgetError(self._describe())
 
     def _describe(self) -> str:
         what = describe_excess(self._budget_s, self._budget_s, has_returned=False)
-        if self._asked:
-            return self._asked[0].describe_late(what)
+        if self._loops:
+            return self._loops[0].describe_late(what)
         return f"law {self._law} {what}, before its first sample; {advise_budget(self._budget_s)}"
 
 
@@ -360,16 +331,12 @@ class WatchedCode:
         self._worker: _Worker[Any] | None = None
 
     def call(self, code: Callable[[], Any], count: Callable[[], int]) -> None:
-        """Call code.
-
-        Args:
-            code: Function that runs without Python's lock.
-            count: Function that returns the number of requested answers.
+        """Call code that runs without Python's lock; `count` returns the number of answers so far.
 
         Raises:
             StepBudgetError: If an answer exceeds the budget by more than the grace period.
         """
-        worker = self._worker or _Worker(_call, "compiled")
+        worker = self._worker or _Worker(operator.call, "compiled")
         self._worker = None  # if the wait ends without an answer
         worker.ask(code)
         most_s = self._budget_s + _PATIENCE_S
@@ -382,17 +349,6 @@ class WatchedCode:
             raise answer[1]
 
 
-def _call(code: Callable[[], Any]) -> Any:
-    return code()
-
-
-def _judge(
-    answer: tuple[bool | None, BaseException | None, float],
-) -> tuple[bool, BaseException | None]:
-    is_over, error, _ = answer
-    return bool(is_over), error
-
-
 def _is_inspected() -> bool:
     """Return whether this thread is debugged or profiled."""
     debugger = getattr(sys.gettrace(), "__self__", None)
@@ -402,7 +358,7 @@ def _is_inspected() -> bool:
 def _work(
     call: Callable[..., _Result],
     questions: SimpleQueue[tuple[Any, ...] | None],
-    answers: SimpleQueue[tuple[_Result | None, BaseException | None, float]],
+    answers: SimpleQueue[_Answer[_Result]],
     start_s: list[float],
 ) -> None:
     """Process one request after the other, with the duration of each [s]."""
