@@ -4,8 +4,8 @@ import gc
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -95,7 +95,9 @@ class CompiledCode:
             with ExitStack() as processes:
                 if not self._is_kept():
                     COMPILING.set()
-                    processes.enter_context(_pause_garbage_collection())
+                    if gc.isenabled():  # saves 10 %: numba creates millions of permanent objects
+                        gc.disable()
+                        processes.callback(gc.enable)
                     _start(self._beside, processes)
                 return self._load()
         # numba for another numpy raises ImportError, a read-only cache RuntimeError.
@@ -106,19 +108,6 @@ class CompiledCode:
             return None
         finally:
             COMPILING.clear()
-
-
-@contextmanager
-def _pause_garbage_collection() -> Iterator[None]:
-    """Pause garbage collection, which saves 10 %: numba creates millions of permanent objects."""
-    if not gc.isenabled():
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
 
 
 _BESIDE: Final[dict[str, Any]] = {}
@@ -156,14 +145,10 @@ def call_beside(function: str) -> Any:
 def is_kept(module: str, function: str = "") -> bool:
     """Return whether numba's cache has the code of a module or of a function, without loading it.
 
-    Code older than a file in the module's folder may need to be compiled again.
-
-    Args:
-        module: Name of the module.
-        function: Name of the function, which contains the stamp; empty: any function.
+    Code older than a file in the module's folder may need to be compiled again, unless the name of
+    the function is given, which contains the stamp.
     """
-    found = find_spec(module)
-    source = Path((found and found.origin) or "").absolute()
+    source = _find_source(module)
     python = f"py{sys.version_info.major}{sys.version_info.minor}"
     try:
         files = [source] if function else source.parent.glob("*.py")
@@ -178,20 +163,18 @@ def is_kept(module: str, function: str = "") -> bool:
 
 
 def remove_others(module: str, function: str, kept: str) -> None:
-    """Remove older versions of a function from numba's cache.
-
-    Args:
-        module: Name of the module.
-        function: Common beginning of the names of the function and its older versions.
-        kept: Name of the current version.
-    """
-    found = find_spec(module)
-    source = Path((found and found.origin) or "").absolute()
+    """Remove versions of a function from numba's cache, except the one whose name has `kept`."""
+    source = _find_source(module)
     for folder in _list_cache_folders(source):
         with suppress(OSError):
             for file in folder.glob(f"{source.stem}.{function}_*.nb?"):
                 if kept not in file.name:
                     file.unlink(missing_ok=True)
+
+
+def _find_source(module: str) -> Path:
+    found = find_spec(module)
+    return Path((found and found.origin) or "").absolute()
 
 
 def _list_cache_folders(source: Path) -> list[Path]:

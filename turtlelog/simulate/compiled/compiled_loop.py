@@ -52,7 +52,6 @@ from turtlelog.simulate.loop_parts import (
 )
 from turtlelog.simulate.rows import MAX_DURATION, EventRow, SampleRow, TickRow, describe_event
 from turtlelog.simulate.settings import (
-    Shape,
     bound_rows,
     build_settings,
     find_law_numbers,
@@ -102,7 +101,6 @@ class Kinds:
     """The types of a loop's records.
 
     Attributes:
-        shape: The dataclasses from which the types are derived.
         settings: Record of the settings.
         state: Record of the state.
         states: Record of the law's states in a sample.
@@ -110,7 +108,6 @@ class Kinds:
         new: A row of each kind with its defaults, shape (1,).
     """
 
-    shape: Shape
     settings: np.dtype[Any]
     state: np.dtype[Any]
     states: np.dtype[Any]
@@ -164,7 +161,6 @@ def find_kinds(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Kinds
     }
     fields = [(name, kind, field(default_factory=kind)) for name, kind in rows.items()]
     return Kinds(
-        shape=shape,
         settings=build_dtype(shape.Settings),
         state=build_dtype(shape.State),
         states=build_dtype(shape.States),
@@ -209,12 +205,7 @@ def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kind
 
 
 def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledLoop:
-    """Return the compiled loop of a law and a plant, from numba's cache if possible.
-
-    Args:
-        law: Law that is a part.
-        plant: Plant of the loop.
-        states: States that the law declares.
+    """Return the compiled loop of a law with its declared states, from numba's cache if possible.
 
     Raises:
         TwinError: If numba cannot compile the law or a function that it calls.
@@ -233,8 +224,8 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
         }
 
     signature = types.int64(*map(typeof, _list_examples(kinds)))
-    name = name_loop(law, plant, states)
     try:
+        name = name_loop(law, plant, states)
         run = compile_entry(compiled_entry.run_loop, name, bind, signature)
     except NumbaError as err:
         raise TwinError(describe_numba_error(str(err))) from err
@@ -244,10 +235,7 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
 def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
     """Return a compiled function that simulates rows with a loop and measures them.
 
-    Args:
-        loop: Loop that simulates the rows.
-        measure: Compiled function that measures a row.
-        measures: Type of this function.
+    `measure` is a compiled function of the type `measures` that measures a row.
     """
     from numba import typeof, types
 
@@ -261,11 +249,10 @@ def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
         types.Tuple([facts, loops, memory]),
         types.Tuple([asked, values.copy(ndim=2), reasons.copy(ndim=2)]),
     )
-    stamp = name_loop(loop.law, loop.plant, loop.states).rpartition("_")[2]
+    name = name_loop(loop.law, loop.plant, loop.states)
     timeout = loop.law.stops.index("timeout") + 1 if "timeout" in loop.law.stops else 0
-    scope = {"STAMP": int(stamp[:12], 16), "TIMEOUT": timeout}
-    name = f"rows_{name_loop(loop.law, loop.plant, loop.states)}"
-    made = compile_entry(compiled_entry.run_rows, name, lambda _: scope, signature)
+    scope = {"STAMP": int(name.rpartition("_")[2][:12], 16), "TIMEOUT": timeout}
+    made = compile_entry(compiled_entry.run_rows, f"rows_{name}", lambda _: scope, signature)
     return partial(made, loop.run, measure)
 
 
@@ -276,15 +263,10 @@ def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
 def compile_entry(
     entry: Any, name: str, bind: Callable[[Any], dict[str, Any]], signature: Any
 ) -> Any:
-    """Return an entry function compiled under a name; numba's cache finds it by this name.
+    """Return an entry function compiled under a name with its stamp, and for a type.
 
-    Older versions in the cache are removed.
-
-    Args:
-        entry: The outermost function.
-        name: Name with the stamp.
-        bind: Function of the compiler of twins that returns the names in capitals.
-        signature: Type of the function.
+    Numba's cache finds the function by this name; older versions are removed. `bind` is a function
+    of the compiler of twins that returns the names in capitals.
     """
     try:
         from turtlelog.simulate.compiled.twin_compiler import EntryCompiler, TwinCompiler
@@ -326,11 +308,7 @@ class CompiledRunner:
     """Simulations with compiled loops, one scenario after another in the same arrays."""
 
     def __init__(self, step_budget_s: float | None = None) -> None:
-        """Start without arrays.
-
-        Args:
-            step_budget_s: Time that a user law may compute for one answer [s]; None: unlimited.
-        """
+        """Store the time that a user law may compute for one answer [s]; None: unlimited."""
         self._rows: dict[Any, Any] = {}
         self._watched = None if step_budget_s is None else WatchedCode(step_budget_s)
 
@@ -384,10 +362,8 @@ class CompiledRunner:
 
 def build_tables(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """Return the table of a law, and the pieces of a path."""
-    law = find_law(scenario.law.kind)
-    rows: tuple[Any, ...] = ()
-    if isinstance(law, LawPart) and law.build_table is not None:
-        rows = tuple(law.build_table(scenario.law.parameters))
+    build = getattr(find_law(scenario.law.kind), "build_table", None)
+    rows = [] if build is None else [*build(scenario.law.parameters)]
     table = np.array(rows, np.float64) if rows else np.empty((0, 0))
     pieces: tuple[PathPiece, ...] = () if scenario.path is None else scenario.path.ways
     return table, np.array([piece[1:] for piece in pieces], PIECE)
@@ -395,15 +371,12 @@ def build_tables(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[Any]]
 
 def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, samples: int) -> None:
     """Generate the random numbers of effects, event by event."""
-    for table, count, of_ticks in (
-        (rows.drawn_ticks, ticks, True),
-        (rows.drawn_samples, samples, False),
-    ):
-        for name in list_of(ticks=of_ticks):
-            if name in names:
-                drawn = draw_events(seed, STREAMS[name], count)
-                for place, field in enumerate(STREAMS[name].fields):
-                    table[name][field][:count] = drawn[:, place]
+    for name in names:
+        of_ticks = name in list_of(ticks=True)
+        table, count = (rows.drawn_ticks, ticks) if of_ticks else (rows.drawn_samples, samples)
+        drawn = draw_events(seed, STREAMS[name], count)
+        for place, column in enumerate(STREAMS[name].fields):
+            table[name][column][:count] = drawn[:, place]
 
 
 def name_stop(law: Any, number: int) -> str:

@@ -43,11 +43,7 @@ class TwinError(TypeError):
 
 
 def _find_globals(function: FunctionType) -> dict[str, Any]:
-    """Return the names that a function looks up in its module, without attribute names.
-
-    Raises:
-        TwinError: If the function has a closure or defaults.
-    """
+    """Return the names that a function without closure and defaults looks up in its module."""
     if function.__closure__ or function.__defaults__ or function.__kwdefaults__:
         place = f"{function.__code__.co_filename}, line {function.__code__.co_firstlineno}"
         what = f"{function.__qualname__} has default values, or names of an outer function"
@@ -173,11 +169,7 @@ class Twins:
         self._wide, self._known = wide, dict[Function, Any]()
 
     def compile(self, function: Function) -> Any:
-        """Return the compiled twin of a function.
-
-        Raises:
-            TwinError: If the object is not a Python function, or has a closure or defaults.
-        """
+        """Return the compiled twin of a Python function without closure and defaults."""
         if function not in self._known:
             source = take_twin(function)
             if not isinstance(source, FunctionType):
@@ -187,15 +179,12 @@ class Twins:
             # then.
             scope |= {"__name__": __name__, "__builtins__": builtins}
             bound = FunctionType(source.__code__, scope, source.__name__)
-            self._known[function] = self._choose(source)(bound)
+            is_wide = not self._wide.isdisjoint(source.__code__.co_varnames[:1])
+            compiler = self._part if is_wide or hasattr(source, "is_inlined") else self._inline
+            if getattr(source, "is_called", False):
+                compiler = self._call
+            self._known[function] = compiler(bound)
         return self._known[function]
-
-    def _choose(self, source: FunctionType) -> Any:
-        """Return the compiler for a function."""
-        if getattr(source, "is_called", False):
-            return self._call
-        is_wide = not self._wide.isdisjoint(source.__code__.co_varnames[:1])
-        return self._part if is_wide or hasattr(source, "is_inlined") else self._inline
 
     def _take(self, thing: Any) -> Any:
         is_ours = isinstance(thing, FunctionType) or (callable(thing) and thing in _TWINS)
@@ -264,28 +253,24 @@ _SPLIT: Final = 134217729.0  # 2**27 + 1: halves the digits of a double
 _TINY_M, _HUGE_M = 1e-100, 1e100  # far from values whose squares lose digits
 
 
-def _nearest(value: float) -> float:
-    found: float = rint(value) + 0.0
-    return found
+def _nearest(value: float) -> Any:
+    return rint(value) + 0.0
 
 
 def _nearest_int(value: float) -> int:
     return int(rint(value))
 
 
-def _fmod(value: float, by: float) -> float:
-    found: float = fmod_of_numpy(value, by)
-    return found
+def _fmod(value: float, by: float) -> Any:
+    return fmod_of_numpy(value, by)
 
 
-def _floor(value: float) -> float:
-    found: float = floor_of_numpy(value)
-    return found
+def _floor(value: float) -> Any:
+    return floor_of_numpy(value)
 
 
-def _ceil(value: float) -> float:
-    found: float = ceil_of_numpy(value) + 0.0
-    return found
+def _ceil(value: float) -> Any:
+    return ceil_of_numpy(value) + 0.0
 
 
 def _to_float32(value: float) -> float:
