@@ -22,7 +22,7 @@ from turtlelog.measure import (
     find_metric_kind,
     list_ids_like,
 )
-from turtlelog.run.columns import Rebuilding, list_fields, rebuild
+from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.dotted_keys import name_key
@@ -96,7 +96,7 @@ class Tolerances:
         return bool(self.signals or self.metrics)
 
     def __reduce__(self) -> Rebuilding:
-        return rebuild, (type(self), list_fields(self))
+        return rebuild_value(self)
 
 
 USUAL_TRAJECTORY: Final = TrajectorySettings(deltas=(Delta(value=1.0, unit="m"),))

@@ -67,7 +67,7 @@ class _Columns:
         return rebuild_value(self)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PoseColumns(_Columns):
     """The turtle's pose, one row per tick (imported logs: one row per sample).
 
@@ -129,7 +129,7 @@ class PoseColumns(_Columns):
         return np.asarray(rows)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CommandColumns(_Columns):
     """The published commands, one row per command. The arrays become read-only.
 
@@ -150,7 +150,7 @@ class CommandColumns(_Columns):
         _require_rising(self.time_ns, "command.time_ns", strictly=False)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SampleColumns(_Columns):
     """Values that the controller computed, one row per sample. The arrays become read-only.
 
