@@ -14,8 +14,8 @@ import inspect
 import re
 import sys
 import traceback
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, redirect_stdout
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from functools import partial
 from hashlib import sha256
 from importlib.abc import MetaPathFinder
@@ -72,29 +72,27 @@ def find_law(kind: str) -> AnyLaw:
         return LAWS[kind]
     require_law_name(kind)
     place, _, name = kind.rpartition(":")
-    law = (
-        _find_session_law(kind) if place == "session" else getattr(_load_module(place), name, None)
-    )
+    from turtlelog.laws import given_laws  # few commands run such a law
+
+    law: Any = None
+    if place == "session":
+        law = given_laws.find_given_law(kind)
+    else:
+        law = getattr(_load_module(place), name, None)
     if law is None:
         raise LawError(f"{place} has no class {name}")
     if isinstance(law, LawPart):
         return law
     if inspect.isfunction(law):
         _require_call(law, ("time_ns", "pose", "goal"), kind)
-    elif isinstance(law, type) and not hasattr(law, "step"):
+    elif not isinstance(law, type):
+        found = f"an instance of {type(law).__name__}"
+        raise LawError(f"{kind}: expected a class, a function or a LawPart, found {found}")
+    elif not hasattr(law, "step"):
         raise LawError(f"{kind}: a law needs a method step(self, time_ns, pose): {_PROTOCOL}")
-    if inspect.isfunction(law) or isinstance(law, type):
-        from turtlelog.laws.given_laws import complete_short_law  # few commands run such a law
-
-        law = complete_short_law(law)
+    law = given_laws.complete_short_law(law)
     _require_law(law, kind)
-    return law
-
-
-def _find_session_law(kind: str) -> Any:
-    from turtlelog.laws.given_laws import find_given_law  # only Python gives such a law
-
-    return find_given_law(kind)
+    return law  # type: ignore[no-any-return]
 
 
 def name_law(law: AnyLaw) -> str:
@@ -119,31 +117,34 @@ def declare_law(
     declare = getattr(law, "declare", None)
     if declare is None:
         return Declaration()
+    place = f"{name_law(law)}.declare"
+    with _tell_errors(law, place):
+        # Twice: who records a run asks again, and reads its samples by the answer.
+        declared, again = declare(parameters, goal, path), declare(parameters, goal, path)
+    if not isinstance(declared, Declaration):
+        raise LawError(f"{place}: expected a Declaration, found {type(declared).__name__}")
+    if declared != again or [*declared.phases] != [*again.phases]:
+        raise LawError(f"{place}: must return the same Declaration for the same parameters")
+    _require_nameable(declared, place)
+    return declared
+
+
+@contextmanager
+def _tell_errors(law: AnyLaw, place: str) -> Iterator[None]:
+    """Raise a LawError with the place for an error of a law; those of built-in laws name a key."""
     try:
         with print_to_stderr():
-            # Twice: who records a run asks again, and reads its samples by the answer.
-            declared, again = declare(parameters, goal, path), declare(parameters, goal, path)
+            yield
     except KeyboardInterrupt:
         raise
     except BaseException as err:
         if isinstance(err, LawError) and law in LAWS.values():
-            raise  # It names the key that is wrong.
-        raise LawError(f"{name_law(law)}.declare: {describe_law_error(err, law)}") from err
-    if not isinstance(declared, Declaration):
-        found = type(declared).__name__
-        raise LawError(f"{name_law(law)}.declare: expected a Declaration, found {found}")
-    if declared != again or [*declared.phases] != [*again.phases]:
-        expected = "the same Declaration for the same parameters"
-        raise LawError(f"{name_law(law)}.declare: must return {expected}")
-    _require_nameable(declared, f"{name_law(law)}.declare")
-    return declared
+            raise
+        raise LawError(f"{place}: {describe_law_error(err, law)}") from err
 
 
 def _require_nameable(declared: Declaration, place: str) -> None:
-    """Refuse names that formulas cannot contain.
-
-    Recordings of laws with such names can still be read.
-    """
+    """Refuse names that formulas cannot contain, although recordings with such names are read."""
     for loop in declared.loops:
         if "-" in loop.name:
             expected = "a name of letters, digits and _, as - is minus in formulas"
@@ -197,13 +198,8 @@ def list_unused_keys(law: AnyLaw, parameters: object) -> tuple[str, ...]:
     if ask is None:
         return ()
     place = f"{name_law(law)}.list_unused"
-    try:
-        with print_to_stderr():
-            found = ask(parameters)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as err:
-        raise LawError(f"{place}: {describe_law_error(err, law)}") from err
+    with _tell_errors(law, place):
+        found = ask(parameters)
     if isinstance(found, tuple) and all(
         isinstance(key, str) and _SCENARIO_KEY.fullmatch(key) for key in found
     ):
@@ -264,16 +260,12 @@ def _find_file(place: str) -> str | None:
 
 
 def _require_law(law: Any, kind: str) -> None:
-    is_class = isinstance(law, type)
-    if not is_class:
-        found = f"an instance of {type(law).__name__}"
-        raise LawError(f"{kind}: expected a class, a function or a LawPart, found {found}")
     parameters = law.Parameters
     is_dataclass = isinstance(parameters, type) and dataclasses.is_dataclass(parameters)
     if not is_dataclass or not parameters.__dataclass_params__.frozen:
         found = "one that is not frozen" if is_dataclass else repr(parameters)[:60]
         raise LawError(f"{kind}: expected Parameters to be a frozen dataclass, found {found}")
-    if "kind" in {field.name for field in dataclasses.fields(parameters)}:
+    if "kind" in parameters.__dataclass_fields__:
         taken = "kind, which names the law"
         raise LawError(f"{kind}: expected another name of a parameter than {taken}")
     _require_call(law.reset, ("self", "start", "goal", "path"), f"{kind}: reset")
