@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.charts.curves import Curve
 from turtlelog.check.formula import find_formula_unit
 from turtlelog.check.formula_trace import FormulaTrace
-from turtlelog.check.robustness import PartReader
+from turtlelog.check.robustness import walk_formula
 from turtlelog.expressions import (
     Call,
     Comparison,
@@ -71,7 +71,7 @@ class Leaf:
         asked = (time_ns >= first_ns) & (time_ns <= last_ns)
         if self.body is None:
             return np.asarray(asked)
-        margins = PartReader(formula, trace, exact=True).visit(self.body, 1).margins
+        margins = walk_formula(replace(formula, root=self.body), trace, exact=True).margins
         pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
         failing = margins.values[np.maximum(pieces, 0)] * (-1.0 if self.is_body_denied else 1.0)
         return np.asarray(asked & (failing < 0.0))
