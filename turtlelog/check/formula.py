@@ -95,11 +95,7 @@ class FormulaResult:
     reason: str = ""
 
     def __bool__(self) -> bool:
-        """Whether the formula holds.
-
-        Raises:
-            UndecidedError: If the verdict is unknown.
-        """
+        """Whether the formula holds; UndecidedError if the verdict is unknown."""
         if self.holds is None:
             raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
         return self.holds
@@ -235,8 +231,8 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
     """Return the verdict, with only one walk over a long trace in memory.
 
-    If a part is unknown, the formula may still be decided by two margins: with the unknown part at
-    its worst, and at its best.
+    If a part is unknown, two margins may decide: with the unknown part at its worst, and at its
+    best.
     """
     whole = walk_formula(expression, trace)
     margin = read_margin(whole)
@@ -278,10 +274,7 @@ def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
 
 
 def _measure_reach(node: Node, *, is_cut: bool) -> float:
-    """Return how far ahead a formula looks [s].
-
-    If the run was not cut off, a window without an end counts only to its start.
-    """
+    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
     children = node.list_children()
     below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
     if not isinstance(node, Temporal | Until):
@@ -310,10 +303,7 @@ def _read_sides(
 
 
 def find_formula_unit(name: str, declaration: Declaration) -> str | None:
-    """Return the unit of a signal or metric; None for any other name.
-
-    The unit of an undeclared loop's metric is empty, because it depends on the controlled signal.
-    """
+    """Return the unit of a signal or metric, empty if it depends on the loop; None for others."""
     if name in list_signals(declaration):
         return list_signals(declaration)[name].unit
     if name in list_metrics(declaration):

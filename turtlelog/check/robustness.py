@@ -79,12 +79,7 @@ def compute_robustness(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CriticalPart:
-    """Origin of a margin in a formula, at any depth.
-
-    Attributes:
-        node: A comparison of two sides, or a truth value.
-        time_ns: Time at which the margin of the node equals that of the whole formula [ns].
-    """
+    """A comparison or truth value whose margin at a time [ns] is that of the whole formula."""
 
     node: Node
     time_ns: int
@@ -129,13 +124,9 @@ def walk_formula(
 class PartReader:
     """Builder of parts of a formula; parts are not stored, because their columns are long.
 
-    Args:
-        expression: A formula.
-        trace: Signals of the formula.
-        exact: Whether to use 1 for true and -1 for false instead of margins: this decides margins
-            of 0, for which `<` and `<=` differ.
-        unknown: Value of an unknown part: NaN, which makes dependent parts unknown; -inf, the worst
-            value for the whole formula; or inf, the best value.
+    With `exact`, 1 for true and -1 for false replace margins: this decides margins of 0, for which
+    `<` and `<=` differ. An unknown part has the value `unknown`: NaN, which makes dependent parts
+    unknown; -inf, the worst value for the whole formula; or inf, the best value.
     """
 
     def __init__(

@@ -169,11 +169,7 @@ def _find_doubt(run: Run, loop: ControlLoop) -> str:
 
 
 def _require_loop(declaration: Declaration, name: str) -> ControlLoop:
-    """Return a loop by name.
-
-    Raises:
-        MeasureError: If the law declares no loop with that name.
-    """
+    """Return a loop by name; MeasureError if the law declares no such loop."""
     loop = declaration.find_loop(name)
     if loop is None:
         known = suggest_names(name, [known.name for known in declaration.loops])

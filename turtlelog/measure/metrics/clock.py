@@ -124,12 +124,7 @@ def compute_jitter(periods_s: Values) -> float | None:
 
 
 def find_percentile(ordered_s: Values, percent: int) -> float:
-    """Return the shortest period that at least `percent` % of all periods do not exceed [s].
-
-    Args:
-        ordered_s: Periods in rising order, at least one.
-        percent: Percentage, from 1 to 100; 50 gives the median.
-    """
+    """Return the shortest period that at least `percent` % of the periods do not exceed [s]."""
     if percent == 50:
         return compute_median(ordered_s)
     return float(ordered_s[-(-len(ordered_s) * percent // 100) - 1])

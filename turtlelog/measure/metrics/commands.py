@@ -125,10 +125,7 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
     needs_whole=False,
 )
 def measure_saturated_share(curve: Response) -> Outcome:
-    """Return the fraction of samples at the limit.
-
-    The time of the metric is that of the first saturated sample.
-    """
+    """Return the fraction of samples at the limit, and the time of the first one."""
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
     count, first = count_beyond(curve.commands.values, curve.limit)

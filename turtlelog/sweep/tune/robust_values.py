@@ -114,11 +114,7 @@ def explore_neighbourhood(
 ) -> Neighbourhood:
     """Return the range of each key, found by walks from the best value to both bounds.
 
-    Args:
-        candidates: Evaluator of candidates.
-        keys: Varied keys.
-        best: Best candidate, which satisfies the constraints.
-        sign: 1 to minimise the objective, -1 to maximise it.
+    The best candidate satisfies the constraints. `sign` is 1 to minimise, -1 to maximise.
     """
     assert best.objective is not None
     slack = _find_slack(candidates, best.objective)
