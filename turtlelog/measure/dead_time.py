@@ -292,8 +292,10 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     if size[best] > _EXPLAINED * span:
         reason = f"no dead time up to {LARGEST_TICKS} ticks explains the motion"
         return Missing(status=Status.UNDETERMINED, reason=reason)
-    lags = find_lags(motion, errors, rows, best, float(size[best])) if may_lag else None
-    if lags is not None and lags.is_better:
+    least_ticks, is_better = best, False
+    if may_lag:
+        least_ticks, is_better = find_lags(motion, errors, rows, best, float(size[best]))
+    if is_better:
         reason = f"with a lag a shorter dead time {_EXPLAINS_BETTER} {best} ticks without a lag"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     if len(rows) * np.log(margin) < CERTAIN:
@@ -311,7 +313,7 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         rows=len(rows),
         is_exact=False,
         whiteness=1.0 if is_rounding else _measure_whiteness(left[best]),
-        least_ticks=best if lags is None else lags.least_ticks,
+        least_ticks=least_ticks,
     )
 
 

@@ -371,19 +371,10 @@ def fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tupl
         return left, np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LagFits:
-    """Whether a shorter dead time with a time constant fits as well, and whether one fits
-    better."""
-
-    least_ticks: int
-    is_better: bool
-
-
 def find_lags(
     motion: LoopMotion, errors: Values, rows: NDArray[np.int64], best: int, size: float
-) -> LagFits:
-    """Return which shorter dead times explain a motion together with a time constant.
+) -> tuple[int, bool]:
+    """Return the least dead time that fits as well with a time constant, and if one fits better.
 
     `errors` are those of each dead time in each step, shape (dead times, steps); `rows` are the
     steps that count; `size` is the error of the fit without a time constant [rad or m].
@@ -398,7 +389,7 @@ def find_lags(
         is_alike[ticks] = np.ptp(left) <= COARSE * motion.grain
     is_alike |= gained > -CERTAIN
     is_alike[best] = True
-    return LagFits(least_ticks=int(np.argmax(is_alike)), is_better=bool(gained.max() > CERTAIN))
+    return int(np.argmax(is_alike)), bool(gained.max() > CERTAIN)
 
 
 def _fit_lag(

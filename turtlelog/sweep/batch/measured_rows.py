@@ -8,7 +8,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Final, NamedTuple
 
@@ -224,17 +224,8 @@ class _Work:
 
     def finish(self) -> MeasuredRows:
         """Return the results with the number of compiled rows."""
-        result = self.result
-        return MeasuredRows(
-            values=result.values,
-            statuses=result.statuses,
-            stop_reasons=result.stop_reasons,
-            failed=result.failed,
-            samples=result.samples,
-            compiled=self._compiled,
-            interpreted=self.count - self._compiled,
-            notes=tuple(self.notes),
-        )
+        interpreted, notes = self.count - self._compiled, tuple(self.notes)
+        return replace(self.result, compiled=self._compiled, interpreted=interpreted, notes=notes)
 
     def measure_alone(self, row: int) -> None:
         """Simulate and measure a row as a single run."""

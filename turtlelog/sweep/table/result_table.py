@@ -114,20 +114,17 @@ def write_result_table(table: ResultTable, path: str | Path) -> None:
         parquet.ParquetWriter(stream, schema, compression="zstd") as writer,
     ):
         for rows in cut_groups(table.row_count, len(table.columns)):
-            arrays = [
-                _build_array(column, rows, kind)
-                for column, kind in zip(table.columns, schema.types, strict=True)
-            ]
-            writer.write_table(load_library("pyarrow").table(arrays, schema=schema))
+            writer.write_table(_build_rows(table, rows, schema))
 
 
 def build_result_arrow(table: ResultTable) -> Any:
     """Return a table as the `pyarrow.Table` that its file contains."""
-    schema, rows = _build_schema(table), slice(None)
-    arrays = [
-        _build_array(column, rows, kind)
-        for column, kind in zip(table.columns, schema.types, strict=True)
-    ]
+    return _build_rows(table, slice(None), _build_schema(table))
+
+
+def _build_rows(table: ResultTable, rows: slice, schema: Any) -> Any:
+    columns = zip(table.columns, schema.types, strict=True)
+    arrays = [_build_array(column, rows, kind) for column, kind in columns]
     return load_library("pyarrow").table(arrays, schema=schema)
 
 

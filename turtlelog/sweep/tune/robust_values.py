@@ -1,7 +1,7 @@
 """Ranges of single keys around the best values, and robustness to variations of the scenario."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,7 +141,15 @@ def explore_neighbourhood(
         for (walk, share), fault in zip(halved, look(halved), strict=True):
             _enter(walk, share, fault)
     ranges = (
-        _describe(key.key, below, above, move)
+        KeyRange(
+            key=key.key,
+            low=move(below, below.good)[below.place],
+            high=move(above, above.good)[above.place],
+            low_end=below.end,
+            high_end=above.end,
+            low_constraint=below.constraint,
+            high_constraint=above.constraint,
+        )
         for key, below, above in zip(keys, walks[::2], walks[1::2], strict=True)
     )
     return Neighbourhood(slack=slack, ranges=tuple(ranges))
@@ -152,20 +160,6 @@ def _enter(walk: _Walk, share: float, fault: tuple[End, str] | None) -> None:
         walk.good = share
     else:
         walk.bad, (walk.end, walk.constraint) = share, fault
-
-
-def _describe(
-    key: str, below: _Walk, above: _Walk, move: Callable[[_Walk, float], Point]
-) -> KeyRange:
-    return KeyRange(
-        key=key,
-        low=move(below, below.good)[below.place],
-        high=move(above, above.good)[above.place],
-        low_end=below.end,
-        high_end=above.end,
-        low_constraint=below.constraint,
-        high_constraint=above.constraint,
-    )
 
 
 def _find_slack(candidates: Candidates, best: float) -> float:

@@ -104,7 +104,6 @@ def search_best(
     evaluations: int,
     is_maximised: bool = False,
     seed: int = 0,
-    first: Sequence[Point] = (),
 ) -> Tuned:
     """Return the best values of keys.
 
@@ -114,13 +113,12 @@ def search_best(
         evaluations: Approximate largest number of candidates.
         is_maximised: Whether to maximise the objective.
         seed: Seed of the search; the same seed gives the same result.
-        first: Starting points, such as the values of the scenario.
 
     Raises:
         TuneError: If the objective has no value for any candidate.
     """
     search = _Search(candidates, keys, evaluations, -1.0 if is_maximised else 1.0)
-    search.spread(seed, first)
+    search.spread(seed)
     search.evolve(seed)
     search.refine()
     found = sum_up(candidates, keys, is_maximised=is_maximised)
@@ -201,13 +199,12 @@ class _Search:
     def _order(self, candidate: Candidate) -> Order:
         return _order(candidate, self._sign)
 
-    def spread(self, seed: int, first: Sequence[Point]) -> None:
+    def spread(self, seed: int) -> None:
         """Cover the range evenly."""
         from scipy.stats import qmc
 
         count = len(self._keys)
-        points = [*first]
-        points += self._place(np.full((1, count), 0.5))
+        points = self._place(np.full((1, count), 0.5))
         if count <= _CORNERS:
             points += self._place(np.array([*product((0.0, 1.0), repeat=count)]))
         wanted = max(min(_SPREAD * count, self._most // 2), 2)
