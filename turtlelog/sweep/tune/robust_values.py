@@ -90,7 +90,7 @@ class _Walk:
 
 
 def explore_best(
-    candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned, *, is_maximised: bool = False
+    candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned
 ) -> tuple[Tuned, Neighbourhood]:
     """Return the best candidate and its neighbourhood. A better candidate found there replaces it.
 
@@ -98,26 +98,24 @@ def explore_best(
         candidates: Evaluator of candidates.
         keys: Varied keys.
         found: Best candidate so far, which satisfies the constraints.
-        is_maximised: Whether to maximise the objective.
     """
-    sign = -1.0 if is_maximised else 1.0
     for _ in range(_ROUNDS):
-        around = explore_neighbourhood(candidates, keys, found.best, sign=sign)
-        before, found = found, sum_up(candidates, keys, is_maximised=is_maximised)
+        around = explore_neighbourhood(candidates, keys, found.best)
+        before, found = found, sum_up(candidates, keys)
         if found.best is before.best:
             break
     return replace(found, best=before.best, at_bounds=before.at_bounds), around
 
 
 def explore_neighbourhood(
-    candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate, *, sign: float = 1.0
+    candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate
 ) -> Neighbourhood:
     """Return the range of each key, found by walks from the best value to both bounds.
 
-    The best candidate satisfies the constraints. `sign` is 1 to minimise, -1 to maximise.
+    The best candidate satisfies the constraints.
     """
     assert best.objective is not None
-    slack = _find_slack(candidates, best.objective)
+    slack, sign = _find_slack(candidates, best.objective), candidates.goal.sign
     limit = sign * best.objective + slack
     walks = [_Walk(place, bound) for place, key in enumerate(keys) for bound in (key.low, key.high)]
 

@@ -12,6 +12,7 @@ genetic algorithms", Computer Methods in Applied Mechanics and Engineering 186, 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any, Final
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import TuneError
 from turtlelog.sweep.plan import EqualSteps, parse_key_values
-from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
+from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point, TuningGoal
 
 _SPREAD: Final = 32
 """Number of points per key of the first cover: one key has steps of 3 % of its range. The number is
@@ -98,12 +99,7 @@ class SearchedKey:
 
 
 def search_best(
-    candidates: Candidates,
-    keys: Sequence[SearchedKey],
-    *,
-    evaluations: int,
-    is_maximised: bool = False,
-    seed: int = 0,
+    candidates: Candidates, keys: Sequence[SearchedKey], *, evaluations: int, seed: int = 0
 ) -> Tuned:
     """Return the best values of keys.
 
@@ -111,28 +107,25 @@ def search_best(
         candidates: Evaluator of candidates.
         keys: Keys with their search ranges.
         evaluations: Approximate largest number of candidates.
-        is_maximised: Whether to maximise the objective.
         seed: Seed of the search; the same seed gives the same result.
 
     Raises:
         TuneError: If the objective has no value for any candidate.
     """
-    search = _Search(candidates, keys, evaluations, -1.0 if is_maximised else 1.0)
+    search = _Search(candidates, keys, evaluations)
     search.spread(seed)
     search.evolve(seed)
     search.refine()
-    found = sum_up(candidates, keys, is_maximised=is_maximised)
+    found = sum_up(candidates, keys)
     if found.best.objective is None:
         reason = found.best.failed or found.best.missing
         raise TuneError(f"no candidate has a value to compare: {reason}")
     return found
 
 
-def sum_up(
-    candidates: Candidates, keys: Sequence[SearchedKey], *, is_maximised: bool = False
-) -> Tuned:
+def sum_up(candidates: Candidates, keys: Sequence[SearchedKey]) -> Tuned:
     """Return the result of the candidates so far, at least one."""
-    known, best = candidates.list_known(), find_best(candidates, is_maximised=is_maximised)
+    known, best = candidates.list_known(), find_best(candidates)
     feasible = [one.objective for one in known if one.is_feasible]
     return Tuned(
         best=best,
@@ -149,28 +142,26 @@ def sum_up(
     )
 
 
-def find_best(candidates: Candidates, *, is_maximised: bool = False) -> Candidate:
+def find_best(candidates: Candidates) -> Candidate:
     """Return the best known candidate; of equal candidates, the first.
 
     Raises:
         ValueError: If no candidate is known.
     """
-    sign = -1.0 if is_maximised else 1.0
-    return min(candidates.list_known(), key=lambda one: _order(one, sign))
+    return min(candidates.list_known(), key=partial(_order, candidates.goal))
 
 
-def _order(candidate: Candidate, sign: float) -> Order:
+def _order(goal: TuningGoal, candidate: Candidate) -> Order:
     """Return the sort key of a candidate; the best candidate is first."""
     if candidate.is_feasible and candidate.objective is not None:
-        return 0, sign * candidate.objective
+        return 0, goal.sign * candidate.objective
     return (2, 0.0) if candidate.objective is None else (1, candidate.violation)
 
 
 class _Search:
-    def __init__(
-        self, candidates: Candidates, keys: Sequence[SearchedKey], most: int, sign: float
-    ) -> None:
-        self._candidates, self._keys, self._most, self._sign = candidates, keys, most, sign
+    def __init__(self, candidates: Candidates, keys: Sequence[SearchedKey], most: int) -> None:
+        self._candidates, self._keys, self._most = candidates, keys, most
+        self._order = partial(_order, candidates.goal)
         self._low = np.array([key.low for key in keys], float)
         self._width = np.array([key.high - key.low for key in keys], float)
 
@@ -192,12 +183,6 @@ class _Search:
         """Return a score for each point with the order of the candidates."""
         orders = map(self._order, self._candidates.evaluate(points))
         return np.array([_number(order) for order in orders])
-
-    def _find_best(self) -> Candidate:
-        return min(self._candidates.list_known(), key=self._order)
-
-    def _order(self, candidate: Candidate) -> Order:
-        return _order(candidate, self._sign)
 
     def spread(self, seed: int) -> None:
         """Cover the range evenly."""
@@ -243,12 +228,12 @@ class _Search:
         directions = [*np.eye(count), *-np.eye(count)]
         if 1 < count <= _CORNERS:
             directions += [np.array(one) for one in product((-1.0, 1.0), repeat=count)]
-        step, best = _FIRST_STEP, self._find_best()
+        step, best = _FIRST_STEP, find_best(self._candidates)
         while step >= _LAST_STEP and self._left >= len(directions):
             here = (np.array(best.point, float) - self._low) / self._width
             around = np.clip(here + step * np.array(directions), 0.0, 1.0)
             self._candidates.evaluate(self._place(around))
-            found = self._find_best()
+            found = find_best(self._candidates)
             if found is best:
                 step /= 2.0
             best = found

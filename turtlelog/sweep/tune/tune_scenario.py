@@ -173,11 +173,9 @@ def tune_candidates(
     """
     candidates.require_bounds([tuple(one.low for one in keys), tuple(one.high for one in keys)])
     goal, around = candidates.goal, None
-    tuned = search_best(
-        candidates, keys, evaluations=evaluations, is_maximised=goal.is_maximised, seed=seed
-    )
+    tuned = search_best(candidates, keys, evaluations=evaluations, seed=seed)
     if tuned.best.is_feasible:
-        tuned, around = explore_best(candidates, keys, tuned, is_maximised=goal.is_maximised)
+        tuned, around = explore_best(candidates, keys, tuned)
     best = candidates.build_scenario(tuned.best.point)
     return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
 
