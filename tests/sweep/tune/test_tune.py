@@ -10,7 +10,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.sweep import tune
 from turtlelog.sweep.batch.measured_rows import measure_rows
-from turtlelog.sweep.tune.robust_values import explore_neighbourhood
+from turtlelog.sweep.tune.search import explore_neighbourhood
 
 PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, list[str], bool]] = [
     (
