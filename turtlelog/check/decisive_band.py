@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.charts.curves import Curve
 from turtlelog.check.formula import find_formula_unit
 from turtlelog.check.formula_trace import FormulaTrace
-from turtlelog.check.robustness import PartReader
+from turtlelog.check.robustness import walk_formula
 from turtlelog.expressions import (
     Call,
     Comparison,
@@ -37,61 +37,18 @@ _TURNED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Leaf:
-    """A comparison in a formula, and the operators above it.
+class _Place:
+    """The operators above a part of a formula.
 
     Attributes:
-        node: Node of the comparison.
-        is_denied: Whether the formula requires the comparison to be false.
-        start_s: Earliest time at which the comparison is required, from the beginning [s].
-        end_s: Latest time at which the comparison is required [s].
-        body: Part below the innermost window; None if the comparison is not below `always` alone.
+        is_denied: Whether the formula requires the part to be false.
+        start_s: Earliest time at which the part is required, from the beginning [s].
+        end_s: Latest time at which the part is required [s].
+        body: Part below the innermost window; None if the part is not below `always` alone.
         is_body_denied: Whether the formula requires the body to be false.
-        beside: Comparisons that are required together with this comparison.
+        windows: Number of windows above the part.
+        beside: Comparisons that are required together with this part.
     """
-
-    node: Comparison
-    is_denied: bool = False
-    start_s: float = 0.0
-    end_s: float = 0.0
-    body: Node | None = None
-    is_body_denied: bool = False
-    beside: tuple[Comparison, ...] = ()
-
-    def list_links(self) -> list[str]:
-        """Return the two-sided comparisons, as results name them."""
-        return [format_expression(link) for link in _split(self.node)]
-
-    def find_failing(
-        self, formula: Expression, trace: FormulaTrace, time_ns: NDArray[np.int64]
-    ) -> NDArray[np.bool_]:
-        """Return the times at which the comparison is required and the formula fails."""
-        first_ns = trace.start_ns + self.start_s * 1e9
-        last_ns = min(trace.start_ns + self.end_s * 1e9, trace.end_ns)
-        asked = (time_ns >= first_ns) & (time_ns <= last_ns)
-        if self.body is None:
-            return np.asarray(asked)
-        margins = PartReader(formula, trace, exact=True).visit(self.body, 1).margins
-        pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
-        failing = margins.values[np.maximum(pieces, 0)] * (-1.0 if self.is_body_denied else 1.0)
-        return np.asarray(asked & (failing < 0.0))
-
-
-def _split(node: Comparison) -> Iterator[Comparison]:
-    for operator, left, right in zip(
-        node.operators, node.operands, node.operands[1:], strict=False
-    ):
-        yield Comparison(operators=(operator,), operands=(left, right))
-
-
-def list_leaves(formula: Expression) -> Iterator[Leaf]:
-    """Yield the comparisons of a formula, with the operators above each."""
-    yield from _descend(formula.root, _Place())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Place:
-    """Operators above a part, as in `Leaf`; `is_plain` is false if a window is inside another."""
 
     is_denied: bool = False
     start_s: float = 0.0
@@ -117,18 +74,51 @@ class _Place:
         return replace(self, is_denied=not self.is_denied, beside=())
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leaf:
+    """A comparison in a formula, and the operators above it."""
+
+    node: Comparison
+    place: _Place
+
+    def list_links(self) -> list[str]:
+        """Return the two-sided comparisons, as results name them."""
+        return [format_expression(link) for link in _split(self.node)]
+
+    def find_failing(
+        self, formula: Expression, trace: FormulaTrace, time_ns: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Return the times at which the comparison is required and the formula fails."""
+        first_ns = trace.start_ns + self.place.start_s * 1e9
+        last_ns = min(trace.start_ns + self.place.end_s * 1e9, trace.end_ns)
+        asked = (time_ns >= first_ns) & (time_ns <= last_ns)
+        if self.place.body is None:
+            return np.asarray(asked)
+        margins = walk_formula(replace(formula, root=self.place.body), trace, exact=True).margins
+        pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
+        failing = margins.values[np.maximum(pieces, 0)] * (
+            -1.0 if self.place.is_body_denied else 1.0
+        )
+        return np.asarray(asked & (failing < 0.0))
+
+
+def _split(node: Comparison) -> Iterator[Comparison]:
+    for operator, left, right in zip(
+        node.operators, node.operands, node.operands[1:], strict=False
+    ):
+        yield Comparison(operators=(operator,), operands=(left, right))
+
+
+def list_leaves(formula: Expression) -> Iterator[Leaf]:
+    """Yield the comparisons of a formula, with the operators above each."""
+    yield from _descend(formula.root, _Place())
+
+
 def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
     match node:
         case Comparison():
-            yield Leaf(
-                node=node,
-                is_denied=place.is_denied,
-                start_s=place.start_s,
-                end_s=place.end_s,
-                body=place.body,
-                is_body_denied=place.is_body_denied,
-                beside=tuple(one for one in place.beside if one is not node),
-            )
+            beside = tuple(one for one in place.beside if one is not node)
+            yield Leaf(node=node, place=replace(place, beside=beside))
         case Temporal(operand=operand):
             yield from _descend(operand, place.enter(node))
         case Until():
@@ -219,20 +209,19 @@ class BandReader:
         ends = self._find_ends(links, measured, is_magnitude=is_magnitude)
         if ends is None:
             return None
-        beside = [part for node in self._leaf.beside for part in _split(node)]
-        beside = [link for link in beside if self._reads_all(link)]
-        for link in beside:
+        for link in (part for node in self._leaf.place.beside for part in _split(node)):
+            if not self._reads_all(link):
+                continue
             more = self._find_ends([link], measured, is_magnitude=is_magnitude)
             ends = ends if more is None else ends.narrow(more)
-        low, high, is_strict = ends.low, ends.high, ends.is_strict
-        values, excess = shown, np.full(len(shown), -np.inf)
-        excess = excess if high is None else np.fmax(excess, values - high)
-        excess = excess if low is None else np.fmax(excess, low - values)
+        low, high, excess = ends.low, ends.high, np.full(len(shown), -np.inf)
+        excess = excess if high is None else np.fmax(excess, shown - high)
+        excess = excess if low is None else np.fmax(excess, low - shown)
         unit, factor = find_scale(self._find_unit(measured))
         curve = Curve(
             start_ns=self._run.start_ns,
             time_ns=self._time_ns,
-            values=values * factor,
+            values=shown * factor,
             holds=self._holds(bare),
         )
         return Band(
@@ -242,7 +231,7 @@ class BandReader:
             low=None if low is None else low * factor,
             high=None if high is None else high * factor,
             excess=excess * factor,
-            is_beyond=excess >= 0.0 if is_strict else excess > 0.0,
+            is_beyond=excess >= 0.0 if ends.is_strict else excess > 0.0,
         )
 
     def _find_ends(
@@ -282,7 +271,7 @@ class BandReader:
             operator, limit = MIRRORED[operator], link.operands[0]
         else:
             limit = link.operands[1]
-        return _TURNED[operator] if self._leaf.is_denied else operator, self._evaluate(limit)
+        return _TURNED[operator] if self._leaf.place.is_denied else operator, self._evaluate(limit)
 
     def _evaluate(self, node: Node) -> Values | None:
         found = evaluate_node(self._formula, node, self._values)

@@ -47,15 +47,9 @@ def explain_failures(
     """Return results; one failed result gets the reason why the run differs from its reference.
 
     This is the result of the most important metric, or else the first result that names a metric.
-
-    Args:
-        run: Run that was judged.
-        reference: Reference of the check, or a run that is known to be good. The scenario in a file
-            of metrics is simulated again.
-        results: Results of the run.
-        place: Name of the reference in the command.
-        trust_law: Whether to run the code of recorded laws that are not built in.
-        limit_s: Time limit, after which the reason is replaced by a command to type [s].
+    The reference may also be a run that is known to be good; the scenario in a file of metrics is
+    simulated again. `place` is the name of the reference in the command that replaces the reason
+    after the time limit. `trust_law`: whether the code of recorded laws may run.
     """
     failed = [one for one in results if one.verdict == "FAIL"]
     if not failed:
@@ -146,8 +140,7 @@ def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
     """Return the run of the scenario in a file of metrics.
 
     Raises:
-        ScenarioError: If the scenario is wrong, takes longer than the limit for simulations here,
-            or names a law whose code may not run.
+        ScenarioError: If the scenario is wrong or too long, or names a law whose code may not run.
         SimulationError: If the law fails.
     """
     scenario = _read_scenario(reference, trust_law=trust_law)

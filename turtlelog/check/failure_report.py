@@ -34,9 +34,7 @@ _MOST = 3
 def describe_failure(run: Run, *results: CheckResult) -> list[str]:
     """Return lines: value, limit, margin, first violation with values around it, gains, scenario.
 
-    Args:
-        run: Run that was checked.
-        results: Results of the run. Only the first violated results are shown in full.
+    Only the first violated results of the run are shown in full.
     """
     lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
     return [escape_controls(line) for line in lines]
@@ -124,8 +122,7 @@ def describe_clock(run: Run) -> str:
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
     """Return lines: the signals at the poses around a time; `>` marks the pose at that time.
 
-    A command published between two poses has a line of its own. For a run without poses the lines
-    are its commands.
+    A command published between two poses has a line of its own. Without poses, lines are commands.
     """
     rows = run.poses if len(run.poses) else run.commands
     time_ns, at_ns = rows.time_ns, run.start_ns + round(at_s * 1e9)

@@ -50,10 +50,8 @@ platforms, which is 1e-4 % of an angle of a radian. For times, the margin is a t
 def format_first_spec(run: Run, *, reference: str, read: ReadChoice | None = None) -> str:
     """Return a specification that a run passes; each reason gives the distance to the bound.
 
-    Args:
-        run: Good run.
-        reference: File of the run, as the specification names it.
-        read: Settings with which the run was read, so that other recordings are read equally.
+    `reference` is the run's file as the specification names it; `read` are the settings with which
+    the run was read, so that other recordings are read equally.
     """
     head = [*_list_head(run, reference), *_list_read(read or ReadChoice())]
     return "\n".join([*head, *_list_checks(run)]) + "\n"
@@ -171,10 +169,7 @@ def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
 
 
 def _is_name(text: str) -> bool:
-    """Return whether a formula can contain a name.
-
-    A loop may be called `my-loop`, which it cannot.
-    """
+    """Return whether a formula can contain a name; a loop may be called `my-loop`."""
     return all(part.isidentifier() for part in text.split("."))
 
 

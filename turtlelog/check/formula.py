@@ -15,7 +15,12 @@ from turtlelog.check.formula_trace import (
     find_span,
     read_signals,
 )
-from turtlelog.check.robustness import CriticalPart, FormulaWalk
+from turtlelog.check.robustness import (
+    CriticalPart,
+    find_violation,
+    read_margin,
+    walk_formula,
+)
 from turtlelog.check.vocabulary import (
     ROBOT_VALUES,
     TRAJECTORY_VALUES,
@@ -90,11 +95,7 @@ class FormulaResult:
     reason: str = ""
 
     def __bool__(self) -> bool:
-        """Whether the formula holds.
-
-        Raises:
-            UndecidedError: If the verdict is unknown.
-        """
+        """Whether the formula holds; UndecidedError if the verdict is unknown."""
         if self.holds is None:
             raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
         return self.holds
@@ -147,7 +148,9 @@ def check_formula(
     expression = _parse(expression)
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
     holds, margin, critical = _decide(expression, trace)
-    failed_ns = _find_violation(expression, trace) if holds is False else None
+    failed_ns = None
+    if holds is False:  # a violation is certain only with unknown parts at their best
+        failed_ns = find_violation(walk_formula(expression, trace, exact=True, unknown=math.inf))
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
     unknown = FormulaResult(
         formula=expression.text,
@@ -161,7 +164,7 @@ def check_formula(
     if critical is None:
         return replace(unknown, reason=_explain_unknown(expression, trace))
     decisive = trace.read_values(critical.time_ns)
-    sides = read_sides(expression, critical.node, decisive, declaration or Declaration())
+    sides = _read_sides(expression, critical.node, decisive, declaration or Declaration())
     return replace(
         unknown,
         holds=holds,
@@ -169,10 +172,8 @@ def check_formula(
         margin_s=(critical.time_ns - trace.start_ns) / 1e9,
         values=decisive if failed_ns is None else values,
         decided_by=format_expression(critical.node),
-        value=sides.value,
-        limit=sides.limit,
-        unit=sides.unit,
         reason="" if holds or failed_ns is not None else _BEYOND,
+        **sides,
     )
 
 
@@ -230,24 +231,21 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
     """Return the verdict, with only one walk over a long trace in memory.
 
-    If a part is unknown, the formula may still be decided by two margins: with the unknown part at
-    its worst, and at its best.
+    If a part is unknown, two margins may decide: with the unknown part at its worst, and at its
+    best.
     """
-    walk = FormulaWalk(expression, trace)
-    margin = walk.margin
+    whole = walk_formula(expression, trace)
+    margin = read_margin(whole)
     if not (math.isnan(margin) or margin == 0):
-        return margin > 0, margin, walk.find_critical()
-    del walk
+        return margin > 0, margin, whole.find_critical(trace.start_ns)
+    del whole
     for holds, unknown in ((True, -math.inf), (False, math.inf)):
-        if (FormulaWalk(expression, trace, exact=True, unknown=unknown).margin > 0) is holds:
-            walk = FormulaWalk(expression, trace, unknown=unknown)
-            return holds, walk.margin, walk.find_critical()
+        exact = walk_formula(expression, trace, exact=True, unknown=unknown)
+        if (read_margin(exact) > 0) is holds:
+            del exact
+            whole = walk_formula(expression, trace, unknown=unknown)
+            return holds, read_margin(whole), whole.find_critical(trace.start_ns)
     return None, margin, None
-
-
-def _find_violation(expression: Expression, trace: FormulaTrace) -> int | None:
-    """Return the first violation with unknown parts at their best; None if it is not certain."""
-    return FormulaWalk(expression, trace, exact=True, unknown=math.inf).find_violation()
 
 
 def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
@@ -276,10 +274,7 @@ def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
 
 
 def _measure_reach(node: Node, *, is_cut: bool) -> float:
-    """Return how far ahead a formula looks [s].
-
-    If the run was not cut off, a window without an end counts only to its start.
-    """
+    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
     children = node.list_children()
     below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
     if not isinstance(node, Temporal | Until):
@@ -287,28 +282,12 @@ def _measure_reach(node: Node, *, is_cut: bool) -> float:
     return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sides:
-    """Value and limit of a comparison; None if they are not numbers."""
-
-    value: float | None = None
-    limit: float | None = None
-    unit: str = ""
-
-
-def read_sides(
+def _read_sides(
     expression: Expression, node: Node, values: Mapping[str, Any], declaration: Declaration
-) -> Sides:
-    """Return the two sides of a comparison.
-
-    Args:
-        expression: Formula that contains the comparison.
-        node: Comparison. The sides of any other node are None.
-        values: Values of the names in the formula.
-        declaration: Declaration of the law, for the units of its loops' metrics.
-    """
+) -> dict[str, Any]:
+    """Return value, limit and unit of a comparison of numbers; nothing for any other node."""
     if not isinstance(node, Comparison):
-        return Sides()
+        return {}
     names = {part.name for part in iterate_nodes(node) if isinstance(part, Name)}
     units = {
         name: unit for name in names if (unit := find_formula_unit(name, declaration)) is not None
@@ -318,17 +297,13 @@ def read_sides(
         measured, limit = limit, measured
     sides = [evaluate_node(expression, side, values) for side in (measured, limit)]
     if any(side.kind is not Kind.NUMBER for side in sides):
-        return Sides()
-    return Sides(
-        value=float(sides[0].data), limit=float(sides[1].data), unit=_find_unit(measured, units)
-    )
+        return {}
+    value, limit_value = (float(side.data) for side in sides)
+    return {"value": value, "limit": limit_value, "unit": _find_unit(measured, units)}
 
 
 def find_formula_unit(name: str, declaration: Declaration) -> str | None:
-    """Return the unit of a signal or metric; None for any other name.
-
-    The unit of an undeclared loop's metric is empty, because it depends on the controlled signal.
-    """
+    """Return the unit of a signal or metric, empty if it depends on the loop; None for others."""
     if name in list_signals(declaration):
         return list_signals(declaration)[name].unit
     if name in list_metrics(declaration):

@@ -81,9 +81,9 @@ def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
 def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
     """Return the time span in which a formula over these names is judged on a whole run [ns].
 
-    The span starts at time zero. In a run without samples, commands have no value before the first
-    publication. Formulas with commands are judged from the first command on; formulas with commands
-    alone are judged on all commands.
+    It starts at time zero. In a run without samples, commands have no value before the first
+    publication: formulas with commands are judged from then on, formulas with commands alone on all
+    commands.
     """
     signals = [name for name in names if name in list_signals(run.declaration)]
     commanded = [name for name in signals if name in COMMANDED]
@@ -104,13 +104,10 @@ value."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FormulaTrace:
-    """The signals and constants of one formula, over one segment of time.
+    """The signals and constants of one formula, from start_ns to end_ns.
 
     Attributes:
-        start_ns: First time [ns].
-        end_ns: Last time [ns].
         names: Names in order of first use.
-        signals: Signals as functions of time.
         constants: Constant values; None for no value.
         ending: Knowledge of the signals after end_ns.
     """
@@ -174,11 +171,7 @@ class FormulaTrace:
 
 
 def check_names(expression: Expression, known: Mapping[str, object]) -> None:
-    """Raise an error for unknown names.
-
-    Raises:
-        ExpressionError: If a name is unknown; the message has the column and the nearest names.
-    """
+    """Raise an error for an unknown name, with its column and the nearest names."""
     for node in iterate_nodes(expression.root):
         if isinstance(node, Name) and node.name not in known:
             fail_at(expression, node, describe_unknown_name(node.name, known))
@@ -277,13 +270,9 @@ class Steps:
 
 
 def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) -> Steps:
-    """Return columns as a piecewise constant function; the last row at each time is used.
+    """Return columns as a function from start_ns to end_ns; the last row at each time is used.
 
-    Args:
-        time_ns: Times [ns], shape (n,), not decreasing, the first not after start_ns.
-        values: Values, shape (n,).
-        start_ns: Time at which the function begins [ns].
-        end_ns: Time after which steps are left out [ns]; the value there is held.
+    The first of the times, which do not decrease, is not after start_ns.
     """
     first = int(np.searchsorted(time_ns, start_ns, side="right")) - 1
     after = int(np.searchsorted(time_ns, end_ns, side="right"))
@@ -323,24 +312,12 @@ def negate_steps(function: Steps) -> Steps:
 
 
 def slide_minimum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
-    """Return at each time t the minimum on [t + first_ns, t + last_ns].
-
-    Args:
-        function: Any function.
-        first_ns: Start of the window [ns], not negative.
-        last_ns: End of the window [ns], at least first_ns; None: without end.
-    """
+    """Return at each time t the minimum on [t + first_ns, t + last_ns]; None: without end."""
     return negate_steps(slide_maximum(negate_steps(function), first_ns, last_ns))
 
 
 def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
-    """Return at each time t the maximum on [t + first_ns, t + last_ns].
-
-    Args:
-        function: Any function.
-        first_ns: Start of the window [ns], not negative.
-        last_ns: End of the window [ns], at least first_ns; None: without end.
-    """
+    """Return at each time t the maximum on [t + first_ns, t + last_ns]; None: without end."""
     function = _drop_repeats(function)
     span_ns = int(function.time_ns[-1] - function.time_ns[0])
     first_ns = min(first_ns, span_ns)  # beyond it only the last value follows
@@ -358,12 +335,6 @@ def compute_until(
 
     By the identity of Donzé et al., two conditions must hold: right becomes true within the window;
     at every time up to the window's beginning, left holds until right holds.
-
-    Args:
-        left: Function that must hold until then.
-        right: Function that must become true.
-        first_ns: Start of the window [ns], not negative.
-        last_ns: End of the window [ns], at least first_ns; None: without end.
     """
     time_ns, (held, coming) = align_steps([left, right])
     unbounded = Steps(time_ns=time_ns, values=_scan_until(held, coming))

@@ -52,16 +52,10 @@ def judge_check(
     metrics: Mapping[str, Metric] | None = None,
     grown: Grown | None = None,
 ) -> CheckResult:
-    """Return the result of one check.
+    """Return the result of one check. A metric without a value fails it, whatever the formula.
 
-    A metric without a value fails the check, whatever the formula.
-
-    Args:
-        check: Check to evaluate.
-        run: Run that is checked.
-        file: Name of the run.
-        metrics: Metrics that the check names, if already measured.
-        grown: Values of metrics at poses of this run; further values are added.
+    `metrics` are those that the check names, if already measured. Values of metrics at poses of
+    this run are added to `grown`.
 
     Raises:
         ExpressionError: If a name is unknown or operand types do not match.
@@ -77,15 +71,7 @@ def measure_named(
     trajectories: TrajectoryJudge | None = None,
     file: str = "",
 ) -> Mapping[str, Metric]:
-    """Return the metrics of a run that checks name.
-
-    Args:
-        checks: Checks with the names of the metrics.
-        run: Run to measure.
-        trajectories: Object that measures errors relative to a reference; without it, these errors
-            have no value.
-        file: Name of the run.
-    """
+    """Return the metrics of a run that checks name; `trajectories` measures errors of positions."""
     names = list_formula_names(checks)
     ids = sorted(name for name in names if find_kind(run, name) is not None)
     of_robot = measure_robot(run, sorted(names & ROBOT_VALUES.keys()))
@@ -318,16 +304,10 @@ class Approximate(Protocol):
 def watch_metric(
     run: Run, file: str, name: str, note: Note, asked: Mapping[str, Any] | None = None
 ) -> Metric:
-    """Return a metric of a recording that records the result of every comparison.
+    """Return a metric of a recording that notes the result of every comparison.
 
     If the metric has no value, every comparison raises MissingValueError, whatever the operator.
-
-    Args:
-        run: Run that is measured.
-        file: Name of the run in messages.
-        name: Id of the metric.
-        note: Function that is called with the results.
-        asked: Settings of the metric, by the names of `MeasureSettings`.
+    `asked` are settings by the names of `MeasureSettings`.
     """
     asked = dict(asked or {})
     try:
@@ -349,12 +329,9 @@ class RecordedMetric:
     """The watch of a recording's metric.
 
     Attributes:
-        run: Run that was measured.
-        file: Name of the run in messages.
         note: Function that is called with the result of every comparison.
         label: Text of the compared quantity: `abs(final.cross_track)`.
         measured: Metric as measured.
-        settings: Settings of the metric.
         asked: Settings that differ from the defaults, by name.
         sign: -1 if the negative of the measured value is compared.
     """
@@ -396,10 +373,7 @@ class RecordedMetric:
     def judge(self, metric: Metric, operator: str, other: object) -> CheckResult:
         """Return the result of a comparison without searching for its first violation.
 
-        Args:
-            metric: Watched metric.
-            operator: Comparison operator of Python.
-            other: A number, a metric of the same unit, or `pytest.approx` of a number.
+        The other operand is a number, a metric of the same unit, or `pytest.approx` of a number.
 
         Raises:
             CheckError: If the other operand cannot be compared.

@@ -90,16 +90,7 @@ def judge_run(
     allow_partial: bool = False,
     trajectories: TrajectoryJudge | None = None,
 ) -> Iterator[CheckResult]:
-    """Yield the results of every check on one run; for an incomplete run, also one for the loss.
-
-    Args:
-        spec: Specification to check.
-        reference: Run or metrics to which tolerances refer.
-        run: Run that is judged.
-        file: Name of the run.
-        allow_partial: Whether an incomplete recording may pass.
-        trajectories: Object that measures errors relative to a reference trajectory.
-    """
+    """Yield the results of every check on one run; for an incomplete run, only one for the loss."""
     lost = None if allow_partial else find_loss(run)
     if lost is not None:
         yield fail_recording(file, lost)
@@ -327,7 +318,7 @@ def _judge_metric(
 ) -> CheckResult:
     """Return the verdict on a metric, which fails in its bad direction or with another status.
 
-    If the reference has no value either, a metric without a value passes, unless `is_strict`.
+    If neither has a value, the metric passes unless `is_strict`.
     """
     metric, reference = pair.metric, pair.reference
     if metric.value is None or reference.value is None:

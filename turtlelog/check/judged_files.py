@@ -25,8 +25,6 @@ class CheckedFile:
     """The results of one recording.
 
     Attributes:
-        file: Name of the recording.
-        results: Results in the order of the specification.
         metrics: Metrics by id; empty if the recording could not be measured.
         details: Text for failures, by name of the check.
         started: Start time of the checks; None: the report has no time of day.

@@ -70,12 +70,7 @@ class ReferenceFile:
         return f"<reference {self.path}>"
 
     def load(self) -> Run | MetricsFile:
-        """Return the run or metrics in the file.
-
-        Raises:
-            CheckError: If the file does not exist, or contains no metrics.
-            LogError: If the file contains no recording.
-        """
+        """Return the run or metrics in the file; CheckError if it is missing or has no metrics."""
         return load_reference(self.path)
 
     def accept(self, run: Run, source: Path) -> None:
@@ -144,7 +139,6 @@ def read_metrics_file(path: Path) -> MetricsFile | None:
 
     Raises:
         CheckError: If the file has the metrics of several runs, or an entry that is not a metric.
-        LogError: If the file cannot be read.
     """
     if path.suffix.lower() != ".json":
         return None
@@ -211,10 +205,8 @@ def _is_finite(value: object) -> bool:
 def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | MetricsFile | None:
     """Return the run or metrics to which tolerances refer; None if no reference is needed.
 
-    Args:
-        spec: Specification that names the reference.
-        topics: Topics as for the runs, in addition to those of the specification. A topic that the
-            reference does not have gets the default. The reference must always be complete.
+    `topics` are those of the runs, in addition to the specification's. A topic that the reference
+    does not have gets the default. The reference must always be complete.
 
     Raises:
         CheckError: If tolerances have no reference, or signals have only metrics as reference.
@@ -248,10 +240,8 @@ def read_reference_trajectory(
 ) -> TrajectoryJudge | None:
     """Return the judge of errors relative to the reference trajectory; None without a reference.
 
-    Args:
-        spec: Specification that names the reference trajectory.
-        topics: Topics as for the runs, in addition to those of the specification.
-        reads_files: Whether runs are named by their files, from which poses in space are read.
+    `topics` are as in `read_reference_run`. With `reads_files`, runs are named by their files, from
+    which poses in space are read.
 
     Raises:
         CheckError: If errors have no reference.

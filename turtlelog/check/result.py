@@ -118,20 +118,12 @@ class CheckResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckOutcome:
-    """True or False in an assert, with reasons. For an undecided outcome, `bool` raises an error.
-
-    Attributes:
-        results: Results of all checks.
-    """
+    """True or False in an assert, with the results; if undecided, `bool` raises an error."""
 
     results: tuple[CheckResult, ...]
 
     def __bool__(self) -> bool:
-        """Whether all results pass.
-
-        Raises:
-            UndecidedError: If some results are undecided and no other result fails.
-        """
+        """Whether all results pass; UndecidedError if some are undecided and no other fails."""
         failures = self.failures
         if not failures or failures[0].is_decided:
             return not failures

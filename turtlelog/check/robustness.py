@@ -74,17 +74,12 @@ def compute_robustness(
         CheckError: If a signal is invalid, or has no value at the first time.
     """
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns)
-    return FormulaWalk(expression, trace).root.margins
+    return walk_formula(expression, trace).margins
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CriticalPart:
-    """Origin of a margin in a formula, at any depth.
-
-    Attributes:
-        node: A comparison of two sides, or a truth value.
-        time_ns: Time at which the margin of the node equals that of the whole formula [ns].
-    """
+    """A comparison or truth value whose margin at a time [ns] is that of the whole formula."""
 
     node: Node
     time_ns: int
@@ -119,61 +114,23 @@ _ANY_PARTS: Final = 20
 """Number of comparisons and operators that are always allowed, however long the recording is."""
 
 
-class FormulaWalk:
-    """One walk over a formula: the margin of each part, its origin, and its violation.
-
-    Args:
-        expression: A formula.
-        trace: Signals of the formula.
-        exact: Option of `PartReader`.
-        unknown: Option of `PartReader`.
-    """
-
-    def __init__(
-        self,
-        expression: Expression,
-        trace: FormulaTrace,
-        *,
-        exact: bool = False,
-        unknown: float = math.nan,
-    ) -> None:
-        self._start_ns = trace.start_ns
-        reader = PartReader(expression, trace, exact=exact, unknown=unknown)
-        self.root = reader.visit(expression.root, 1)
-
-    @property
-    def margin(self) -> float:
-        """Margin of the whole formula at the beginning."""
-        return float(self.root.margins.values[0])
-
-    def find_critical(self) -> CriticalPart:
-        """Return the origin of the margin at the beginning, which must be known."""
-        return self.root.find_critical(self._start_ns)
-
-    def find_violation(self) -> int | None:
-        """Return the first time at which the formula is violated [ns]; None if it holds."""
-        return find_violation(self.root)
+def walk_formula(
+    expression: Expression, trace: FormulaTrace, *, exact: bool = False, unknown: float = math.nan
+) -> Part:
+    """Return a formula with its margins over a trace; the options are those of `PartReader`."""
+    return PartReader(expression, trace, exact=exact, unknown=unknown).visit(expression.root, 1)
 
 
 class PartReader:
     """Builder of parts of a formula; parts are not stored, because their columns are long.
 
-    Args:
-        expression: A formula.
-        trace: Signals of the formula.
-        exact: Whether to use 1 for true and -1 for false instead of margins: this decides margins
-            of 0, for which `<` and `<=` differ.
-        unknown: Value of an unknown part: NaN, which makes dependent parts unknown; -inf, the worst
-            value for the whole formula; or inf, the best value.
+    With `exact`, 1 for true and -1 for false replace margins: this decides margins of 0, for which
+    `<` and `<=` differ. An unknown part has the value `unknown`: NaN, which makes dependent parts
+    unknown; -inf, the worst value for the whole formula; or inf, the best value.
     """
 
     def __init__(
-        self,
-        expression: Expression,
-        trace: FormulaTrace,
-        *,
-        exact: bool = False,
-        unknown: float = math.nan,
+        self, expression: Expression, trace: FormulaTrace, *, exact: bool, unknown: float
     ) -> None:
         self.trace = trace
         rows = max((len(steps.time_ns) for steps in trace.signals.values()), default=1)
@@ -181,11 +138,7 @@ class PartReader:
         self._expression, self._exact, self._unknown = expression, exact, unknown
 
     def visit(self, node: Node, sign: int) -> Part:
-        """Return a part of the formula.
-
-        Args:
-            node: Any part with a truth value.
-            sign: -1 if the part is negated: below `not`, left of `implies`.
+        """Return a part of the formula; `sign` is -1 below `not` and left of `implies`.
 
         Raises:
             CheckError: If the parts of the formula have too many values together.
@@ -406,6 +359,11 @@ class _Until:
 def find_violation(part: Part) -> int | None:
     """Return the first violation of a part that is required at the start [ns]."""
     return part.find_violation() if part.margins.values[0] < 0 else None
+
+
+def read_margin(whole: Part) -> float:
+    """Return the margin of a formula at the beginning."""
+    return float(whole.margins.values[0])
 
 
 def _read(part: Part, time_ns: int) -> float:

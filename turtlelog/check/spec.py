@@ -157,7 +157,9 @@ def is_label_signal(name: str) -> bool:
     return name in SIGNALS and SIGNALS[name].compared_as == "label"
 
 
-_TEXT = {"type": "string", "pattern": "\\S"}
+_TEXT: Final = {"type": "string", "pattern": "\\S"}
+_REASON: Final = {**_TEXT, "description": "Why so much and no more."}
+_NOT_NEGATIVE: Final = {"type": "number", "minimum": 0}
 
 _LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
 """Pattern of loop names. The run's law determines the loops and phases."""
@@ -200,20 +202,25 @@ def build_schema() -> dict[str, Any]:
     }
 
 
+def _build_table(
+    properties: Mapping[str, Any], *, description: str = "", **more: Any
+) -> dict[str, Any]:
+    """Return the schema of a table with these keys and no others."""
+    told = {"description": description} if description else {}
+    head = {"type": "object", "additionalProperties": False, **told}
+    return {**head, "properties": properties, **more}
+
+
 def _build_trajectory() -> dict[str, Any]:
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "description": "How ate.* and rpe.* are measured beside the reference.",
-        "properties": {
+    return _build_table(
+        {
             "align": {"enum": [*ALIGN_IN], "description": "Transformation that is fitted."},
             "associate": {
                 "enum": [*ASSOCIATIONS],
                 "description": "Poses of one moment: nearest in time, or linearly interpolated.",
             },
             "max_difference_s": {
-                "type": "number",
-                "minimum": 0,
+                **_NOT_NEGATIVE,
                 "description": "Largest difference in time between poses that belong together [s].",
             },
             "time_offset_s": {
@@ -226,7 +233,8 @@ def _build_trajectory() -> dict[str, Any]:
                 "description": "A relative motion begins at every pose.",
             },
         },
-    }
+        description="How ate.* and rpe.* are measured beside the reference.",
+    )
 
 
 ASSOCIATIONS: Final = ("nearest", "linear")
@@ -234,29 +242,20 @@ ASSOCIATIONS: Final = ("nearest", "linear")
 
 
 def _build_read() -> dict[str, Any]:
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "description": "What is read of third-party files, also of the reference.",
-        "properties": {
+    positive = {"type": "number", "exclusiveMinimum": 0}
+    return _build_table(
+        {
             **{name: {**_TEXT, "description": text} for name, text in READ_TEXTS.items()},
             "goal": {
-                "type": "array",
-                "items": {"type": "number"},
-                "minItems": 2,
-                "maxItems": 3,
+                **_build_list({"type": "number"}, 2, 3),
                 "description": "x, y [m] and perhaps the heading [rad].",
             },
             "wheels": {
-                "type": "array",
-                "items": {"type": "number", "exclusiveMinimum": 0},
-                "minItems": 2,
-                "maxItems": 2,
+                **_build_list(positive, 2, 2),
                 "description": "Radius of the wheels, and the distance between them [m].",
             },
             "wheelbase": {
-                "type": "number",
-                "exclusiveMinimum": 0,
+                **positive,
                 "description": "Distance of the axles [m], for Ackermann commands.",
             },
             "time": {
@@ -269,7 +268,12 @@ def _build_read() -> dict[str, Any]:
                 "description": "Of a plain table: the column of t, x, y, heading ...",
             },
         },
-    }
+        description="What is read of third-party files, also of the reference.",
+    )
+
+
+def _build_list(items: Mapping[str, Any], fewest: int, most: int) -> dict[str, Any]:
+    return {"type": "array", "items": items, "minItems": fewest, "maxItems": most}
 
 
 READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
@@ -287,10 +291,8 @@ READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def _build_check() -> dict[str, Any]:
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "properties": {
+    return _build_table(
+        {
             "expect": {**_TEXT, "description": "Formula over metrics and parameters."},
             "holds": {**_TEXT, "description": "Formula over signals and time."},
             "phase": {
@@ -299,27 +301,23 @@ def _build_check() -> dict[str, Any]:
                 "description": "Stretch that holds looks at: a phase of the law, or pause.",
             },
             "when": {**_TEXT, "description": "Otherwise the check is skipped."},
-            "reason": {**_TEXT, "description": "Why so much and no more."},
+            "reason": _REASON,
             "observed": {
                 "type": "boolean",
                 "description": "The bound was read off a good run; nobody has thought about it.",
             },
         },
-        "oneOf": [{"required": ["expect"]}, {"required": ["holds"]}],
-        "dependentRequired": {"phase": ["holds"]},
-    }
+        oneOf=[{"required": ["expect"]}, {"required": ["holds"]}],
+        dependentRequired={"phase": ["holds"]},
+    )
 
 
 def _build_signals() -> dict[str, Any]:
     """Return the schema of signals by name; any law may have further states."""
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "properties": {
-            name: _describe("signal", found.unit, found.meaning) for name, found in SIGNALS.items()
-        },
-        "patternProperties": {f"^{STATE_PATTERN}$": {"$ref": "#/$defs/signal"}},
-    }
+    return _build_table(
+        {name: _describe("signal", found.unit, found.meaning) for name, found in SIGNALS.items()},
+        patternProperties={f"^{STATE_PATTERN}$": {"$ref": "#/$defs/signal"}},
+    )
 
 
 def _build_metrics() -> dict[str, Any]:
@@ -328,14 +326,12 @@ def _build_metrics() -> dict[str, Any]:
         name: _describe("metric", found.unit, found.meaning) for name, found in METRICS.items()
     }
     patterns = {name: name.partition(f"{ANY_LOOP}.")[2] for name in METRICS if ANY_LOOP in name}
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "properties": {name: found for name, found in described.items() if name not in patterns},
-        "patternProperties": {
+    return _build_table(
+        {name: found for name, found in described.items() if name not in patterns},
+        patternProperties={
             f"^{_LOOP}[.]{plain}$": described[name] for name, plain in patterns.items()
         },
-    }
+    )
 
 
 def _describe(kind: str, unit: str, meaning: str) -> dict[str, Any]:
@@ -343,17 +339,15 @@ def _describe(kind: str, unit: str, meaning: str) -> dict[str, Any]:
 
 
 def _build_tolerance(*, has_time: bool) -> dict[str, Any]:
-    number = {"type": "number", "minimum": 0}
+    share = {**_NOT_NEGATIVE, "maximum": 1}
     properties = {
-        "abs": {**number, "description": "How far from the reference, in the unit of the name."},
-        "rel": {**number, "maximum": 1, "description": "As a share of the reference."},
-        "reason": {**_TEXT, "description": "Why so much and no more."},
+        "abs": {
+            **_NOT_NEGATIVE,
+            "description": "How far from the reference, in the unit of the name.",
+        },
+        "rel": {**share, "description": "As a share of the reference."},
+        "reason": _REASON,
     }
     if has_time:
-        properties["time_s"] = {**number, "description": "How far in time [s]."}
-    return {
-        "type": "object",
-        "required": ["reason"],
-        "additionalProperties": False,
-        "properties": properties,
-    }
+        properties["time_s"] = {**_NOT_NEGATIVE, "description": "How far in time [s]."}
+    return {"type": "object", "required": ["reason"], **_build_table(properties)}

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, get_args
@@ -24,7 +24,7 @@ from turtlelog.compare import ALIGNMENTS, Tolerance, TrajectorySettings, parse_d
 from turtlelog.compare.signal_comparison import could_be_alignment
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.display import LATEST_S
-from turtlelog.errors import CheckError, CompareError, LogError
+from turtlelog.errors import CheckError, CompareError, LogError, TurtlelogError
 from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expression
 from turtlelog.files.text_files import describe_missing, parse_toml, read_text_file
 from turtlelog.files.urls import is_url, make_path
@@ -106,11 +106,7 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
 
 
 def require_reference(spec: Spec) -> Spec:
-    """Raise an error if tolerances have no reference.
-
-    Raises:
-        CheckError: If there are tolerances and no reference.
-    """
+    """Return a specification; raise CheckError if its tolerances have no reference."""
     if spec.tolerances and spec.reference is None:
         raise CheckError(
             f"{spec.source}: tolerances need a recording to compare with: reference = FILE in the"
@@ -135,17 +131,20 @@ def load_tolerances(path: str | Path) -> Tolerances:
 
 
 def read_tables(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a specification file without its format, which is checked here.
-
-    Raises:
-        CompareError: If the file cannot be read, is not TOML, has another format or contains an
-            unknown table.
-    """
+    """Return the tables of a specification file without its format, which is checked here."""
     return _require_known(_read_toml(path), source=str(path))
 
 
 def _require_known(tables: dict[str, Any], *, source: str) -> dict[str, Any]:
-    _require_format(tables, source=source)
+    found = tables.pop("format", None)
+    if found is None:
+        raise CompareError(f"{source}: the first line of a specification is missing: format = 1")
+    if not isinstance(found, int) or isinstance(found, bool) or found < 1:
+        raise CompareError(f"{source}: format: expected {FORMAT}, found {describe_value(found)}")
+    if found > FORMAT:
+        raise CompareError(
+            f"{source}: format: expected at most {FORMAT}, found {found}, of a newer turtlelog"
+        )
     for key in tables:
         if key not in _KNOWN:
             raise CompareError(
@@ -155,12 +154,7 @@ def _require_known(tables: dict[str, Any], *, source: str) -> dict[str, Any]:
 
 
 def parse_tolerances(tables: Mapping[str, Any], *, source: str = "tolerances") -> Tolerances:
-    """Return the tolerances in the tables `signals` and `metrics`; either may be missing.
-
-    Raises:
-        CompareError: If a key is wrong. The message names the first wrong key: `source: place:
-            expected ..., found ...`.
-    """
+    """Return the tolerances in the tables `signals` and `metrics`; either may be missing."""
     own = {kind: _parse_kind(kind, tables.get(kind, {}), source) for kind in _KINDS}
     try:
         return Tolerances(**own)
@@ -196,22 +190,17 @@ def count_parts(check: Check) -> int:
 
 def _parse_check(name: str, entry: Any, source: str) -> Check:
     place = f"{source}: checks.{name_key(name)}"
-    if not isinstance(entry, Mapping):
-        raise CheckError(f"{place}: expected a table, found {describe_value(entry)}")
-    for key in entry:
-        if key not in CHECK_KEYS:
-            found = describe_unknown_key(key, list(CHECK_KEYS))
-            raise CheckError(f"{place}.{name_key(key)}: {found}")
+    _require_table(entry, place, CHECK_KEYS)
     kind = _choose_kind(entry, place)
     phase = _read_text(entry, "phase", place)
     if phase is not None and kind == "expect":
         raise CheckError(f"{place}.phase: expected holds beside it, found expect")
     if phase is not None:
-        _require_phase(phase, place)
-    observed = entry.get("observed", False)
-    if not isinstance(observed, bool):
-        found = describe_value(observed)
-        raise CheckError(f"{place}.observed: expected true or false, found {found}")
+        try:
+            require_phase(phase)
+        except CheckError as err:
+            raise CheckError(f"{place}.{err}") from err
+    observed = _read_truth(entry, "observed", place)
     formula = _parse_formula(entry, kind, place)
     if formula is None:
         raise CheckError(f"{place}.{kind}: the formula is missing")
@@ -224,13 +213,6 @@ def _parse_check(name: str, entry: Any, source: str) -> Check:
         reason=_read_text(entry, "reason", place) or "",
         is_observed=observed,
     )
-
-
-def _require_phase(phase: str, place: str) -> None:
-    try:
-        require_phase(phase)
-    except CheckError as err:
-        raise CheckError(f"{place}.{err}") from err
 
 
 def _choose_kind(entry: Mapping[str, Any], place: str) -> Literal["expect", "holds"]:
@@ -259,18 +241,10 @@ def _read_alignment(tables: Mapping[str, Any], source: str) -> str:
 def _parse_trajectory(table: Any, source: str) -> TrajectorySettings:
     """Return the settings for errors of trajectories."""
     place = f"{source}: trajectory"
-    if not isinstance(table, Mapping):
-        raise CheckError(f"{place}: expected a table, found {describe_value(table)}")
-    for key in table:
-        if key not in _TRAJECTORY_KEYS:
-            known = describe_unknown_key(key, list(_TRAJECTORY_KEYS))
-            raise CheckError(f"{place}.{name_key(key)}: {known}")
+    _require_table(table, place, _TRAJECTORY_KEYS)
     align = _choose(table, "align", place, ALIGN_IN)
     associate = _choose(table, "associate", place, ASSOCIATIONS)
-    overlaps = table.get("all_pairs", False)
-    if not isinstance(overlaps, bool):
-        found = describe_value(overlaps)
-        raise CheckError(f"{place}.all_pairs: expected true or false, found {found}")
+    overlaps = _read_truth(table, "all_pairs", place)
     most_s = _read_time(table, "max_difference_s", place, USUAL_TRAJECTORY.most_apart_s)
     if most_s < 0.0:
         raise CheckError(f"{place}.max_difference_s: expected a time of at least 0, found {most_s}")
@@ -301,6 +275,13 @@ def _choose(
     return found
 
 
+def _read_truth(table: Mapping[str, Any], key: str, place: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise CheckError(f"{place}.{key}: expected true or false, found {describe_value(value)}")
+    return value
+
+
 def _read_time(table: Mapping[str, Any], key: str, place: str, usual: float) -> float:
     value = table.get(key, usual)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -312,12 +293,7 @@ def _read_time(table: Mapping[str, Any], key: str, place: str, usual: float) -> 
 def _parse_read(table: Any, source: str) -> ReadChoice:
     """Return the settings for reading third-party files."""
     place = f"{source}: read"
-    if not isinstance(table, Mapping):
-        raise CheckError(f"{place}: expected a table, found {describe_value(table)}")
-    known = [*READ_TEXTS, "goal", "wheels", "wheelbase", "time", "columns"]
-    for key in table:
-        if key not in known:
-            raise CheckError(f"{place}.{name_key(key)}: {describe_unknown_key(key, known)}")
+    _require_table(table, place, (*READ_TEXTS, "goal", "wheels", "wheelbase", "time", "columns"))
     texts: dict[str, Any] = {name: _read_text(table, name, place) for name in READ_TEXTS}
     time, times = table.get("time", "auto"), get_args(TimeSource)
     if time not in times:
@@ -325,55 +301,55 @@ def _parse_read(table: Any, source: str) -> ReadChoice:
             f"{place}.time: expected {' or '.join(times)}, found {describe_value(time)}"
         )
     columns = table.get("columns", {})
-    if not isinstance(columns, Mapping):
-        raise CheckError(f"{place}.columns: expected a table, found {describe_value(columns)}")
+    _require_table(columns, f"{place}.columns")
+    numbers: dict[str, Any] = {
+        key: _read_numbers(table, key, place, *how) for key, how in _NUMBERS.items()
+    }
     return ReadChoice(
         **texts,
-        goal=_read_goal(table, place),
-        wheels=_read_wheels(table, place),
-        wheelbase=_read_wheelbase(table, place),
+        **numbers,
         time=time,
         columns={name: _read_text(columns, name, f"{place}.columns") or "" for name in columns},
     )
 
 
-def _read_goal(table: Mapping[str, Any], place: str) -> tuple[float, ...] | None:
-    goal = table.get("goal")
-    if goal is None:
-        return None
-    is_list = isinstance(goal, list) and all(type(value) in {int, float} for value in goal)
-    try:
-        parse_goal_option(tuple(goal) if is_list else ())
-    except LogError as err:
-        expected = "[x, y] in m, or [x, y, heading] with the heading in rad"
-        found = describe_value(goal)
-        raise CheckError(f"{place}.goal: expected {expected}, found {found}") from err
-    return tuple(map(float, goal))
-
-
-def _read_wheels(table: Mapping[str, Any], place: str) -> tuple[float, float] | None:
-    wheels = table.get("wheels")
-    if wheels is None:
-        return None
-    is_list = isinstance(wheels, list) and all(type(value) in {int, float} for value in wheels)
-    try:
-        return parse_wheels(tuple(wheels) if is_list else ())
-    except LogError as err:
-        expected = "[radius, track] above 0 in m"
-        found = describe_value(wheels)
-        raise CheckError(f"{place}.wheels: expected {expected}, found {found}") from err
-
-
-def _read_wheelbase(table: Mapping[str, Any], place: str) -> float | None:
-    value = table.get("wheelbase")
+def _read_numbers(
+    table: Mapping[str, Any], key: str, place: str, parse: Callable[[Any], Any], expected: str
+) -> Any:
+    value = table.get(key)
     if value is None:
         return None
     try:
-        return parse_wheelbase(value if type(value) in {int, float} else 0.0)
+        return parse(value)
     except LogError as err:
-        expected = "a length above 0 in m"
         found = describe_value(value)
-        raise CheckError(f"{place}.wheelbase: expected {expected}, found {found}") from err
+        raise CheckError(f"{place}.{key}: expected {expected}, found {found}") from err
+
+
+def _parse_goal(value: Any) -> tuple[float, ...]:
+    parse_goal_option(_list_numbers(value))
+    return tuple(map(float, value))
+
+
+def _list_numbers(value: Any) -> tuple[float, ...]:
+    """Return the numbers of a list; nothing for any other value."""
+    is_list = isinstance(value, list) and all(map(_is_number, value))
+    return tuple(value) if is_list else ()
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in {int, float}
+
+
+_NUMBERS: Final[Mapping[str, tuple[Callable[[Any], Any], str]]] = {
+    "goal": (_parse_goal, "[x, y] in m, or [x, y, heading] with the heading in rad"),
+    "wheels": (lambda value: parse_wheels(_list_numbers(value)), "[radius, track] above 0 in m"),
+    "wheelbase": (
+        lambda value: parse_wheelbase(value if _is_number(value) else 0.0),
+        "a length above 0 in m",
+    ),
+}
+"""Keys of `[read]` with numbers, the parsers of their values, and what is expected."""
 
 
 def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:
@@ -385,7 +361,7 @@ def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:
 
 
 def _parse_kind(kind: str, table: Any, source: str) -> dict[str, Tolerance]:
-    _require_table(table, f"{source}: {kind}")
+    _require_table(table, f"{source}: {kind}", error=CompareError)
     return {name: _parse_tolerance(kind, name, entry, source) for name, entry in table.items()}
 
 
@@ -393,11 +369,7 @@ def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance
     if not is_known(kind, name):
         raise CompareError(f"{source}: {kind}.{name_key(name)}: {_suggest(kind, name, entry)}")
     place = f'{source}: {kind}."{name}"' if "." in name else f"{source}: {kind}.{name}"
-    _require_table(entry, place)
-    for key in entry:
-        if key not in _KEYS[kind]:
-            known = describe_unknown_key(key, list(_KEYS[kind]))
-            raise CompareError(f"{place}.{name_key(key)}: {known}")
+    _require_table(entry, place, _KEYS[kind], error=CompareError)
     reason = entry.get("reason")
     if not isinstance(reason, str) or not reason.strip():
         raise CompareError(f"{place}.reason: expected a reason, found {describe_value(reason)}")
@@ -428,21 +400,19 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
     return describe_unknown_key(name, list_nearby(kind, name))
 
 
-def _require_format(tables: dict[str, Any], *, source: str) -> None:
-    found = tables.pop("format", None)
-    if found is None:
-        raise CompareError(f"{source}: the first line of a specification is missing: format = 1")
-    if not isinstance(found, int) or isinstance(found, bool) or found < 1:
-        raise CompareError(f"{source}: format: expected {FORMAT}, found {describe_value(found)}")
-    if found > FORMAT:
-        raise CompareError(
-            f"{source}: format: expected at most {FORMAT}, found {found}, of a newer turtlelog"
-        )
-
-
-def _require_table(table: Any, place: str) -> None:
+def _require_table(
+    table: Any,
+    place: str,
+    known: Sequence[str] = (),
+    *,
+    error: type[TurtlelogError] = CheckError,
+) -> None:
+    """Raise an error for a value that is no table, or for a key that is not known."""
     if not isinstance(table, Mapping):
-        raise CompareError(f"{place}: expected a table, found {describe_value(table)}")
+        raise error(f"{place}: expected a table, found {describe_value(table)}")
+    for key in table:
+        if known and key not in known:
+            raise error(f"{place}.{name_key(key)}: {describe_unknown_key(key, list(known))}")
 
 
 def _read_toml(path: str | Path) -> dict[str, Any]:

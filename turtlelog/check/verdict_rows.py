@@ -52,11 +52,7 @@ def plan_verdict_table(
 ) -> RecordingTable:
     """Return the plan of `tabulate_recordings` for a table with one row per file and check.
 
-    Args:
-        spec: Specification to check.
-        judge: Function that returns the results of a file; it must be picklable.
-        choice: Settings for reading third-party files.
-        is_partial: Whether an incomplete recording may pass.
+    The judge of files must be picklable. `is_partial`: whether an incomplete recording may pass.
     """
     held = hashlib.sha256(describe_values(spec).encode()).hexdigest()
     facts = {
@@ -87,12 +83,7 @@ def _build_row(result: CheckResult) -> Row:
 
 
 def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]:
-    """Yield the results in a table.
-
-    Args:
-        path: File of the table.
-        files: Names of the files in results, by label in the table.
-    """
+    """Yield the results in a table; `files` are their files' names, by label in the table."""
     keys = (FILE, *_KEYS, _DECIDED)
     names = [key.name for key in keys]
     table = open_result_table(path, kind="verdicts")

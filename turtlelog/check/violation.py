@@ -33,10 +33,6 @@ def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:
 
     For a formula with several comparisons, this is the signal of the deciding comparison. A metric
     belongs to a signal if the signal has the metric's value at the metric's time.
-
-    Args:
-        run: Run that was checked.
-        result: Result of the check.
     """
     if result.verdict is not Verdict.FAIL:
         return SignalSearch(reason="the check was not violated")
@@ -46,12 +42,7 @@ def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:
 def find_judged_signal(run: Run, result: CheckResult) -> SignalSearch:
     """Return the signal that a check limits to a band, or the reason why there is no such signal.
 
-    If the check passes, no row is outside the band, and the worst row is the one nearest to the
-    limit.
-
-    Args:
-        run: Run that was checked.
-        result: Result of the check.
+    If the check passes, no row is outside the band; the worst row is the nearest to the limit.
     """
     if result.verdict is Verdict.SKIPPED or not result.is_decided:
         return SignalSearch(reason=f"undecided: {result.reason}")

@@ -98,12 +98,7 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
     """Raise an error for names that no run has, or that this run does not have.
 
     Without a run, any loop may have the existing metrics, and the parameters and states of a law
-    may have any name.
-
-    Args:
-        formula: Formula to check.
-        over_time: Whether the formula may contain signals and temporal operators.
-        run: Run with the parameters and states of its law.
+    may have any name. With `over_time`, the formula may contain signals and temporal operators.
 
     Raises:
         ExpressionError: If there is such a name; the message has the column and the nearest names.
@@ -158,12 +153,7 @@ def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, 
 
 
 def require_phase(phase: str, run: Run | None = None) -> None:
-    """Raise an error for an invalid phase; for a known run, also for a misspelled phase.
-
-    Raises:
-        CheckError: If the phase is invalid. The message has valid values, or the nearest phases of
-            the run's law.
-    """
+    """Raise CheckError for an invalid phase; for a known run, also for a misspelled phase."""
     if phase == DONE or not re.fullmatch(NAME_PATTERN, phase):
         raise CheckError(f"phase: expected one of the run's law or pause, found {phase!r}")
     known = [] if run is None else [name for name in run.phase_names if name != DONE]
@@ -239,12 +229,7 @@ def find_robot_unit(name: str) -> str:
 
 
 def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
-    """Return values of the robot in a run, or the reason for each value that is not identified.
-
-    Args:
-        run: Run with commands and motion.
-        names: Names from `ROBOT_VALUES`.
-    """
+    """Return values of a run's robot, or the reason for each value that is not identified."""
     names = [*names]
     if not names:
         return {}
@@ -281,14 +266,9 @@ def find_trajectory_unit(name: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryJudge:
-    """Measurement of the errors of recordings relative to one reference.
+    """Measurement of the errors of recordings relative to one reference, which counts as true.
 
-    Attributes:
-        reference: Trajectory that counts as true.
-        settings: Settings of the comparison.
-        choice: Settings for reading third-party files.
-        reads_files: Whether recordings are named by their files, from which poses in space are
-            read.
+    With `reads_files`, recordings are named by their files, from which poses in space are read.
     """
 
     reference: Trajectory
@@ -297,13 +277,7 @@ class TrajectoryJudge:
     reads_files: bool
 
     def measure(self, run: Run, names: Iterable[str], file: str) -> dict[str, Metric]:
-        """Return the values of a recording, or the reason for each value that cannot be computed.
-
-        Args:
-            run: Run with poses in the plane.
-            names: Names from `TRAJECTORY_VALUES`.
-            file: Name of the recording.
-        """
+        """Return the named values of a recording, or the reason for each missing one."""
         names = [*names]
         try:
             found = compare_trajectories(self.reference, self._read(run, file), self.settings)

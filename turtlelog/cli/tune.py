@@ -278,7 +278,7 @@ def _tell_late(late: str) -> None:
 def _tell_best_so_far(candidates: "Candidates", keys: "tuple[SearchedKey, ...]") -> None:
     if not candidates.evaluations:
         return
-    best = tl.sweep.tune.find_best(candidates, is_maximised=candidates.goal.is_maximised)
+    best = tl.sweep.tune.find_best(candidates)
     values = zip(keys, best.point, strict=True)
     told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
     print_note(f"the best of {candidates.evaluations} candidates so far: {told}")

@@ -165,12 +165,7 @@ less than 0.1."""
 
 
 class RunContext:
-    """A run, the settings of its metrics, and the values computed so far.
-
-    Attributes:
-        run: Run to measure.
-        settings: Settings of the metrics.
-    """
+    """A run, the settings of its metrics, and the values computed so far."""
 
     def __init__(self, run: Run, settings: MeasureSettings) -> None:
         self.run = run
@@ -356,10 +351,7 @@ _EARLIER_SAMPLES: Final = 1000
 
 
 def take_beginning(run: Run, loop: ControlLoop, most_samples: int) -> Run:
-    """Return the beginning of a run, with at most the given number of samples of a loop.
-
-    A run with no more samples is returned unchanged.
-    """
+    """Return the beginning of a run with at most so many samples of a loop; or the whole run."""
     samples = run.samples
     if len(samples) <= most_samples:
         return run

@@ -247,14 +247,9 @@ def _stand_alone(
     size: Values,
     rates: tuple[Values, Values],
 ) -> NDArray[np.bool_]:
-    """Return which corrections are in one step alone.
+    """Return which corrections are in one step alone, by their steps, directions and magnitudes.
 
-    Args:
-        motion: Motion of the robot.
-        rows: Steps of the corrections.
-        unit: Direction of each correction.
-        size: Magnitude of each correction.
-        rates: Mean of the rates before and after each correction, and half of their difference.
+    `rates` are the mean of the rates before and after each, and half of their difference.
     """
     mean, spread = rates
 

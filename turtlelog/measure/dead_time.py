@@ -169,11 +169,7 @@ def _find_doubt(run: Run, loop: ControlLoop) -> str:
 
 
 def _require_loop(declaration: Declaration, name: str) -> ControlLoop:
-    """Return a loop by name.
-
-    Raises:
-        MeasureError: If the law declares no loop with that name.
-    """
+    """Return a loop by name; MeasureError if the law declares no such loop."""
     loop = declaration.find_loop(name)
     if loop is None:
         known = suggest_names(name, [known.name for known in declaration.loops])
@@ -296,8 +292,10 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     if size[best] > _EXPLAINED * span:
         reason = f"no dead time up to {LARGEST_TICKS} ticks explains the motion"
         return Missing(status=Status.UNDETERMINED, reason=reason)
-    lags = find_lags(motion, errors, rows, best, float(size[best])) if may_lag else None
-    if lags is not None and lags.is_better:
+    least_ticks, is_better = best, False
+    if may_lag:
+        least_ticks, is_better = find_lags(motion, errors, rows, best, float(size[best]))
+    if is_better:
         reason = f"with a lag a shorter dead time {_EXPLAINS_BETTER} {best} ticks without a lag"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     if len(rows) * np.log(margin) < CERTAIN:
@@ -315,7 +313,7 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         rows=len(rows),
         is_exact=False,
         whiteness=1.0 if is_rounding else _measure_whiteness(left[best]),
-        least_ticks=best if lags is None else lags.least_ticks,
+        least_ticks=least_ticks,
     )
 
 

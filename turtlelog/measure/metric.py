@@ -235,10 +235,7 @@ class Metric(Numeric):
         return self.value, self.unit, self.status, self.reason
 
     def __abs__(self) -> "Metric":
-        """Return the magnitude of the metric.
-
-        Comparisons of the magnitude are watched like those of the metric.
-        """
+        """Return the magnitude of the metric, whose comparisons are watched like the metric's."""
         watch = None if self.watch is None else self.watch.negate(self)
         return replace(self, value=abs(float(self)), watch=watch)
 
@@ -395,12 +392,7 @@ ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A value and its time.
-
-    Attributes:
-        value: Value in the metric's unit.
-        at_s: Time from the first sample [s]; None if the value has no time.
-    """
+    """A value in the metric's unit, and its time from the first sample [s], if it has one."""
 
     value: float
     at_s: float | None = None

@@ -235,10 +235,9 @@ def curve_metric(
     applies: Callable[[ControlLoop], bool] = lambda _: True,
     **traits: Unpack[Traits],
 ) -> Callable[[_OfCurve], _OfCurve]:
-    """Enter a function of numbers as a metric of every loop to which it applies.
+    """Enter a function of a curve, a `Response`, as a metric of every loop to which it applies.
 
-    The function runs in ordinary Python and compiled. The curve parameters of the function are
-    fields of `Response`.
+    The function runs in ordinary Python and compiled.
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
@@ -272,10 +271,9 @@ def run_metric(
 def course_metric(
     name: str, unit: str, meaning: str, **traits: Unpack[Traits]
 ) -> Callable[[_OfCourse], _OfCourse]:
-    """Enter a function of numbers by its id, as a metric of the whole run or of its end.
+    """Enter a function of a course, a `RunContext`, by its id, as a metric of the run or its end.
 
-    The function runs in ordinary Python and compiled. The course parameters of the function are
-    fields of `RunContext`.
+    The function runs in ordinary Python and compiled.
     """
 
     def enter(numbers: _OfCourse) -> _OfCourse:

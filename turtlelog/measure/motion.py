@@ -353,13 +353,9 @@ _TINY: Final = 1e-300
 def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]:
     """Return which fits have errors within those of coarse poses, or of the best fit.
 
-    Rounding errors are not noise: neighbouring rows share them, so their squares are not
-    informative.
-
-    Args:
-        spans: Range of the errors of each fit, largest minus smallest [rad or m].
-        best: Row of the best fit.
-        grain: Coarse step [rad or m]; 0: full resolution, and only the best fit counts.
+    `spans` are the ranges of the errors of each fit, `grain` is the coarse step; 0: full
+    resolution, and only the best fit counts. Rounding errors are not noise: neighbouring rows share
+    them, so their squares are not informative.
     """
     if not grain:
         return np.asarray(np.arange(len(spans)) == best)
@@ -375,30 +371,13 @@ def fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tupl
         return left, np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LagFits:
-    """Whether a shorter dead time with a time constant fits as well as the best dead time alone.
-
-    Attributes:
-        least_ticks: Smallest dead time that fits as well together with a time constant.
-        is_better: Whether one of these shorter dead times clearly fits better.
-    """
-
-    least_ticks: int
-    is_better: bool
-
-
 def find_lags(
     motion: LoopMotion, errors: Values, rows: NDArray[np.int64], best: int, size: float
-) -> LagFits:
-    """Return which shorter dead times explain a motion together with a time constant.
+) -> tuple[int, bool]:
+    """Return the least dead time that fits as well with a time constant, and if one fits better.
 
-    Args:
-        motion: Motion of a loop.
-        errors: Error of each dead time in each step, shape (dead times, steps).
-        rows: Rows of the steps that count.
-        best: The dead time that fits best without a time constant [ticks].
-        size: Error of that fit [rad or m].
+    `errors` are those of each dead time in each step, shape (dead times, steps); `rows` are the
+    steps that count; `size` is the error of the fit without a time constant [rad or m].
     """
     predicted = motion.moved - errors
     gained = np.empty(best + 1)
@@ -410,7 +389,7 @@ def find_lags(
         is_alike[ticks] = np.ptp(left) <= COARSE * motion.grain
     is_alike |= gained > -CERTAIN
     is_alike[best] = True
-    return LagFits(least_ticks=int(np.argmax(is_alike)), is_better=bool(gained.max() > CERTAIN))
+    return int(np.argmax(is_alike)), bool(gained.max() > CERTAIN)
 
 
 def _fit_lag(

@@ -63,8 +63,7 @@ class SpacedPoses:
     """Poses far enough apart in time for differences, at least two.
 
     Attributes:
-        rows: Rows of these poses, shape (n,).
-        time_s: Their times from time zero of the run [s], shape (n,).
+        time_s: Times of these rows of the poses, from time zero of the run [s], shape (n,).
         heading_rad: Their headings without jumps at full turns [rad], shape (n,).
     """
 
@@ -207,11 +206,7 @@ and 32 bits round a command of 5 by 5e-7."""
 def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommands | None:
     """Return the commands of an axis; None if no command was published.
 
-    Args:
-        run: Run with commands.
-        axis: Axis to read.
-        rates: Rates of the axis. None if there are no rates: then the first command is assumed to
-            act before its time.
+    Without rates, the first command is assumed to act before its time.
     """
     commands = run.commands
     if not len(commands):

@@ -367,13 +367,10 @@ def add_triples(first: Values, second: Values, third: Values) -> float:
 
 
 def sum_products(*columns: NDArray[Any]) -> float:
-    """Return the sum over the rows of the products of columns.
+    """Return the sum over the rows of the products of two or three columns, shape (n,).
 
     The bits are the same on every processor, unlike those of `np.dot`, which depend on a library.
     No temporary array is created, so a long signal takes only the time to read it.
-
-    Args:
-        columns: Two or three columns of shape (n,).
     """
     rows = ",".join("i" for _ in columns)
     return float(np.einsum(f"{rows}->", *columns))

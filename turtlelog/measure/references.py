@@ -158,10 +158,7 @@ def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
 
 
 def _find_first_arc(run: Run, path: Path) -> float | None:
-    """Return the arc length of the first reference, if the first sample is lost [m].
-
-    The result is None if the first sample is not lost: then the robot has yet to reach the path.
-    """
+    """Return the arc length of the first reference if the first sample is lost [m]; else None."""
     samples = run.samples
     if samples.reference_xy_m is None or not len(samples) or samples.sequence[0] == 0:
         return None
@@ -225,10 +222,7 @@ def compute_path_length(xy_m: Values) -> float:
 
 
 def compute_straightness(xy_m: Values, length_m: float | None = None) -> float | None:
-    """Return path length divided by the distance from first to last point [1]; 1 if straight.
-
-    The result is None if both points are the same. `length_m` is the path length, if already known.
-    """
+    """Return path length divided by the distance from first to last point; None if that is 0."""
     distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
     if distance_m <= 0.0:
         return None
@@ -306,7 +300,7 @@ def _measure_parts(points: Values, starts: Values, ways: Values) -> Values:
 def trace_path(
     path: Path, xy_m: Values, arc_m: float | None, due_m: Values | None = None
 ) -> tuple[Values, Values]:
-    """Return positions relative to a path, one after the other.
+    """Return arc length of the nearest point, and distance to the left, of positions in order [m].
 
     Args:
         path: Path that is tracked.
@@ -315,10 +309,6 @@ def trace_path(
             the path.
         due_m: Arc length of the reference at each position, if the path has a time law [m], shape
             (n,).
-
-    Returns:
-        Arc length of the nearest point [m], and distance from there, positive to the left [m]; each
-        of shape (n,).
     """
     follower = PathFollower(path, arc_m)
     dues_m = [None] * len(xy_m) if due_m is None else due_m.tolist()

@@ -151,10 +151,7 @@ class Response:
 
     @property
     def answered(self) -> int:
-        """Number of poses up to the last answered one.
-
-        Motion during a later pause is not caused by the loop.
-        """
+        """Number of poses up to the last answered one; later motion is not caused by the loop."""
         last_ns = self.commands.answered_ns[-1]
         return int(np.searchsorted(self.pose_ns, last_ns, side="right"))
 
@@ -225,8 +222,7 @@ have moved far."""
 def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
     """Return the row of the pose at which a loop begins; between two poses, the earlier row.
 
-    A timer reads the earlier pose. If poses before the beginning are lost, the later row is
-    returned.
+    A timer reads the earlier pose. If poses before it are lost, the later row is returned.
     """
     after = int(np.searchsorted(time_ns, start_ns, side="left"))
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:

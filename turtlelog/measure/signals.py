@@ -29,6 +29,7 @@ from turtlelog.measure.references import (
 )
 from turtlelog.run import Run, require_run
 from turtlelog.run.angles import subtract_headings
+from turtlelog.run.columns import list_fields, rebuild
 from turtlelog.run.loops import STATE_PATTERN, Declaration
 
 Values = NDArray[np.float64]
@@ -108,7 +109,7 @@ class Signal:
     def __reduce__(self) -> tuple[Any, ...]:
         # The function that reads a run cannot be pickled, and is no longer needed.
         kind = replace(self.kind, read=_read_nothing)
-        return _rebuild, (self.name, kind, self.time_ns, self.values, self.start_ns)
+        return rebuild, (Signal, {**list_fields(self), "kind": kind})
 
     def __len__(self) -> int:
         return len(self.values)
@@ -144,12 +145,6 @@ apart."""
 
 def _read_nothing(_: Run) -> None:
     """Return None, because a pickled signal has no access to other runs."""
-
-
-def _rebuild(
-    name: str, kind: SignalKind, time_ns: NDArray[np.int64], values: Values, start_ns: int
-) -> Signal:
-    return Signal(name=name, kind=kind, time_ns=time_ns, values=values, start_ns=start_ns)
 
 
 def could_be_signal(name: str) -> bool:
@@ -215,7 +210,6 @@ def explain_no_signal(run: Run, name: str) -> str:
     return ""
 
 
-@lru_cache(maxsize=64)
 @lru_cache(maxsize=64)
 def list_signals(declaration: Declaration) -> Mapping[str, SignalKind]:
     """Return every signal that runs of a law can contain, by name: `SIGNALS`, then its states."""

@@ -61,11 +61,7 @@ def connect_cluster(address: str) -> Iterator[Executor]:
 
 
 def _require_address(address: str) -> None:
-    """Refuse an invalid address before Dask is loaded. The message contains no password.
-
-    Raises:
-        ProcessError: If the address is refused; the message has one line.
-    """
+    """Refuse an invalid address before Dask is loaded. The message contains no password."""
     secrets, _, place = address.rpartition("@")
     scheme, mark, _ = secrets.partition("://")
     shown = re.split(r"[?#]", f"{scheme}{mark}{place}" if mark and scheme.isalpha() else place)[0]

@@ -272,13 +272,7 @@ def build_row_scenario(
 ) -> Scenario:
     """Return the scenario of a row, named after the row. No code is loaded.
 
-    Args:
-        base: Scenario that the rows vary.
-        keys: Varied keys.
-        values: Values of the row.
-        row: Row number.
-        source: Prefix of error messages.
-        trust_law: Whether a law may run, as in `override_scenario`.
+    `source` is the prefix of error messages. `trust_law` is as in `override_scenario`.
 
     Raises:
         ScenarioError: If the values do not form a valid scenario.
@@ -330,12 +324,9 @@ class EqualSteps(Sequence[float]):
 
 
 def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> KeyValues:
-    """Parse a text such as `law.kp_linear=0.5:12:0.25`.
+    """Parse a key, an equals sign, and a range or values, such as `law.kp_linear=0.5:12:0.25`.
 
-    Args:
-        text: A key, an equals sign, and a range with both ends included, or values.
-        source: Prefix of error messages.
-        is_sampled: Whether any number in `A:B` is allowed, so that the steps need not end at B.
+    If rows are sampled, any number in `A:B` is allowed, so that the steps need not end at B.
 
     Raises:
         SweepError: If the text contains no values to vary.

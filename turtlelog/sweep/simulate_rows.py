@@ -52,11 +52,9 @@ class RowChunk:
 
     Attributes:
         base: Scenario that the rows vary, as text; its law may run.
-        keys: Varied keys.
         first: Number of the first row.
         values: Values of the keys, per row.
         metrics: Metric ids or patterns. Default: those of `list_row_metrics`.
-        records: Runs to record; None: no run is recorded.
         ahead: Approximate number of rows still to be done by this process; it decides whether the
             compiled loop is worth loading.
         threads: Number of threads, if the chunk is a batch.
@@ -91,15 +89,12 @@ class MetricCells:
 
 @dataclass(slots=True, kw_only=True)
 class RowResults:
-    """Results of a chunk, row by row.
+    """Results of a chunk, row by row, from the row `first` on.
 
     Attributes:
-        first: Number of the first row.
         stop_reasons: Stop reason of each row; None for rows that failed.
         failed: Reason of each failure; None for rows that did not fail.
         samples: Total number of samples of the runs.
-        recorded: Number of recorded runs.
-        metrics: Metrics by id.
         notes: Notes on the compiled loops, one line each.
     """
 
@@ -307,10 +302,6 @@ def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]
 
 def require_condition(records: RowRecords | None, parameters: Mapping[str, Any]) -> None:
     """Refuse a condition that cannot be evaluated for any row.
-
-    Args:
-        records: Settings with the condition, if any.
-        parameters: Parameters of a row, by key.
 
     Raises:
         ExpressionError: If the condition cannot be parsed, or contains an unknown name.

@@ -124,9 +124,9 @@ def _ignore(_: object) -> None:
 
 
 def _begin_records(sweep: "Sweep", kept: KeptParts[RowResults]) -> None:
-    """Create the folder of recordings. Refuse a folder with files unless the sweep is resumed.
+    """Create the folder of recordings, or remove a killed sweep's incomplete files from it.
 
-    When a sweep is resumed, incomplete files of the killed sweep are removed.
+    A folder with files is refused unless the sweep is resumed.
     """
     if sweep.records is None:
         return
@@ -348,11 +348,7 @@ class SweptRows:
         }
 
     def order(self, count: int) -> WindowedRows:
-        """Return the rows in order.
-
-        Raises:
-            SweepError: If rows are missing or duplicated.
-        """
+        """Return the rows in order; SweepError if rows are missing or duplicated."""
         stored, row = StoredRows(), 0
         for first, size, place in sorted(self._parts):
             if first != row:
@@ -375,11 +371,6 @@ class SweptRows:
 
 def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -> ResultTable:
     """Return the table of a sweep, whose rows are loaded on demand.
-
-    Args:
-        plan: Plan of the rows.
-        facts: Facts of the sweep.
-        rows: Results of the rows.
 
     Raises:
         SweepError: If rows are missing or duplicated.

@@ -10,7 +10,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.sweep import tune
 from turtlelog.sweep.batch.measured_rows import measure_rows
-from turtlelog.sweep.tune.robust_values import explore_neighbourhood
+from turtlelog.sweep.tune.search import explore_neighbourhood
 
 PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, list[str], bool]] = [
     (
@@ -73,7 +73,7 @@ def test_the_best_is_never_worse_than_that_of_a_dense_grid(problem: Any) -> None
     goal = tune.parse_goal(objective, constraints, is_maximised=is_maximised)
     candidates, keys = prepare(preset, changes, bounds, goal)
     most = 150 * len(keys)
-    found = tune.search_best(candidates, keys, evaluations=most, is_maximised=is_maximised)
+    found = tune.search_best(candidates, keys, evaluations=most)
     assert found.best.is_feasible
     assert found.evaluations <= 1.2 * most
     side = 60 if len(keys) == 1 else 14
@@ -86,7 +86,7 @@ def test_the_best_is_never_worse_than_that_of_a_dense_grid(problem: Any) -> None
     ]
     dense, _ = prepare(preset, changes, bounds, goal)
     dense.evaluate(grid)
-    best = tune.find_best(dense, is_maximised=is_maximised)
+    best = tune.find_best(dense)
     assert best.objective is not None
     assert found.best.objective is not None
     sign = -1.0 if is_maximised else 1.0

@@ -61,9 +61,7 @@ class Session:
     def open_reference(self, path: Path, scratch: Path) -> "ReferenceFile":
         """Return the reference of a file; repeated calls return the same object.
 
-        Args:
-            path: File of the reference.
-            scratch: Folder of this session; with xdist, a folder inside that of all workers.
+        `scratch` is the folder of this session; with xdist, a folder inside that of all workers.
         """
         from turtlelog.check.reference import ReferenceFile
 
@@ -310,9 +308,6 @@ def choose_recordings(
     """Return the files of a marker, and the settings that the marker gives for them.
 
     Patterns are searched in the folder of the test, then in the root.
-
-    Raises:
-        CollectError: If the marker is wrong, or a pattern matches no file.
     """
     from turtlelog.log.read_choice import ReadOptions
 
@@ -371,11 +366,7 @@ def find_stem(path: Path) -> str:
 
 
 def find_reference(request: pytest.FixtureRequest, stem: str | None) -> Path:
-    """Return the reference file in a test's marker or the ini option.
-
-    Raises:
-        UsageError: If neither names a file, or a placeholder of the name cannot be filled in.
-    """
+    """Return the reference file in a test's marker or the ini option; UsageError without one."""
     marker = request.node.get_closest_marker("reference")
     given: Any = request.config.getini("turtlelog_reference") or None
     folders = [request.config.rootpath]

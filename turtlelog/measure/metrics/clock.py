@@ -8,7 +8,7 @@ loop, and the percentiles show bursts and pauses.
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,8 @@ from turtlelog.measure.reductions import (
 
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]
+OfPeriods = Callable[[Values], float | None]
+_OfPeriods = TypeVar("_OfPeriods", bound=OfPeriods)
 
 _ROWS_UNKNOWN: Final = add_reason(Status.ABSENT, "neither samples nor commands were read")
 _NO_ROWS: Final = REASONS[_ROWS_UNKNOWN]
@@ -43,29 +45,73 @@ _ONE_SAMPLE: Final = add_reason(Status.TOO_SHORT, "1 sample")
 _NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="no samples of a controller were read")
 
 
-def _on_periods(
-    rows: Rows, compute: Callable[[Values], float | None], fewest: int = 1
-) -> Callable[[RunContext], Result]:
-    """Compute on the periods of samples or poses, if there are at least the given number."""
+def _period_metric(
+    rows: Rows, name: str, unit: str, meaning: str, *, fewest: int = 1, **traits: Any
+) -> Callable[[_OfPeriods], _OfPeriods]:
+    """Enter a function of the periods of samples or poses as a metric; `fewest` are needed."""
 
-    def compute_on_periods(context: RunContext) -> Result:
-        periods_s = _get_periods(context, rows)
-        if isinstance(periods_s, Missing):
-            return periods_s
-        value = compute(periods_s) if len(periods_s) >= fewest else None
-        if value is None:
-            found = len(periods_s) + 1
-            reason = f"{found} {rows}{'s' if found > 1 else ''}, or no time between them"
-            return Missing(status=Status.TOO_SHORT, reason=reason)
-        return Found(value)
+    def enter(compute: _OfPeriods) -> _OfPeriods:
+        def compute_on_periods(context: RunContext) -> Result:
+            periods_s = _get_periods(context, rows)
+            if isinstance(periods_s, Missing):
+                return periods_s
+            value = compute(periods_s) if len(periods_s) >= fewest else None
+            if value is None:
+                found = len(periods_s) + 1
+                reason = f"{found} {rows}{'s' if found > 1 else ''}, or no time between them"
+                return Missing(status=Status.TOO_SHORT, reason=reason)
+            return Found(float(value))
 
-    return compute_on_periods
+        traits["needs_poses"] = rows == "pose"
+        run_metric(f"run.{name}", unit, meaning, **traits)(compute_on_periods)
+        return compute
+
+    return enter
 
 
 def _get_periods(context: RunContext, rows: Rows) -> Values | Missing:
     if rows == "pose":
         return context.pose_period_s
     return context.sample_period_s if len(context.sample_time_s) else _NO_ROWS
+
+
+@_period_metric(
+    "sample",
+    "sample_rate",
+    "Hz",
+    "Samples per second, from the first to the last.",
+    better=None,
+)
+def compute_rate(periods_s: Values) -> float | None:
+    """Return the number of rows per second over the whole length [Hz]; None if no time passes."""
+    length_s = float(periods_s.sum())
+    return len(periods_s) / length_s if length_s > 0.0 else None
+
+
+@_period_metric(
+    "sample", "sample_period_mean", "s", "Mean time from one sample to the next.", better=None
+)
+def _compute_mean(periods_s: Values) -> float:
+    return float(periods_s.mean())
+
+
+@_period_metric(
+    "sample",
+    "sample_period_std",
+    "s",
+    "Standard deviation of the time from one sample to the next.",
+)
+def compute_spread(periods_s: Values) -> float:
+    """Return the standard deviation of the periods around their mean [s]."""
+    # From the first period on, so that equal periods give exactly 0.
+    return float((periods_s - periods_s[0]).std())
+
+
+def find_percentile(ordered_s: Values, percent: int) -> float:
+    """Return the shortest period that at least `percent` % of the periods do not exceed [s]."""
+    if percent == 50:
+        return compute_median(ordered_s)
+    return float(ordered_s[-(-len(ordered_s) * percent // 100) - 1])
 
 
 def _pick(percent: int) -> Callable[[RunContext], Result]:
@@ -83,94 +129,7 @@ def _pick(percent: int) -> Callable[[RunContext], Result]:
     return compute
 
 
-def _count_missing(context: RunContext) -> Result:
-    sequence = context.run.samples.sequence
-    return Found(float(count_missing(sequence))) if len(sequence) else _NO_SAMPLES
-
-
-def _read_note(name: str) -> Callable[[RunContext], Result]:
-    """Return a metric that the importer has counted; empty if no importer counted it."""
-
-    def read(context: RunContext) -> Result:
-        note = context.run.notes.get(name, "0")
-        if not (note.isascii() and note.isdecimal()):
-            reason = f"the note {name} is no number"
-            return Missing(status=Status.ABSENT, reason=reason)
-        return Found(float(note))
-
-    return read
-
-
-def compute_rate(periods_s: Values) -> float | None:
-    """Return the number of rows per second over the whole length [Hz]; None if no time passes."""
-    length_s = float(periods_s.sum())
-    return len(periods_s) / length_s if length_s > 0.0 else None
-
-
-def compute_spread(periods_s: Values) -> float:
-    """Return the standard deviation of the periods around their mean [s]."""
-    # From the first period on, so that equal periods give exactly 0.
-    return float((periods_s - periods_s[0]).std())
-
-
-def compute_jitter(periods_s: Values) -> float | None:
-    """Return the root mean square of the change from one period to the next [s].
-
-    This is the RMS cycle-to-cycle jitter (JEDEC JESD65B). Unlike the standard deviation, it ignores
-    a slow drift of the rate. The result is None for fewer than two periods.
-    """
-    changes = subtract_neighbours(periods_s)
-    return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
-
-
-def find_percentile(ordered_s: Values, percent: int) -> float:
-    """Return the shortest period that at least `percent` % of all periods do not exceed [s].
-
-    Args:
-        ordered_s: Periods in rising order, at least one.
-        percent: Percentage, from 1 to 100; 50 gives the median.
-    """
-    if percent == 50:
-        return compute_median(ordered_s)
-    return float(ordered_s[-(-len(ordered_s) * percent // 100) - 1])
-
-
-def count_burst_rows(periods_s: Values) -> int:
-    """Return the number of rows with the same time as the row before."""
-    return int(np.count_nonzero(periods_s == 0.0))
-
-
-def count_missing(sequence: NDArray[np.int64]) -> int:
-    """Return how many numbers are missing between the first and the last; numbers increase by 1."""
-    return int(sequence[-1] - sequence[0]) + 1 - len(sequence) if len(sequence) else 0
-
-
-_PERCENTS: Final = (50, 95, 99)
-
-run_metric(
-    "run.sample_rate",
-    "Hz",
-    "Samples per second, from the first to the last.",
-    better=None,
-    needs_poses=False,
-)(_on_periods("sample", compute_rate))
-
-run_metric(
-    "run.sample_period_mean",
-    "s",
-    "Mean time from one sample to the next.",
-    better=None,
-    needs_poses=False,
-)(_on_periods("sample", lambda periods_s: float(periods_s.mean())))
-
-run_metric(
-    "run.sample_period_std",
-    "s",
-    "Standard deviation of the time from one sample to the next.",
-    needs_poses=False,
-)(_on_periods("sample", compute_spread))
-
-for _percent in _PERCENTS:
+for _percent in (50, 95, 99):
     run_metric(
         f"run.sample_period_p{_percent}",
         "s",
@@ -179,12 +138,22 @@ for _percent in _PERCENTS:
         needs_poses=False,
     )(_pick(_percent))
 
-run_metric(
-    "run.sample_jitter",
+
+@_period_metric(
+    "sample",
+    "sample_jitter",
     "s",
     "Root of the mean square of the change from one time between samples to the next.",
-    needs_poses=False,
-)(_on_periods("sample", compute_jitter, fewest=2))
+    fewest=2,
+)
+def compute_jitter(periods_s: Values) -> float | None:
+    """Return the root mean square of the change from one period to the next [s].
+
+    This is the RMS cycle-to-cycle jitter (JEDEC JESD65B). Unlike the standard deviation, it ignores
+    a slow drift of the rate. The result is None for fewer than two periods.
+    """
+    changes = subtract_neighbours(periods_s)
+    return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
 
 
 def _list_periods(course: Any) -> Values:
@@ -224,28 +193,41 @@ def measure_largest_gap(course: RunContext) -> Outcome:
     return periods_s[row], tell_sample(course, row), FOUND
 
 
-run_metric(
-    "run.burst_samples",
+@_period_metric(
+    "sample",
+    "burst_samples",
     "1",
     "Number of samples that have the same time as the sample before.",
+    fewest=0,
     grows=True,
-    needs_poses=False,
-)(_on_periods("sample", lambda periods_s: float(count_burst_rows(periods_s)), fewest=0))
+)
+def count_burst_rows(periods_s: Values) -> int:
+    """Return the number of rows with the same time as the row before."""
+    return int(np.count_nonzero(periods_s == 0.0))
 
-run_metric(
+
+def count_missing(sequence: NDArray[np.int64]) -> int:
+    """Return how many numbers are missing between the first and the last; numbers increase by 1."""
+    return int(sequence[-1] - sequence[0]) + 1 - len(sequence) if len(sequence) else 0
+
+
+@run_metric(
     "run.dropped_samples",
     "1",
     "Number of missing sequence numbers between the first and the last sample.",
     grows=True,
-)(_count_missing)
-
-run_metric("run.pose_rate", "Hz", "Poses per second, from the first to the last.", better=None)(
-    _on_periods("pose", compute_rate)
 )
+def _count_missing(context: RunContext) -> Result:
+    sequence = context.run.samples.sequence
+    return Found(float(count_missing(sequence))) if len(sequence) else _NO_SAMPLES
 
-run_metric("run.pose_period_std", "s", "Standard deviation of the time from one pose to the next.")(
-    _on_periods("pose", compute_spread)
-)
+
+_period_metric(
+    "pose", "pose_rate", "Hz", "Poses per second, from the first to the last.", better=None
+)(compute_rate)
+_period_metric(
+    "pose", "pose_period_std", "s", "Standard deviation of the time from one pose to the next."
+)(compute_spread)
 
 
 @run_metric("run.largest_pose_gap", "s", "Longest time without a pose.", grows=True)
@@ -257,18 +239,27 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
     return Found(float(periods_s[row]), float(context.pose_time_s[row]))
 
 
-run_metric(
-    "run.duplicates",
-    "1",
-    "Number of duplicate rows of the imported file, which were dropped.",
-    grows=True,
-    needs_poses=False,
-)(_read_note("dropped_duplicates"))
+def _read_note(name: str) -> Callable[[RunContext], Result]:
+    """Return a metric that the importer has counted; empty if no importer counted it."""
 
-run_metric(
-    "run.disorder",
-    "1",
-    "Number of rows of the imported file that were out of order, and were sorted.",
-    grows=True,
-    needs_poses=False,
-)(_read_note("sorted_rows"))
+    def read(context: RunContext) -> Result:
+        note = context.run.notes.get(name, "0")
+        if not (note.isascii() and note.isdecimal()):
+            reason = f"the note {name} is no number"
+            return Missing(status=Status.ABSENT, reason=reason)
+        return Found(float(note))
+
+    return read
+
+
+for _name, _note, _what in (
+    ("duplicates", "dropped_duplicates", "duplicate rows of the imported file, which were dropped"),
+    (
+        "disorder",
+        "sorted_rows",
+        "rows of the imported file that were out of order, and were sorted",
+    ),
+):
+    run_metric(f"run.{_name}", "1", f"Number of {_what}.", grows=True, needs_poses=False)(
+        _read_note(_note)
+    )

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
@@ -27,9 +26,6 @@ from turtlelog.measure.metric import (
 from turtlelog.measure.metric_kinds import curve_metric, loop_metric
 from turtlelog.measure.reductions import count_beyond, subtract_neighbours, sum_products
 from turtlelog.measure.response import CommandStretch, Response
-
-Values = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 OfCommands = Callable[[CommandStretch], Result]
 
@@ -61,8 +57,12 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="all commands share o
     "effort", "{command}^2/s", "Integral of the square of the {command} over time.", grows=True
 )
 def measure_effort(commands: CommandStretch) -> Result:
-    """See `compute_effort`."""
-    return Found(compute_effort(commands.held_s, commands.values))
+    """Return the integral of the squared command [unit^2 s]: the energy of the input signal.
+
+    The effort is the input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore,
+    Optimal Control).
+    """
+    return Found(sum_products(commands.held_s, commands.values, commands.values))
 
 
 @_command_metric(
@@ -72,8 +72,12 @@ def measure_effort(commands: CommandStretch) -> Result:
     grows=True,
 )
 def measure_total_variation(commands: CommandStretch) -> Result:
-    """See `compute_total_variation`."""
-    return Found(compute_total_variation(commands.values))
+    """Return the sum of the magnitudes of all changes (total variation) [unit].
+
+    The sum is the measure TV of S. Skogestad, "Simple analytic rules for model reduction and PID
+    controller tuning", J. Process Control 13 (2003).
+    """
+    return Found(float(np.abs(subtract_neighbours(commands.values)).sum()))
 
 
 @_command_metric(
@@ -83,9 +87,12 @@ def measure_total_variation(commands: CommandStretch) -> Result:
     grows=True,
 )
 def measure_largest_jump(commands: CommandStretch) -> Result:
-    """See `find_largest_jump`."""
-    jump, row = find_largest_jump(commands.values)
-    return Found(jump, float(commands.time_s[row]))
+    """Return the largest magnitude of a change [unit], and the time after it."""
+    if len(commands.values) < 2:
+        return Found(0.0, float(commands.time_s[0]))
+    changes = np.abs(subtract_neighbours(commands.values))
+    row = int(changes.argmax())
+    return Found(float(changes[row]), float(commands.time_s[row + 1]))
 
 
 @_command_metric(
@@ -95,17 +102,29 @@ def measure_largest_jump(commands: CommandStretch) -> Result:
     grows=True,
 )
 def measure_largest_slew_rate(commands: CommandStretch) -> Result:
-    """See `find_largest_slew_rate`."""
-    found = find_largest_slew_rate(commands.time_s, commands.values)
-    return _ONE_TIME if found is None else Found(found[0], float(commands.time_s[found[1]]))
+    """Return the largest change per time between held values [unit/s], and the time after it.
+
+    A change is divided by the time from the previous row.
+    """
+    time_s, values = commands.time_s, commands.values
+    step_s, rows = subtract_neighbours(time_s), np.arange(len(time_s))
+    if not step_s.all():
+        rows = np.append(np.flatnonzero(step_s), len(values) - 1)
+        values, step_s = values[rows], subtract_neighbours(time_s[rows])
+    if not len(step_s):
+        return _ONE_TIME
+    rates = np.abs(subtract_neighbours(values)) / step_s
+    row = int(rates.argmax())
+    return Found(float(rates[row]), float(time_s[rows[row + 1]]))
 
 
 @_command_metric(
     "reversals", "1", "Number of times that the {command} changes its sign.", grows=True
 )
 def measure_reversals(commands: CommandStretch) -> Result:
-    """See `count_reversals`."""
-    return Found(float(count_reversals(commands.values)))
+    """Return the number of sign changes of the command, ignoring zeros in between."""
+    turning = commands.values[commands.values != 0.0] > 0.0
+    return Found(float(np.count_nonzero(turning[1:] != turning[:-1])))
 
 
 @_command_metric("largest_wanted", "{command}/s", "Largest {command} before clipping.", grows=True)
@@ -125,10 +144,7 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
     needs_whole=False,
 )
 def measure_saturated_share(curve: Response) -> Outcome:
-    """Return the fraction of samples at the limit.
-
-    The time of the metric is that of the first saturated sample.
-    """
+    """Return the fraction of samples at the limit, and the time of the first one."""
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
     count, first = count_beyond(curve.commands.values, curve.limit)
@@ -152,7 +168,8 @@ def measure_saturated_time_share(commands: CommandStretch) -> Result:
     if length_s <= 0.0:
         return _ONE_TIME
     share = min(sum_products(held_s, saturated) / length_s, 1.0)
-    return Found(share, _tell_first(commands))
+    first_s = float(commands.time_s[saturated.argmax()]) if saturated.any() else None
+    return Found(share, first_s)
 
 
 @_command_metric(
@@ -162,80 +179,15 @@ def measure_saturated_time_share(commands: CommandStretch) -> Result:
     grows=True,
 )
 def measure_longest_saturation(commands: CommandStretch) -> Result:
-    """See `find_longest_held`; its time is the start."""
+    """Return the longest time at the limit without a break [s], and its start."""
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT
-    found = find_longest_held(commands.held_s, saturated)
-    if found is None:
-        return Found(0.0)
-    return Found(found[0], float(commands.time_s[found[1]]))
-
-
-def _tell_first(commands: CommandStretch) -> float | None:
-    saturated = commands.is_saturated
-    if saturated is None or not saturated.any():
-        return None
-    return float(commands.time_s[saturated.argmax()])
-
-
-def compute_effort(held_s: Values, values: Values) -> float:
-    """Return the integral of the squared command [unit^2 s]: the energy of the input signal.
-
-    The effort is the input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore,
-    Optimal Control). `held_s` is the hold time of each value [s].
-    """
-    return sum_products(held_s, values, values)
-
-
-def compute_total_variation(values: Values) -> float:
-    """Return the sum of the magnitudes of all changes (total variation) [unit].
-
-    The sum is the measure TV of S. Skogestad, "Simple analytic rules for model reduction and PID
-    controller tuning", J. Process Control 13 (2003).
-    """
-    return float(np.abs(subtract_neighbours(values)).sum())
-
-
-def find_largest_jump(values: Values) -> tuple[float, int]:
-    """Return the largest magnitude of a change [unit], and the row after it."""
-    if len(values) < 2:
-        return 0.0, 0
-    changes = np.abs(subtract_neighbours(values))
-    row = int(changes.argmax())
-    return float(changes[row]), row + 1
-
-
-def find_largest_slew_rate(time_s: Values, values: Values) -> tuple[float, int] | None:
-    """Return the largest change per time between held values [unit/s], and the row after it.
-
-    A change is divided by the time from the previous row. The result is None if all rows have the
-    same time.
-    """
-    step_s, rows = subtract_neighbours(time_s), np.arange(len(time_s))
-    if not step_s.all():
-        rows = np.append(np.flatnonzero(step_s), len(values) - 1)
-        values, step_s = values[rows], subtract_neighbours(time_s[rows])
-    if not len(step_s):
-        return None
-    rates = np.abs(subtract_neighbours(values)) / step_s
-    row = int(rates.argmax())
-    return float(rates[row]), int(rows[row + 1])
-
-
-def find_longest_held(held_s: Values, mask: Mask) -> tuple[float, int] | None:
-    """Return the longest time for which `mask` is true without a break [s], and its first row."""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    edges = np.flatnonzero(np.diff(saturated, prepend=False, append=False))
     starts, ends = edges[::2], edges[1::2]
     if not len(starts):
-        return None
-    until_s = np.concatenate([[0.0], np.cumsum(held_s)])
+        return Found(0.0)
+    until_s = np.concatenate([[0.0], np.cumsum(commands.held_s)])
     lengths_s = until_s[ends] - until_s[starts]
     longest = int(lengths_s.argmax())
-    return float(lengths_s[longest]), int(starts[longest])
-
-
-def count_reversals(values: Values) -> int:
-    """Return the number of sign changes of the command, ignoring zeros in between."""
-    turning = values[values != 0.0] > 0.0
-    return int(np.count_nonzero(turning[1:] != turning[:-1]))
+    return Found(float(lengths_s[longest]), float(commands.time_s[starts[longest]]))

@@ -236,12 +236,8 @@ _SCATTER: Final = 3.0
 class StepFigures:
     """Figures of a rate's response to one step of its command; None if an event is missing.
 
-    Attributes:
-        rise_time_s: Time from 10 % to 90 % of the response [s].
-        settling_time_s: Time from the command until the rate stays in the band around its final
-            value [s].
-        overshoot: Overshoot beyond the final value, as a fraction of the response [1]; 0 within the
-            band.
+    The settling time counts from the command. The overshoot is a fraction of the response [1]; 0
+    within the band.
     """
 
     rise_time_s: float | None
@@ -251,14 +247,7 @@ class StepFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandStep:
-    """A step of a command.
-
-    Attributes:
-        time_s: Publication time, from time zero of the run [s].
-        end_s: End of the command's hold [s].
-        before: Command before the step [m/s or rad/s].
-        after: Command after the step [m/s or rad/s].
-    """
+    """A step of a command [m/s or rad/s], from its publication to the end of its hold [s]."""
 
     time_s: float
     end_s: float

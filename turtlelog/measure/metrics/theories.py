@@ -1,4 +1,4 @@
-"""Metrics of the deviation of a response from theory: ideal, sampled, and sampled with dead time.
+"""A run beside theory: its loops as models, and metrics of the deviation of a response from theory.
 
 All three theories describe an integrator under proportional feedback with the gain of the run and
 without a limit on the command. Each leads from the response's own initial value to its reference:
@@ -72,9 +72,11 @@ def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Re
     """Return the metric `max` or `rms` of the deviation from a theory."""
 
     def compute(context: RunContext, response: Response) -> Result:
-        found = context.recall(
-            (theory, response.loop.name), lambda: _deviate(theory, context, response)
-        )
+        def deviate() -> Values | Missing:
+            predicted = _predict(theory, context, response)
+            return predicted if isinstance(predicted, Missing) else response.values - predicted
+
+        found = context.recall((theory, response.loop.name), deviate)
         if isinstance(found, Missing):
             return found
         if figure == "rms":
@@ -83,11 +85,6 @@ def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Re
         return Found(largest, response.start_s + float(response.time_s[row]))
 
     return compute
-
-
-def _deviate(theory: str, context: RunContext, response: Response) -> Values | Missing:
-    predicted = _predict(theory, context, response)
-    return predicted if isinstance(predicted, Missing) else response.values - predicted
 
 
 def _predict(theory: str, context: RunContext, response: Response) -> Values | Missing:
@@ -171,6 +168,8 @@ def model_run_loops(
 
 
 def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> "LoopModel":
+    from turtlelog.theory import model_loop  # it loads the laws
+
     sources = {}
     if loop.gain not in run.parameters:
         sources["gains"] = "identified from the commands"
@@ -179,8 +178,6 @@ def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> 
     is_plain = parameters.get("plant.kind", "turtlesim") == "turtlesim"
     is_plain = is_plain and parameters.get("loop.trigger", "pose") == "pose"
     timing = _measure_timing(run, loop) if is_plain else None
-    from turtlelog.theory import model_loop
-
     return model_loop(loop, parameters, timing=timing, sources=sources)
 
 

@@ -148,14 +148,10 @@ def _find_rest(context: RunContext) -> tuple[float, float] | None:
 def _find_slow(
     starts_s: Values, ends_s: Values, time_s: Values, near: slice, columns: Sequence[Values]
 ) -> NDArray[np.bool_]:
-    """Return in which steps the robot moves by less than the threshold of rest.
+    """Return in which steps from start to end the robot moves by less than the threshold of rest.
 
-    Args:
-        starts_s: Start time of each step [s].
-        ends_s: End time of each step [s].
-        time_s: Times of all poses [s].
-        near: Rows of the poses within half a second of the steps, plus one row on either side.
-        columns: x, y [m] and heading [rad] of these rows.
+    `near` are the rows of the poses within half a second of the steps, plus one row on either side;
+    `columns` are x, y [m] and heading [rad] of these rows.
     """
     found = np.zeros(len(starts_s), dtype=bool)
     for first_s, last_s in (

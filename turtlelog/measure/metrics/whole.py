@@ -386,51 +386,42 @@ def _take_commands(context: RunContext, column: str) -> CommandStretch:
     )
 
 
-def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> None:
-    words = name.replace("_", " ")
-    for figure, of_what, compute, meaning in (
-        (
-            "effort",
-            square,
-            measure_effort,
-            "Integral of the square of the published {} over time.",
-        ),
-        (
-            "total_variation",
-            unit,
-            measure_total_variation,
-            "Sum of the magnitudes of all changes of the published {}.",
-        ),
-        (
-            "largest_jump",
-            unit,
-            measure_largest_jump,
-            "Largest change from one published {} to the next.",
-        ),
-        (
-            "largest_slew_rate",
-            f"{unit}^2",
-            measure_largest_slew_rate,
-            "Largest change of the published {} per time.",
-        ),
-        (
-            "reversals",
-            "1",
-            measure_reversals,
-            "Number of times that the published {} changes its sign.",
-        ),
-    ):
+_COMMAND_METRICS: Final = (
+    ("effort", "{}^2/s", measure_effort, "Integral of the square of the published {} over time."),
+    (
+        "total_variation",
+        "{}/s",
+        measure_total_variation,
+        "Sum of the magnitudes of all changes of the published {}.",
+    ),
+    (
+        "largest_jump",
+        "{}/s",
+        measure_largest_jump,
+        "Largest change from one published {} to the next.",
+    ),
+    (
+        "largest_slew_rate",
+        "{}/s^2",
+        measure_largest_slew_rate,
+        "Largest change of the published {} per time.",
+    ),
+    (
+        "reversals",
+        "1",
+        measure_reversals,
+        "Number of times that the published {} changes its sign.",
+    ),
+)
+for _name, _column, _unit in (("speed", "speed_m_s", "m"), ("turn_rate", "turn_rate_rad_s", "rad")):
+    for _figure, _of_what, _compute, _meaning in _COMMAND_METRICS:
         run_metric(
-            f"run.{name}_{figure}",
-            of_what,
-            meaning.format(words),
+            f"run.{_name}_{_figure}",
+            _of_what.format(_unit),
+            _meaning.format(_name.replace("_", " ")),
             grows=True,
             needs_poses=False,
-        )(_on_commands(column, compute))
-
-
-_enter_command_metrics("speed", "speed_m_s", "m/s", "m^2/s")
-_enter_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s")
+        )(_on_commands(_column, _compute))
 
 
 def _moves_along(loop: ControlLoop) -> bool:

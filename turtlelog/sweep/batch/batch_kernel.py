@@ -99,18 +99,7 @@ class Course(NamedTuple):
 
 
 class Row(NamedTuple):
-    """Inputs of the measurement of a row.
-
-    Attributes:
-        facts: Facts of the run.
-        ticks: Poses of the run.
-        samples: Samples of the run.
-        line: Line from start to goal.
-        loops: Loops of the run's law.
-        memory: Work arrays.
-        start_ns: Time of the first sample.
-        end_ns: Time of the last row of any column.
-    """
+    """Inputs of the measurement of a row, with start and end of the run [ns]."""
 
     facts: Any
     ticks: Any
@@ -368,11 +357,8 @@ def read_course(row: Row) -> Course:
 def build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: float) -> Course:
     """Return the quantities of the whole run.
 
-    Args:
-        row: The row.
-        offset_m: Offset of every pose from the path; empty for the line from start to goal.
-        last_m: Offset of the last pose from either.
-        heading_error_rad: Heading error at the end.
+    `offset_m` is the offset of every pose from the path; empty for the line from start to goal.
+    `last_m` is the offset of the last pose from either, `heading_error_rad` the error at the end.
     """
     facts, ticks, line = row.facts, row.ticks, row.line
     last = ticks[-1]

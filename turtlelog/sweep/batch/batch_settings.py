@@ -51,18 +51,16 @@ _NOT_COMPARED: Final = (dict, list, tuple)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedRows:
-    """Rows as arrays for the compiled loop.
+    """Rows as arrays of shape (n,) for the compiled loop.
 
     Attributes:
-        rows: Row numbers, shape (n,).
+        rows: Row numbers.
         others: Rows that the loop cannot simulate.
-        settings: Settings, shape (n,).
-        starts: Start states, shape (n,).
-        states: States that the loop changes, shape (n,).
-        lines: Lines from start to goal, one per row, shape (n,).
+        starts: Start states.
+        states: States that the loop changes.
+        lines: Lines from start to goal.
         table: Table of the law, shared by all rows.
         path: Path, shared by all rows; None if they track none.
-        seeds: Seeds, shape (n,).
         streams: Names of the random streams that any row needs.
         ticks: Largest possible number of ticks of a row.
         samples: Largest possible number of samples of a row.
@@ -148,10 +146,7 @@ def prepare_rows(
 ) -> PreparedRows:
     """Return rows as arrays, with a separate list of rows that the loop of `base` cannot simulate.
 
-    Args:
-        base: Scenario with a resolved law.
-        columns: Values of each varied key, one per row.
-        rows: Row numbers.
+    The law of `base` is resolved; `columns` are the values of each varied key, one per row.
     """
     kind = find_column_kind(base)
     may_be_free = kind is not None and is_free(kind[0]) and "law.kind" not in columns

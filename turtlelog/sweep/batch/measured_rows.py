@@ -8,7 +8,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Final, NamedTuple
 
@@ -127,8 +127,7 @@ class MeasuredRows:
         stop_reasons: Stop reason of each row; None for rows that failed.
         failed: Reason of each failure; None for rows that did not fail.
         samples: Number of samples of each row, shape (n,).
-        compiled: Number of rows simulated and measured by the compiled loop.
-        interpreted: Number of rows computed as single runs.
+        compiled: Number of rows simulated and measured by the compiled loop, not as single runs.
         notes: Notes on the compiled code of a user's law, one line each.
     """
 
@@ -166,7 +165,6 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
 
     Raises:
         SweepError: If columns have different lengths, or there are no columns.
-        MeasureError: If an id names no metric.
     """
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
@@ -192,12 +190,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
 
 
 class _Cells(NamedTuple):
-    """Results of rows from the compiled code, in the columns of `batch_columns`.
-
-    Attributes:
-        values: Values, shape (n, columns); NaN if no value was written.
-        reasons: Numbers of the reasons for missing values, shape (n, columns).
-    """
+    """Values and numbers of reasons in the columns of `batch_columns`, shape (n, columns) each."""
 
     values: NDArray[np.float64]
     reasons: NDArray[np.int16]
@@ -231,17 +224,8 @@ class _Work:
 
     def finish(self) -> MeasuredRows:
         """Return the results with the number of compiled rows."""
-        result = self.result
-        return MeasuredRows(
-            values=result.values,
-            statuses=result.statuses,
-            stop_reasons=result.stop_reasons,
-            failed=result.failed,
-            samples=result.samples,
-            compiled=self._compiled,
-            interpreted=self.count - self._compiled,
-            notes=tuple(self.notes),
-        )
+        interpreted, notes = self.count - self._compiled, tuple(self.notes)
+        return replace(self.result, compiled=self._compiled, interpreted=interpreted, notes=notes)
 
     def measure_alone(self, row: int) -> None:
         """Simulate and measure a row as a single run."""

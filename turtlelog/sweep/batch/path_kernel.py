@@ -36,17 +36,7 @@ USES_OF_PATH: Final = USES_OF_ROW + 4
 
 
 class PathMemory(NamedTuple):
-    """Work arrays as in `Memory`, and the path.
-
-    Attributes:
-        numbers: One row per use: those of `batch_kernel`, then those named here.
-        rows: Row numbers.
-        spans: A `SPAN` for each loop.
-        path: Numbers of the path, shape (1,).
-        pieces: Pieces of the path.
-        corners: As in `Track`.
-        seam_rad: As in `Track`.
-    """
+    """Work arrays as in `Memory`, the path's numbers and pieces, corners and seam as in `Track`."""
 
     numbers: Any
     rows: Any

@@ -38,8 +38,8 @@ a file of 10 MB takes 160 MB. Data with a larger ratio were not packed by turtle
 def name_partial(output: Path) -> Path:
     """Return the path of the partial file: next to a table, or in the working folder.
 
-    Objects behind URLs cannot grow, so their partial files are in the working folder. The file name
-    distinguishes tables of the same name.
+    Objects behind URLs cannot grow: their partial files are in the working folder, with names that
+    distinguish tables of the same name.
     """
     if not isinstance(output, RemotePath):
         return output.with_name(f"{output.name}.partial")
@@ -52,7 +52,6 @@ def has_results(output: Path, facts: Mapping[str, str]) -> bool:
 
     Raises:
         SweepError: If the file contains something else.
-        LogError: If the file cannot be read.
     """
     if not has_result_file(output):
         return False
@@ -66,17 +65,7 @@ def has_results(output: Path, facts: Mapping[str, str]) -> bool:
 def require_same(
     facts: Mapping[str, str], path: Path, found: Mapping[str, str], *, what: str = "what is done"
 ) -> None:
-    """Refuse a file of another sweep.
-
-    Args:
-        facts: Facts of this sweep.
-        path: Partial file.
-        found: Facts in the file.
-        what: Content of the file, for the message.
-
-    Raises:
-        SweepError: If the facts differ.
-    """
+    """Raise SweepError for a file of another sweep; `what` is its content, for the message."""
     others = [name for name, text in facts.items() if found.get(name) != text]
     if others:
         named = " and ".join(_NAMES.get(name, name) for name in others)
@@ -99,7 +88,6 @@ class KeptParts(Generic[T]):
     """The partial file of a table, locked while it is open.
 
     Attributes:
-        path: Path of the file.
         places: Start of each part in the file [bytes].
         was_begun: Whether the file already existed, for the same table.
     """
@@ -112,14 +100,10 @@ class KeptParts(Generic[T]):
         *,
         require: Callable[[Path, Mapping[str, str]], None] | None = None,
     ) -> None:
-        """Open the file, or create the file.
+        """Open the file for parts of a type, or create the file.
 
-        Args:
-            output: Path of the table.
-            facts: Facts of the table.
-            kind: Type of a part.
-            require: Function that is called with the file's facts if they differ, and raises an
-                error. None: such a file is replaced.
+        If the file has other facts, `require` is called with its path and its facts, and raises an
+        error; without `require`, the file is replaced.
 
         Raises:
             SweepError: If another process writes to the file, or the file cannot be written.
@@ -193,11 +177,7 @@ class KeptParts(Generic[T]):
             yield place, packed
 
     def read(self, place: int) -> T:
-        """Return the part that begins at a place in the file.
-
-        Raises:
-            SweepError: If the part can no longer be read, or is not a part of this table.
-        """
+        """Return the part that begins at a place; SweepError if it cannot be read or is damaged."""
         try:
             self._stream.seek(place)
             packed = next(self._iterate_parts())[1]
@@ -222,11 +202,7 @@ class KeptParts(Generic[T]):
         )
 
     def add(self, part: T) -> int:
-        """Append a part and return its start in the file.
-
-        Raises:
-            SweepError: If the disk is full or no longer available.
-        """
+        """Append a part and return its start in the file; SweepError if there is no room."""
         try:
             self.places.append(self._append(_frame(msgspec.msgpack.encode(part))))
         except OSError as err:

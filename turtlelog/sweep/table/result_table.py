@@ -114,20 +114,17 @@ def write_result_table(table: ResultTable, path: str | Path) -> None:
         parquet.ParquetWriter(stream, schema, compression="zstd") as writer,
     ):
         for rows in cut_groups(table.row_count, len(table.columns)):
-            arrays = [
-                _build_array(column, rows, kind)
-                for column, kind in zip(table.columns, schema.types, strict=True)
-            ]
-            writer.write_table(load_library("pyarrow").table(arrays, schema=schema))
+            writer.write_table(_build_rows(table, rows, schema))
 
 
 def build_result_arrow(table: ResultTable) -> Any:
     """Return a table as the `pyarrow.Table` that its file contains."""
-    schema, rows = _build_schema(table), slice(None)
-    arrays = [
-        _build_array(column, rows, kind)
-        for column, kind in zip(table.columns, schema.types, strict=True)
-    ]
+    return _build_rows(table, slice(None), _build_schema(table))
+
+
+def _build_rows(table: ResultTable, rows: slice, schema: Any) -> Any:
+    columns = zip(table.columns, schema.types, strict=True)
+    arrays = [_build_array(column, rows, kind) for column, kind in columns]
     return load_library("pyarrow").table(arrays, schema=schema)
 
 
@@ -204,11 +201,7 @@ def _pack_bits(values: NDArray[np.bool_]) -> Any:
 
 
 def has_result_file(path: Path) -> bool:
-    """Return whether a file, or an object behind a URL, already exists.
-
-    Raises:
-        LogError: If this cannot be determined, or the bucket does not exist.
-    """
+    """Return whether a file, or an object behind a URL, exists; LogError if this is unknown."""
     with name_file(path, expected="a place that can be looked at"):
         return is_there(path)
 
@@ -250,13 +243,9 @@ def list_values(column: ResultColumn) -> list[Any]:
 
 
 def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
-    """Return row numbers: those in the column `row` if they are unique, or else 0, 1, 2 ...
+    """Return row numbers: the cells of the column `row` if they are unique, or else 0, 1, 2 ...
 
     Tables filtered or sorted by other programs keep their row numbers.
-
-    Args:
-        cells: Cells of the column `row`; None if the column is missing.
-        count: Number of rows.
     """
     if cells is None or len(set(cells)) < count or not all(type(one) is int for one in cells):
         return range(count)
@@ -266,9 +255,7 @@ def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
 def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
     """Return a table whose row groups are read one by one.
 
-    Raises:
-        LogError: As for `read_result_table`.
-        LibraryError: If pyarrow is not installed.
+    Errors are those of `read_result_table`.
     """
     stored = StoredTable(path)
     if stored.kind != kind:
@@ -284,8 +271,6 @@ class StoredTable:
 
     Attributes:
         kind: Kind of the table, as in `ResultTable`; empty if the file is not a result table.
-        facts: Facts of the table, as in `ResultTable`.
-        version: Version of turtlelog, as in `ResultTable`.
         names: Names of the columns.
         group_rows: Number of rows in each group.
     """
@@ -310,39 +295,19 @@ class StoredTable:
     def read(
         self, columns: Sequence[str] | None = None, group: int | None = None
     ) -> list[ResultColumn]:
-        """Return columns with Arrow arrays as cells.
-
-        Args:
-            columns: Names of the columns to read. Default: all.
-            group: Index of a row group. Default: all.
-
-        Raises:
-            LogError: As for `read_result_table`.
-        """
+        """Return columns with Arrow arrays as cells, of one row group. Default: all."""
         with _name_table(self._path):
             return list(_iterate_columns(self._file.read(columns, group)))
 
     def load(self, columns: Sequence[str] | None = None) -> ResultTable:
-        """Return the table with Python values as cells.
-
-        Args:
-            columns: Names of the columns to read. Default: all.
-
-        Raises:
-            LogError: As for `read_result_table`.
-        """
+        """Return the table with Python values as cells; by default all columns."""
         found = [replace(one, cells=list_values(one)) for one in self.read(columns)]
         return ResultTable(
             kind=self.kind, columns=tuple(found), facts=self.facts, version=self.version
         )
 
     def read_row(self, row: int, names: Sequence[str]) -> list[Any]:
-        """Return the cells of columns in a row as Python values.
-
-        Raises:
-            KeyError: If a column does not exist.
-            LogError: As for `read`.
-        """
+        """Return the cells of columns in a row as Python values; KeyError for an unknown column."""
         group = 0
         while row >= self.group_rows[group]:
             row, group = row - self.group_rows[group], group + 1
@@ -350,12 +315,7 @@ class StoredTable:
         return [found[name] for name in names]
 
     def find_row(self, number: int) -> int:
-        """Return the position of the row with a number in the column `row`.
-
-        Raises:
-            SweepError: If there is no row with this number.
-            LogError: As for `read`.
-        """
+        """Return the position of the row with a number; SweepError if there is none."""
         has_numbers = ROW in self.names
         if 0 <= number < self.row_count and (
             not has_numbers or self.read_row(number, [ROW]) == [number]

@@ -163,12 +163,7 @@ class WindowedRows:
     """Stored rows in a given order, with one segment in memory."""
 
     def __init__(self, stored: StoredRows, order: NDArray[np.intp] | range) -> None:
-        """Store the rows and their order.
-
-        Args:
-            stored: Stored rows.
-            order: Row numbers in order.
-        """
+        """Store the rows and the row numbers in order."""
         self._stored, self._order = stored, order
         self._stretch, self._held = (0, 0), Columns(0, {})
 
@@ -233,11 +228,9 @@ Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 
 
 class FileState(msgspec.Struct, frozen=True, array_like=True):
-    """Known facts of a file.
+    """Known facts of a file, with size and time as in `FoundRecording`.
 
     Attributes:
-        size: As in `FoundRecording`.
-        mtime_ns: As in `FoundRecording`.
         sha256: SHA-256 of the content; None if the file must be read again in any case.
         first: Number of the file's first row.
         count: Number of the file's rows; 0 if the content is unchanged and its rows are already
@@ -252,13 +245,7 @@ class FileState(msgspec.Struct, frozen=True, array_like=True):
 
 
 class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
-    """Rows read from some files.
-
-    Attributes:
-        files: States by label; rows are numbered from 0.
-        count: Number of rows.
-        columns: Name, type, unit and cells of each column.
-    """
+    """Rows read from some files: states by label, and name, type, unit and cells of each column."""
 
     files: dict[str, FileState]
     count: int
@@ -282,11 +269,7 @@ _COLUMNS_LOOKED: Final = 512
 
 
 class FileRows:
-    """Known facts of files. The rows of files are in the existing table and the partial file.
-
-    Attributes:
-        read: Number of files that were read.
-    """
+    """Known facts of files. The rows of files are in the existing table and the partial file."""
 
     def __init__(self, kept: KeptParts[ReadFiles], former: StoredTable | None) -> None:
         """Load the results of an interrupted call and the existing table."""
@@ -335,14 +318,7 @@ class FileRows:
     def assemble(
         self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order
     ) -> "FileTable":
-        """Return the table of files, whose rows are loaded on demand.
-
-        Args:
-            labels: Labels of the files, in order.
-            kind: As in `ResultTable`.
-            facts: As in `ResultTable`.
-            order: As in `RecordingTable`.
-        """
+        """Return the table of files with these labels, whose rows are loaded on demand."""
         states = [self._files[label] for label in labels]
         counts = np.array([state.count for state in states], np.intp)
         which = np.repeat(np.arange(len(states)), counts)
@@ -364,13 +340,7 @@ class FileRows:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FileTable:
-    """A table of files, and the files that cannot be read.
-
-    Attributes:
-        table: Table whose rows are loaded on demand.
-        failed: Number of files that cannot be read.
-        errors: Label and reason of the first files that cannot be read.
-    """
+    """A table of files, the number of unreadable ones, and label and reason of the first ones."""
 
     table: ResultTable
     failed: int

@@ -89,6 +89,11 @@ class TuningGoal:
         name = self.objective.text.strip()
         return None if find_metric_kind(name) is None else name
 
+    @property
+    def sign(self) -> float:
+        """1 if smaller objectives are better, -1 if larger ones are."""
+        return -1.0 if self.is_maximised else 1.0
+
     def compute_objective(self, values: Values) -> float | None:
         """Return the value of the objective; None if the objective has no value.
 

@@ -1,4 +1,4 @@
-"""The search for the best values of keys between bounds, in three steps.
+"""The search for the best values of keys, in three steps, and for the range of each around them.
 
 First, a scrambled Sobol sequence covers the range evenly. Second, differential evolution (R. Storn
 and K. Price, J. Global Optimization 11, 1997; as in scipy) continues from the best points, whole
@@ -11,16 +11,18 @@ genetic algorithms", Computer Methods in Applied Mechanics and Engineering 186, 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
-from typing import Any, Final
+from statistics import median
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import TuneError
 from turtlelog.sweep.plan import EqualSteps, parse_key_values
-from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point
+from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point, TuningGoal
 
 _SPREAD: Final = 32
 """Number of points per key of the first cover: one key has steps of 3 % of its range. The number is
@@ -98,13 +100,7 @@ class SearchedKey:
 
 
 def search_best(
-    candidates: Candidates,
-    keys: Sequence[SearchedKey],
-    *,
-    evaluations: int,
-    is_maximised: bool = False,
-    seed: int = 0,
-    first: Sequence[Point] = (),
+    candidates: Candidates, keys: Sequence[SearchedKey], *, evaluations: int, seed: int = 0
 ) -> Tuned:
     """Return the best values of keys.
 
@@ -112,29 +108,25 @@ def search_best(
         candidates: Evaluator of candidates.
         keys: Keys with their search ranges.
         evaluations: Approximate largest number of candidates.
-        is_maximised: Whether to maximise the objective.
         seed: Seed of the search; the same seed gives the same result.
-        first: Starting points, such as the values of the scenario.
 
     Raises:
         TuneError: If the objective has no value for any candidate.
     """
-    search = _Search(candidates, keys, evaluations, -1.0 if is_maximised else 1.0)
-    search.spread(seed, first)
+    search = _Search(candidates, keys, evaluations)
+    search.spread(seed)
     search.evolve(seed)
     search.refine()
-    found = sum_up(candidates, keys, is_maximised=is_maximised)
+    found = sum_up(candidates, keys)
     if found.best.objective is None:
         reason = found.best.failed or found.best.missing
         raise TuneError(f"no candidate has a value to compare: {reason}")
     return found
 
 
-def sum_up(
-    candidates: Candidates, keys: Sequence[SearchedKey], *, is_maximised: bool = False
-) -> Tuned:
+def sum_up(candidates: Candidates, keys: Sequence[SearchedKey]) -> Tuned:
     """Return the result of the candidates so far, at least one."""
-    known, best = candidates.list_known(), find_best(candidates, is_maximised=is_maximised)
+    known, best = candidates.list_known(), find_best(candidates)
     feasible = [one.objective for one in known if one.is_feasible]
     return Tuned(
         best=best,
@@ -151,28 +143,26 @@ def sum_up(
     )
 
 
-def find_best(candidates: Candidates, *, is_maximised: bool = False) -> Candidate:
+def find_best(candidates: Candidates) -> Candidate:
     """Return the best known candidate; of equal candidates, the first.
 
     Raises:
         ValueError: If no candidate is known.
     """
-    sign = -1.0 if is_maximised else 1.0
-    return min(candidates.list_known(), key=lambda one: _order(one, sign))
+    return min(candidates.list_known(), key=partial(_order, candidates.goal))
 
 
-def _order(candidate: Candidate, sign: float) -> Order:
+def _order(goal: TuningGoal, candidate: Candidate) -> Order:
     """Return the sort key of a candidate; the best candidate is first."""
     if candidate.is_feasible and candidate.objective is not None:
-        return 0, sign * candidate.objective
+        return 0, goal.sign * candidate.objective
     return (2, 0.0) if candidate.objective is None else (1, candidate.violation)
 
 
 class _Search:
-    def __init__(
-        self, candidates: Candidates, keys: Sequence[SearchedKey], most: int, sign: float
-    ) -> None:
-        self._candidates, self._keys, self._most, self._sign = candidates, keys, most, sign
+    def __init__(self, candidates: Candidates, keys: Sequence[SearchedKey], most: int) -> None:
+        self._candidates, self._keys, self._most = candidates, keys, most
+        self._order = partial(_order, candidates.goal)
         self._low = np.array([key.low for key in keys], float)
         self._width = np.array([key.high - key.low for key in keys], float)
 
@@ -195,19 +185,12 @@ class _Search:
         orders = map(self._order, self._candidates.evaluate(points))
         return np.array([_number(order) for order in orders])
 
-    def _find_best(self) -> Candidate:
-        return min(self._candidates.list_known(), key=self._order)
-
-    def _order(self, candidate: Candidate) -> Order:
-        return _order(candidate, self._sign)
-
-    def spread(self, seed: int, first: Sequence[Point]) -> None:
+    def spread(self, seed: int) -> None:
         """Cover the range evenly."""
         from scipy.stats import qmc
 
         count = len(self._keys)
-        points = [*first]
-        points += self._place(np.full((1, count), 0.5))
+        points = self._place(np.full((1, count), 0.5))
         if count <= _CORNERS:
             points += self._place(np.array([*product((0.0, 1.0), repeat=count)]))
         wanted = max(min(_SPREAD * count, self._most // 2), 2)
@@ -246,12 +229,12 @@ class _Search:
         directions = [*np.eye(count), *-np.eye(count)]
         if 1 < count <= _CORNERS:
             directions += [np.array(one) for one in product((-1.0, 1.0), repeat=count)]
-        step, best = _FIRST_STEP, self._find_best()
+        step, best = _FIRST_STEP, find_best(self._candidates)
         while step >= _LAST_STEP and self._left >= len(directions):
             here = (np.array(best.point, float) - self._low) / self._width
             around = np.clip(here + step * np.array(directions), 0.0, 1.0)
             self._candidates.evaluate(self._place(around))
-            found = self._find_best()
+            found = find_best(self._candidates)
             if found is best:
                 step /= 2.0
             best = found
@@ -311,3 +294,166 @@ def parse_searched_keys(
             steps=() if one.is_open else tuple(steps),
         )
     return tuple(found.values())
+
+
+_WORSE: Final = 0.1
+"""Largest loss of the objective, as a share of the best value: the rounding of a gain."""
+
+_OF_SPREAD: Final = 0.01
+"""The same loss as a share of the distance from the best to the median candidate, if that is
+larger. A share of a best value of 0 would always be 0."""
+
+_POINTS: Final = 16
+"""Number of candidates between the best value and each bound, denser near the best."""
+
+_ROUNDS: Final = 5
+"""Largest number of neighbourhoods. If a metric depends on single samples, each may contain a
+better value."""
+
+_HALVINGS: Final = 8
+"""Number of halvings of the step, down to 1/256."""
+
+NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS)
+"""Largest number of candidates of a neighbourhood for each key."""
+
+End = Literal["objective", "constraint", "no value", "bound"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyRange:
+    """Range of a key around its best value, with all other keys at their best values.
+
+    Attributes:
+        key: Dotted scenario key.
+        low: Smallest value that is still good.
+        high: Largest value that is still good.
+        low_end: Reason for the lower end: the objective becomes worse, a constraint is violated, a
+            value is missing, or the given bound is reached.
+        high_end: Reason for the upper end, with the same values.
+        low_constraint: Constraint that is violated below the range; empty if no constraint is.
+        high_constraint: Constraint that is violated above the range; empty if no constraint is.
+    """
+
+    key: str
+    low: float
+    high: float
+    low_end: End
+    high_end: End
+    low_constraint: str = ""
+    high_constraint: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Neighbourhood:
+    """The range in which each key can change while the other keys stay fixed.
+
+    Attributes:
+        slack: Largest accepted loss of the objective.
+        ranges: Range of each key.
+    """
+
+    slack: float
+    ranges: tuple[KeyRange, ...]
+
+
+@dataclass(slots=True)
+class _Walk:
+    """A walk from the best value to a bound: the last good fraction and the first bad fraction."""
+
+    place: int
+    bound: float
+    good: float = 0.0
+    bad: float | None = None
+    end: End = "bound"
+    constraint: str = ""
+
+
+def explore_best(
+    candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned
+) -> tuple[Tuned, Neighbourhood]:
+    """Return the best candidate and its neighbourhood. A better candidate found there replaces it.
+
+    Args:
+        candidates: Evaluator of candidates.
+        keys: Varied keys.
+        found: Best candidate so far, which satisfies the constraints.
+    """
+    for _ in range(_ROUNDS):
+        around = explore_neighbourhood(candidates, keys, found.best)
+        before, found = found, sum_up(candidates, keys)
+        if found.best is before.best:
+            break
+    return replace(found, best=before.best, at_bounds=before.at_bounds), around
+
+
+def explore_neighbourhood(
+    candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate
+) -> Neighbourhood:
+    """Return the range of each key, found by walks from the best value to both bounds.
+
+    The best candidate satisfies the constraints.
+    """
+    assert best.objective is not None
+    slack, sign = _find_slack(candidates, best.objective), candidates.goal.sign
+    limit = sign * best.objective + slack
+    walks = [_Walk(place, bound) for place, key in enumerate(keys) for bound in (key.low, key.high)]
+
+    def move(walk: _Walk, share: float) -> Point:
+        point = [*best.point]
+        here, key = point[walk.place], keys[walk.place]
+        point[walk.place] = key.round(here + share * (walk.bound - here))
+        return tuple(point)
+
+    def look(asked: Sequence[tuple[_Walk, float]]) -> list[tuple[End, str] | None]:
+        found = candidates.evaluate([move(walk, share) for walk, share in asked])
+        return [_find_fault(one, limit, sign) for one in found]
+
+    shares = [(step / _POINTS) ** 2 for step in range(1, _POINTS + 1)]
+    asked = [(walk, share) for walk in walks for share in shares]
+    for (walk, share), fault in zip(asked, look(asked), strict=True):
+        if walk.bad is None:
+            _enter(walk, share, fault)
+    for _ in range(_HALVINGS):
+        halved = [(one, (one.good + one.bad) / 2.0) for one in walks if one.bad is not None]
+        for (walk, share), fault in zip(halved, look(halved), strict=True):
+            _enter(walk, share, fault)
+    ranges = (
+        KeyRange(
+            key=key.key,
+            low=move(below, below.good)[below.place],
+            high=move(above, above.good)[above.place],
+            low_end=below.end,
+            high_end=above.end,
+            low_constraint=below.constraint,
+            high_constraint=above.constraint,
+        )
+        for key, below, above in zip(keys, walks[::2], walks[1::2], strict=True)
+    )
+    return Neighbourhood(slack=slack, ranges=tuple(ranges))
+
+
+def _enter(walk: _Walk, share: float, fault: tuple[End, str] | None) -> None:
+    if fault is None:
+        walk.good = share
+    else:
+        walk.bad, (walk.end, walk.constraint) = share, fault
+
+
+def _find_slack(candidates: Candidates, best: float) -> float:
+    """Return the accepted loss of the objective, relative to the best value."""
+    values = [
+        one.objective
+        for one in candidates.list_known()
+        if one.is_feasible and one.objective is not None
+    ]
+    return max(_WORSE * abs(best), _OF_SPREAD * abs(median(values) - best))
+
+
+def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
+    """Return why a candidate is not good; None if the candidate is good."""
+    broken = [found for found in one.constraints if not found.holds]
+    if broken:
+        return "constraint", broken[0].expression
+    if one.objective is None:
+        return "no value", ""
+    return ("objective", "") if sign * one.objective > limit else None

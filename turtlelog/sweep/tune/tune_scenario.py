@@ -1,5 +1,6 @@
-"""A search for the best values in one call."""
+"""A search for the best values in one call, and the robustness of these values to variations."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,9 +8,12 @@ from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from turtlelog.display import fit_line, format_html, format_notebook, format_number
 from turtlelog.errors import TuneError
 from turtlelog.expressions import parse_expression
+from turtlelog.files.text_files import read_text_file
 from turtlelog.measure import list_metrics
 from turtlelog.scenario import (
     Scenario,
@@ -20,11 +24,19 @@ from turtlelog.scenario import (
     unwrap_number,
 )
 from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import KP
 from turtlelog.sweep.tune.candidates import Candidates, TuningGoal, spread_keys
-from turtlelog.sweep.tune.robust_values import NEIGHBOURS, Neighbourhood, explore_best
-from turtlelog.sweep.tune.search import SearchedKey, Tuned, parse_searched_keys, search_best
+from turtlelog.sweep.tune.search import (
+    NEIGHBOURS,
+    Neighbourhood,
+    SearchedKey,
+    Tuned,
+    explore_best,
+    parse_searched_keys,
+    search_best,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -173,11 +185,9 @@ def tune_candidates(
     """
     candidates.require_bounds([tuple(one.low for one in keys), tuple(one.high for one in keys)])
     goal, around = candidates.goal, None
-    tuned = search_best(
-        candidates, keys, evaluations=evaluations, is_maximised=goal.is_maximised, seed=seed
-    )
+    tuned = search_best(candidates, keys, evaluations=evaluations, seed=seed)
     if tuned.best.is_feasible:
-        tuned, around = explore_best(candidates, keys, tuned, is_maximised=goal.is_maximised)
+        tuned, around = explore_best(candidates, keys, tuned)
     best = candidates.build_scenario(tuned.best.point)
     return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
 
@@ -235,3 +245,186 @@ def _write_range(key: str, bounds: Any, example: str) -> str:
         expected = f"two finite numbers, as in {example}"
         raise TuneError(f"ranges: {key}: expected {expected}, found {bounds!r:.60}")
     return f"{key}={low!r}:{high!r}"
+
+
+_DELAY: Final = "loop.transport_delay_ticks"
+_SEED: Final = "seed"
+
+_PARTS: Final = {
+    **{
+        name: name for name in ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
+    },
+    "rate_limit": "acceleration",
+}
+_AXES: Final = {"speed": "speed", "turn_rate": "turn"}
+_MOST_BYTES: Final = 2**24
+"""Largest output of `identify --json` that is read [bytes]; one robot has a few kB."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variation:
+    """A key of the scenario that is sampled at random.
+
+    Attributes:
+        key: Dotted scenario key.
+        low: Smallest value.
+        high: Largest value. The distribution is uniform, over whole numbers if `is_whole` is set.
+        is_whole: Whether values are whole numbers.
+    """
+
+    key: str
+    low: float
+    high: float
+    is_whole: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """Results of random variants of a candidate.
+
+    Attributes:
+        runs: Number of variants.
+        with_value: Number of variants in which the objective has a value.
+        holds: Number of variants in which every constraint holds and the objective has a value.
+        median: Median of the objective; None if the objective has no value in any variant.
+        low: 5th percentile of the objective, interpolated.
+        high: 95th percentile of the objective, interpolated.
+        worst: Worst value of the objective.
+        varied: Keys that were sampled at random.
+    """
+
+    runs: int
+    with_value: int
+    holds: int
+    median: float | None
+    low: float | None
+    high: float | None
+    worst: float | None
+    varied: tuple[Variation, ...]
+
+
+def choose_variations(
+    scenario: Scenario, runs: int, more: Sequence[Variation] = ()
+) -> tuple[Variation, ...]:
+    """Return the keys to sample at random in variants of a scenario.
+
+    The seed varies if the scenario has random effects. The transport delay varies by one tick up
+    and down, because a program that runs on ticks may differ from its model by one tick. The keys
+    in `more` vary too, for example with the intervals of an identified robot.
+
+    Args:
+        scenario: Best scenario; its law may run.
+        runs: Number of variants.
+        more: Further keys, which replace the keys above.
+    """
+    given = {one.key: one.high for one in more}
+    resolved = resolve_scenario(override_scenario(scenario, given, source="--spread"))
+    found: list[Variation] = []
+    if list_streams(resolved) and _SEED not in given:
+        first = resolved.seed
+        found.append(Variation(key=_SEED, low=first, high=first + runs - 1, is_whole=True))
+    if _DELAY not in given:
+        ticks = resolved.loop.transport_delay_ticks
+        found.append(Variation(key=_DELAY, low=max(ticks - 1, 0), high=ticks + 1, is_whole=True))
+    return (*found, *more)
+
+
+def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
+    """Return the intervals of a robot's gains, dead times, time constants and limits.
+
+    Args:
+        path: File with the output of `turtlelog identify --json`.
+        scenario: Scenario with that robot.
+
+    Raises:
+        TuneError: If the file has other content, or the scenario has another robot.
+    """
+    try:
+        text = read_text_file(path, most=_MOST_BYTES)
+    except OSError as err:
+        raise TuneError(f"{path}: expected a file, found: {err.strerror or err}") from err
+    try:
+        axes = json.loads(text)["axes"]
+        intervals = {
+            f"plant.{_AXES[axis['axis']]}_{name}": (axis[part]["low"], axis[part]["high"])
+            for axis in axes
+            for part, name in _PARTS.items()
+            if axis.get(part) is not None
+        }
+    except (ValueError, KeyError, TypeError, RecursionError) as err:
+        expected = "what `turtlelog identify --json` prints"
+        raise TuneError(f"{path}: is not {expected}") from err
+    parameters = flatten_scenario(scenario)
+    known = {
+        key: (float(low), float(high))
+        for key, (low, high) in intervals.items()
+        if _is_number(low) and _is_number(high) and key in parameters
+    }
+    if not known:
+        expected = (
+            "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
+        )
+        raise TuneError(f"{path}: has no {expected}")
+    # The interval around a dead time of 0 is cut at 0, because a dead time is never negative.
+    return tuple(
+        Variation(key=key, low=max(low, 0.0), high=max(high, 0.0))
+        for key, (low, high) in known.items()
+    )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def simulate_variants(
+    scenario: Scenario,
+    goal: TuningGoal,
+    variations: Sequence[Variation],
+    *,
+    runs: int,
+    seed: int = 0,
+    jobs: "int | Executor | None" = None,
+    **more: Any,
+) -> Spread:
+    """Simulate variants of a scenario and return their results.
+
+    Args:
+        scenario: Best scenario.
+        goal: Objective and constraints.
+        variations: Keys to sample, each uniformly from its range and independently.
+        runs: Number of variants.
+        seed: Seed of the sampling. The scenario's seed, if varied, rises by one per variant.
+        jobs: Number of processes, as in `Candidates`.
+        more: Further options, as in `Candidates`.
+    """
+    generator = np.random.default_rng(seed)
+    columns = [_draw(one, runs, generator) for one in variations]
+    points = [*zip(*columns, strict=True)]
+    candidates = Candidates(
+        scenario, [one.key for one in variations], goal, jobs=jobs, expected=runs, **more
+    )
+    found = candidates.evaluate(points)
+    values = [one.objective for one in found if one.objective is not None]
+    low, middle, high = (
+        np.quantile(values, [0.05, 0.5, 0.95]).tolist() if values else (None, None, None)
+    )
+    worst = min if goal.is_maximised else max
+    return Spread(
+        runs=runs,
+        with_value=len(values),
+        holds=sum(one.is_feasible for one in found),
+        median=middle,
+        low=low,
+        high=high,
+        worst=worst(values, default=None),
+        varied=tuple(variations),
+    )
+
+
+def _draw(one: Variation, count: int, generator: np.random.Generator) -> list[Any]:
+    if one.key == _SEED:
+        return [int(one.low) + number % round(one.high - one.low + 1) for number in range(count)]
+    if one.is_whole:
+        drawn: list[Any] = generator.integers(int(one.low), int(one.high) + 1, count).tolist()
+        return drawn
+    return generator.uniform(one.low, one.high, count).tolist()  # type: ignore[no-any-return]
