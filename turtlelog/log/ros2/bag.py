@@ -57,6 +57,11 @@ class Bag:
         )
         return tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
 
+    def read_topic(self, name: str, *, is_flat: bool = True) -> list[TopicColumns]:
+        """Return the messages of a topic, for each file that has some."""
+        files = self.read({name}, is_flat=is_flat)
+        return [file[name] for file in files if name in file and len(file[name])]
+
 
 def open_bag(path: str | Path) -> Bag:
     """Return a ROS 2 bag: a folder, or a single file.
