@@ -23,10 +23,6 @@ from .importers import (
     import_log as import_log,
     import_plain_table as import_plain_table,
 )
-from .live_run import (
-    Sink as Sink,
-    run_live as run_live,
-)
 from .read_choice import (
     CHOSEN as CHOSEN,
     UNUSED as UNUSED,
@@ -37,12 +33,14 @@ from .read_choice import (
 from .recording.contents import (
     PartialRecordingWarning as PartialRecordingWarning,
 )
+from .recording.live_run import (
+    Recorder as Recorder,
+    Sink as Sink,
+    run_live as run_live,
+)
 from .recording.reader import (
     RecordingTail as RecordingTail,
     read_recording as read_recording,
-)
-from .recording.recorder import (
-    Recorder as Recorder,
 )
 from .recording.run_writer import (
     write_recording as write_recording,

@@ -4,5 +4,5 @@ from .reader import (
     read_if_own as read_if_own,
     read_recording as read_recording,
 )
-from .recorder import Recorder as Recorder
+from .live_run import Recorder as Recorder
 from .run_writer import write_recording as write_recording
