@@ -11,6 +11,12 @@ from .engine.topic_columns import (
 from .engine.walk import (
     Loss as Loss,
 )
+from .exporters import (
+    export_csv as export_csv,
+    export_parquet as export_parquet,
+    export_rosbag2 as export_rosbag2,
+    export_tum as export_tum,
+)
 from .file_access import (
     replace_when_complete as replace_when_complete,
 )
@@ -22,6 +28,9 @@ from .file_info import (
 from .importers import (
     import_log as import_log,
     import_plain_table as import_plain_table,
+)
+from .mcap_writer import (
+    write_columns as write_columns,
 )
 from .read_choice import (
     CHOSEN as CHOSEN,
@@ -56,13 +65,4 @@ from .ros2 import (
 )
 from .trajectories import (
     read_trajectory as read_trajectory,
-)
-from .writing.container import (
-    write_columns as write_columns,
-)
-from .writing.exporters import (
-    export_csv as export_csv,
-    export_parquet as export_parquet,
-    export_rosbag2 as export_rosbag2,
-    export_tum as export_tum,
 )

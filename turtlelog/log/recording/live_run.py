@@ -22,10 +22,11 @@ from turtlelog.log.file_access import (
     exit_on_terminate,
     hold_stop,
     mark_live,
+    name_write_error,
 )
+from turtlelog.log.mcap_writer import McapFile
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
-from turtlelog.log.writing.container import McapFile, name_write_error
 from turtlelog.run import Event, Run
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick, collect_run, declare_scenario, iterate_ticks
