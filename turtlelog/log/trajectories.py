@@ -16,7 +16,7 @@ from turtlelog.log import importers
 from turtlelog.log.any_file import LOG_SUFFIXES, read_as_chosen
 from turtlelog.log.engine.opening import is_bag_file
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.importers.table_cells import Cells, Values
+from turtlelog.log.importers.plain_tables import Cells, Values
 from turtlelog.log.importers.table_columns import assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.log.read_choice import CHOSEN, UNUSED, ReadChoice, split_topic
