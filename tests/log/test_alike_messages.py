@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from turtlelog.log.engine.message_types import read_type
+from turtlelog.log.message_encoding import HEAD, PackedItems, encode_message, lay_out_alike
 from turtlelog.log.recording.topics import SCHEMAS
-from turtlelog.log.writing.alike_messages import PackedItems, lay_out_alike
-from turtlelog.log.writing.records import HEAD, encode_message
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from turtlelog.errors import LogError
 from turtlelog.log import read_file_info, split_topic, write_recording
 from turtlelog.log.any_file import read_run
 from turtlelog.log.engine import opening
+from turtlelog.log.exporters import export_rosbag2
 from turtlelog.log.file_access import open_file
 from turtlelog.log.recording import reader
-from turtlelog.log.writing.exporters import export_rosbag2
 
 
 def test_a_recording_of_turtlelogs_is_read_whole(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ from pyarrow import parquet
 
 from tests.log.runs import simulate_short_run
 from turtlelog.errors import LogError
+from turtlelog.log.exporters import export_csv, export_parquet
 from turtlelog.log.importers.exported_tables import import_tables, require_read_back
 from turtlelog.log.parquet_file import MOST_ROWS
-from turtlelog.log.writing.exporters import export_csv, export_parquet
 from turtlelog.run import Event, PoseColumns, Run
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)

@@ -17,8 +17,7 @@ from tests.log.runs import assert_same
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError, SimulationError
 from turtlelog.log import read_recording
-from turtlelog.log.live_run import Sink, run_live
-from turtlelog.log.recording.recorder import Recorder
+from turtlelog.log.recording.live_run import Recorder, Sink, run_live
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import Tick, simulate_run
@@ -37,7 +36,7 @@ class Clock:
     def __init__(self, oversleep_s: float = 0.0) -> None:
         self.time_s, self.sleeps, self._oversleep_s = 100.0, [0.0], oversleep_s
 
-    def now(self) -> float:
+    def monotonic(self) -> float:
         return self.time_s
 
     def sleep(self, duration_s: float) -> None:

@@ -14,8 +14,8 @@ from tests.log.ros1_bags import COMPRESSIONS, KINDS, STORE, say_drive, write_ros
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_file_info, read_run, read_trajectory
 from turtlelog.log.engine.message_types import MESSAGE
+from turtlelog.log.message_encoding import HEAD
 from turtlelog.log.ros1 import convert_ros1, name_as_ros2, read_ros1_type
-from turtlelog.log.writing.records import HEAD
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ from turtlelog.run.ending import find_goal_end
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
     from turtlelog.draw.rerun.viewer import ViewerProcess
-    from turtlelog.log.live_run import Sink
+    from turtlelog.log.recording.live_run import Sink
     from turtlelog.simulate import Tick
 
 

@@ -11,6 +11,12 @@ from .engine.topic_columns import (
 from .engine.walk import (
     Loss as Loss,
 )
+from .exporters import (
+    export_csv as export_csv,
+    export_parquet as export_parquet,
+    export_rosbag2 as export_rosbag2,
+    export_tum as export_tum,
+)
 from .file_access import (
     replace_when_complete as replace_when_complete,
 )
@@ -23,9 +29,8 @@ from .importers import (
     import_log as import_log,
     import_plain_table as import_plain_table,
 )
-from .live_run import (
-    Sink as Sink,
-    run_live as run_live,
+from .mcap_writer import (
+    write_columns as write_columns,
 )
 from .read_choice import (
     CHOSEN as CHOSEN,
@@ -37,12 +42,14 @@ from .read_choice import (
 from .recording.contents import (
     PartialRecordingWarning as PartialRecordingWarning,
 )
+from .recording.live_run import (
+    Recorder as Recorder,
+    Sink as Sink,
+    run_live as run_live,
+)
 from .recording.reader import (
     RecordingTail as RecordingTail,
     read_recording as read_recording,
-)
-from .recording.recorder import (
-    Recorder as Recorder,
 )
 from .recording.run_writer import (
     write_recording as write_recording,
@@ -58,13 +65,4 @@ from .ros2 import (
 )
 from .trajectories import (
     read_trajectory as read_trajectory,
-)
-from .writing.container import (
-    write_columns as write_columns,
-)
-from .writing.exporters import (
-    export_csv as export_csv,
-    export_parquet as export_parquet,
-    export_rosbag2 as export_rosbag2,
-    export_tum as export_tum,
 )

@@ -61,10 +61,9 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
         raise LogError(
             f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
         )
-    if has_tables and not (is_log and choice.columns):
-        return _note_unused(_aim(path, importers.import_tables(path), choice), choice, "table")
-    if is_log:
-        run = _aim(path, importers.import_other(path, choice.columns), choice)
+    if has_tables or is_log:
+        is_own = has_tables and not (is_log and choice.columns)
+        run = _aim(path, _import_tables(path, choice, is_own=is_own), choice)
         return _note_unused(run, choice, "table")
     # A recording by turtlelog contains more than poses and commands: asking for these loses
     # nothing.
@@ -83,6 +82,16 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
         if own is not None:
             return _note_unused(_aim(path, own, choice), choice, "recording")
     return _note_unused(ros2.read_bag(path, **_list_options(choice)), choice, "bag")
+
+
+def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
+    """Return the run in tables by turtlelog, or else in a log of the paper or a plain table."""
+    if is_own:
+        return importers.import_tables(path)
+    # With the user's mapping of columns, a file is no log of the paper.
+    if path.suffix.lower() == ".json" or (not choice.columns and importers.is_papers(path)):
+        return importers.import_log(path)
+    return importers.import_plain_table(path, choice.columns)
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
@@ -161,8 +170,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
             return found  # what a bag does not use depends on its topics, which only reading shows
         unused = describe_unused(choice, "recording")
         return replace(found, notes={**found.notes, UNUSED: unused}) if unused else found
-    is_own = has_tables and not (is_log and choice.columns)
-    run = importers.import_tables(path) if is_own else importers.import_other(path, choice.columns)
+    run = _import_tables(path, choice, is_own=has_tables and not (is_log and choice.columns))
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),

@@ -86,6 +86,15 @@ def _refuse_pointer(stream: BinaryIO) -> None:
     stream.seek(0)
 
 
+def name_write_error(path: str | Path, err: Exception) -> LogError:
+    """Return a write error with the file's name."""
+    if isinstance(err, UnicodeEncodeError):
+        return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
+    # An error of an unwritable file names the file already.
+    text = str(err)
+    return LogError(text if text.startswith(f"{path}: ") else f"{path}: {text}")
+
+
 @contextmanager
 def replace_when_complete(path: str | Path) -> Iterator[Path]:
     """Yield a temporary file name next to `path`; the file is renamed when the block succeeds.

@@ -268,11 +268,6 @@ def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
     return [*merged.values()]
 
 
-def sort_topics(topics: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
-    """Return topics sorted by name, then by type."""
-    return tuple(sorted(topics, key=lambda found: (found.topic, found.type)))
-
-
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
     """Return the contents of an MCAP file. An unfinished file is read as far as possible.
 

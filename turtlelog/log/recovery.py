@@ -20,13 +20,13 @@ from turtlelog.log.engine.parsing import take_apart
 from turtlelog.log.engine.sqlite_source import SqliteSource, walk_damaged
 from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
+from turtlelog.log.exporters import describe_bag
 from turtlelog.log.file_access import create_folder, name_file, replace_when_complete
+from turtlelog.log.mcap_writer import LIBRARY
 from turtlelog.log.recording.head import RECOVERY, format_recovery
+from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2 import METADATA_FILE
 from turtlelog.log.ros2.bag import list_present_files, read_compression
-from turtlelog.log.writing.container import LIBRARY
-from turtlelog.log.writing.exporters import describe_bag
-from turtlelog.log.writing.rewriting import Numbering, Rewriter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

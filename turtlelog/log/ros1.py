@@ -33,8 +33,7 @@ from turtlelog.log.engine.message_types import (
 )
 from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_heads
 from turtlelog.log.file_access import DamageError
-from turtlelog.log.writing.container import McapFile
-from turtlelog.log.writing.records import ChunkRows
+from turtlelog.log.mcap_writer import ChunkRows, McapFile
 
 _START: Final = b"#ROSBAG V2.0\n"
 _LENGTH: Final = struct.Struct("<I")

@@ -16,7 +16,7 @@ from tests.draw.rerun.rrds import (
 )
 from turtlelog.draw.rerun.world import Bounds, widen_plane
 from turtlelog.log import Surroundings
-from turtlelog.log.ros2.bag_maps import UNKNOWN, OccupancyMap
+from turtlelog.log.ros2.bag_surroundings import UNKNOWN, OccupancyMap
 
 POSITIONS = "Points2D:positions"
 

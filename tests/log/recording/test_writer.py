@@ -14,12 +14,10 @@ from rosbags.highlevel import AnyReader
 from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
-from turtlelog.log import write_recording
+from turtlelog.log import mcap_writer, write_recording
 from turtlelog.log.engine.topic_columns import TopicColumns, read_columns
+from turtlelog.log.mcap_writer import ChunkRows, write_columns
 from turtlelog.log.recording.topics import SCHEMAS
-from turtlelog.log.writing import container
-from turtlelog.log.writing.container import write_columns
-from turtlelog.log.writing.records import ChunkRows
 
 MIXED = "mine_msgs/msg/Mixed"
 DEFINITIONS = {
@@ -283,23 +281,23 @@ def test_chunks_packed_on_threads_are_those_packed_one_by_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     topics = [make_twists(60_000), make_texts([5, 5, 30_000, 59_999])]
-    monkeypatch.setattr(container, "_THREADS", 3)
-    monkeypatch.setattr(container, "_AHEAD", 4)
+    monkeypatch.setattr(mcap_writer, "_THREADS", 3)
+    monkeypatch.setattr(mcap_writer, "_AHEAD", 4)
     write_columns(topics, tmp_path / "threads.mcap")
-    monkeypatch.setattr(container, "_pack_ahead", partial(map, container._pack_chunk))
+    monkeypatch.setattr(mcap_writer, "_pack_ahead", partial(map, mcap_writer._pack_chunk))
     write_columns(topics, tmp_path / "alone.mcap")
     assert (tmp_path / "threads.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
 
 
 def test_two_chunks_are_packed_at_one_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pack, both = container._pack_chunk, threading.Barrier(2)
+    pack, both = mcap_writer._pack_chunk, threading.Barrier(2)
 
     def meet(rows: ChunkRows) -> Any:
         both.wait(timeout=30.0)  # alone it would wait for the other in vain
         return pack(rows)
 
-    monkeypatch.setattr(container, "_THREADS", 2)
-    monkeypatch.setattr(container, "_pack_chunk", meet)
+    monkeypatch.setattr(mcap_writer, "_THREADS", 2)
+    monkeypatch.setattr(mcap_writer, "_pack_chunk", meet)
     write_columns([make_twists(20_000)], tmp_path / "a.mcap")
     assert len(check_strictly(tmp_path / "a.mcap").chunk_indexes) == 2
 
@@ -310,7 +308,7 @@ def test_a_chunk_that_cannot_be_packed_leaves_nothing(
     def fail(_: ChunkRows) -> Any:
         raise LogError("no")
 
-    monkeypatch.setattr(container, "_pack_chunk", fail)
+    monkeypatch.setattr(mcap_writer, "_pack_chunk", fail)
     with pytest.raises(LogError, match="no"):
         write_columns([make_twists(60_000)], tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
@@ -321,7 +319,7 @@ def test_others_need_the_index_of_every_message(
     left_out: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They read nothing of a topic that is not indexed, without an error: so all of it is."""
-    pack, count = container._pack_chunk, container._count_records
+    pack, count = mcap_writer._pack_chunk, mcap_writer._count_records
 
     def leave_out(rows: ChunkRows) -> Any:
         topics = {channel.id: channel.topic for _, channel in rows.channels}
@@ -335,8 +333,8 @@ def test_others_need_the_index_of_every_message(
         summary.counts = {1: 100, 2: 2}
         return count(summary)
 
-    monkeypatch.setattr(container, "_pack_chunk", leave_out)
-    monkeypatch.setattr(container, "_count_records", count_all)
+    monkeypatch.setattr(mcap_writer, "_pack_chunk", leave_out)
+    monkeypatch.setattr(mcap_writer, "_count_records", count_all)
     path = tmp_path / "a.mcap"
     write_columns([make_twists(100), make_texts([5, 6])], path)
     with AnyReader([path]) as bag:

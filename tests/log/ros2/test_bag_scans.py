@@ -20,8 +20,7 @@ from tests.log.ros2.robots import (
 )
 from turtlelog import read_run
 from turtlelog.log import Surroundings, read_surroundings
-from turtlelog.log.ros2.bag_maps import UNKNOWN
-from turtlelog.log.ros2.bag_scans import CELL_M, MOST_RAYS, MOST_SCANS
+from turtlelog.log.ros2.bag_surroundings import CELL_M, MOST_RAYS, MOST_SCANS, UNKNOWN
 from turtlelog.log.ros2.bag_transforms import Link
 
 WALL_M = 5.0

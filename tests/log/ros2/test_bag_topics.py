@@ -28,8 +28,8 @@ from tests.log.ros2.robots import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
-from turtlelog.log.ros2.bag_columns import describe_leaps
 from turtlelog.log.ros2.bag_topics import choose_command_topic, choose_pose_topic
+from turtlelog.log.ros2.reported_motion import describe_leaps
 
 
 def list_topics(*pairs: tuple[str, str], count: int = 9) -> list[TopicInfo]:

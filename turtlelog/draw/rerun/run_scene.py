@@ -54,7 +54,7 @@ from turtlelog.draw.rerun.world import (
     draw_worst_place,
     widen_plane,
 )
-from turtlelog.log.ros2.bag_scans import Surroundings
+from turtlelog.log.ros2.bag_surroundings import Surroundings
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run, require_run
 

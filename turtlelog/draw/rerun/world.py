@@ -32,8 +32,7 @@ from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_pa
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.timelines import Timelines, Values, build_index
-from turtlelog.log.ros2.bag_maps import UNKNOWN, OccupancyMap
-from turtlelog.log.ros2.bag_scans import CELL_M, Surroundings
+from turtlelog.log.ros2.bag_surroundings import CELL_M, UNKNOWN, OccupancyMap, Surroundings
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 

@@ -6,6 +6,7 @@ take longer than reading them one by one.
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
@@ -244,14 +245,12 @@ class _Cursor:
 FEW_MESSAGES: Final = 16
 """Largest number of messages decoded one by one. From about 25 on, the other way is faster."""
 
-_CODES: Final = dict(
-    zip(
-        ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8", "?"),
-        "BbHhIiQqfd?",
-        strict=True,
-    )
+CODES: Final = MappingProxyType(
+    {"?": "?", "f4": "f", "f8": "d"}
+    | {"i1": "b", "i2": "h", "i4": "i", "i8": "q"}
+    | {"u1": "B", "u2": "H", "u4": "I", "u8": "Q"}
 )
-"""Type codes of numbers and their `struct` codes."""
+"""`struct` codes of numbers by their type codes."""
 
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
 """Name, size [bytes] and reader of a number. For a text: no reader, and the size of its length."""
@@ -342,7 +341,7 @@ class _OtherKindError(Exception):
 
 
 def _read_number(kind: str) -> Callable[[bytes, int], tuple[object, ...]]:
-    return struct.Struct("<" + _CODES[kind]).unpack_from
+    return struct.Struct("<" + CODES[kind]).unpack_from
 
 
 def _take_list(

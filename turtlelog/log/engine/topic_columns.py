@@ -75,6 +75,13 @@ class TopicColumns(Tabular):
             fields=pick_rows(self.fields, rows),
         )
 
+    def describe_missing(self, field: str) -> LogError:
+        """Return the error about a field that the messages do not have."""
+        return LogError(
+            f"topic {self.topic}: expected {self.type} with a field {field}, found"
+            f" {', '.join(self.fields)}"
+        )
+
     def _tabulate(self) -> Mapping[str, Any]:
         own = {name: getattr(self, name) for name in _TIMES}
         named = {f"message.{key}" if key in own else key: one for key, one in self.fields.items()}

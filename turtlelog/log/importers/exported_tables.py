@@ -19,7 +19,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.importers.table_text import read_header, require_few_columns
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
-from turtlelog.log.planar import compute_heading
+from turtlelog.log.spatial_poses import compute_heading
 from turtlelog.run import (
     TABLES,
     Clock,

@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 from turtlelog.display import LATEST_S
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import describe_csv_error, iterate_lines
+from turtlelog.files.urls import make_path
 from turtlelog.laws.sequential_p import DECLARATION
+from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.file_access import name_file, open_file
+from turtlelog.log.importers.table_text import decode_text, read_header
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
 
@@ -41,6 +45,9 @@ _NUMBERS: Final = (
 
 _POSE_TIMES: Final = "of the callbacks that read them: in a burst they are later than the poses"
 
+_MARKS: Final = frozenset({"target_angle_rad", "error_angle_rad", "vel_x_global"})
+"""CSV columns that distinguish this layout from other tables."""
+
 _NEVER_LOGGED: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s"),
     *("samples.wanted_speed_m_s", "samples.wanted_turn_rate_rad_s", "stop_reason", "events"),
@@ -48,7 +55,7 @@ _NEVER_LOGGED: Final = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PaperLog:
+class _PaperLog:
     """A log as in its file. Each value is checked alone.
 
     Attributes:
@@ -68,6 +75,35 @@ class PaperLog:
     parameters: Mapping[str, float] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
+
+
+def is_papers(path: Path) -> bool:
+    """Return whether a CSV file has the columns of the paper's logs."""
+    return path.suffix.lower() == ".csv" and not _MARKS.isdisjoint(read_header(path))
+
+
+def import_log(path: str | Path, *, sort: bool = False) -> Run:
+    """Return the run in a log of the paper's controller, JSON or CSV.
+
+    Args:
+        path: Path of the log; for other suffixes the content determines the format.
+        sort: Whether to sort rows by time and drop exact duplicates; notes give both counts.
+
+    Raises:
+        LogError: If the log is invalid; one line with the file, the list and the index.
+    """
+    path = make_path(path)
+    with name_file(path, expected="a log of the paper's layout, .json or .csv"):
+        with open_file(path) as stream:
+            data = stream.read()
+        if data.startswith(MCAP0_MAGIC):
+            raise LogError("expected a log in JSON or CSV, found MCAP, which is read as it is")
+        text, suffix = decode_text(data), path.suffix.lower()
+        if not text.strip():
+            raise LogError("expected a log, found an empty file")
+        is_json = suffix == ".json" or (suffix != ".csv" and text.lstrip().startswith(("{", "[")))
+        log = parse_paper_json(text, path) if is_json else _parse_csv_log(text, path)
+        return build_paper_run(log, sort=sort)
 
 
 def _require_number(place: str, value: object) -> float:
@@ -118,7 +154,7 @@ def _build_columns(
     return columns, np.array(states, dtype=np.int64)
 
 
-def build_paper_run(log: PaperLog, *, sort: bool) -> Run:
+def build_paper_run(log: _PaperLog, *, sort: bool) -> Run:
     """Return the run in a log.
 
     The log contains no stop reason, so a complete run gets `finished`.
@@ -253,11 +289,8 @@ _HEADINGS: Final = MappingProxyType(
 )
 """Name of each list in the CSV layout."""
 
-PAPER_MARKS: Final = frozenset({"target_angle_rad", "error_angle_rad", "vel_x_global"})
-"""CSV columns that distinguish this layout from other tables."""
 
-
-def parse_paper_json(text: str, path: Path) -> PaperLog:
+def parse_paper_json(text: str, path: Path) -> _PaperLog:
     """Return the log in a JSON text.
 
     Raises:
@@ -274,7 +307,7 @@ def parse_paper_json(text: str, path: Path) -> PaperLog:
     metadata = _require_table("metadata", tables.get("metadata"))
     parameters = _read_parameters(metadata)
     timestamp = _read_text(metadata, "timestamp")
-    return PaperLog(
+    return _PaperLog(
         name=_read_text(metadata, "experiment_name") or path.stem,
         source=f"paper-json: {path.name}",
         columns=columns,
@@ -346,7 +379,7 @@ def _read_text(metadata: Mapping[str, Any], key: str) -> str | None:
     return value
 
 
-def parse_paper_csv(text: str, path: Path) -> PaperLog:
+def _parse_csv_log(text: str, path: Path) -> _PaperLog:
     """Return the log in a CSV text.
 
     Raises:
@@ -359,7 +392,7 @@ def parse_paper_csv(text: str, path: Path) -> PaperLog:
             found = f"{heading.count(name)} in {','.join(heading)[:80]!r}"
             raise LogError(f"line 1: expected a column {name}, found {found}")
     columns, states = _build_columns(_read_lists(heading, rows), _HEADINGS)
-    return PaperLog(
+    return _PaperLog(
         name=path.stem,
         source=f"paper-csv: {path.name}",
         columns=columns,

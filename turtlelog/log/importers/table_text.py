@@ -86,12 +86,16 @@ def read_plain_table(path: Path) -> PlainTable:
         return _read_parquet(path)
     with open_file(path) as stream:
         data = stream.read()
+    return _parse_text(decode_text(data), len(data))
+
+
+def decode_text(data: bytes) -> str:
+    """Return the text of a table or log; spreadsheet programs write a byte order mark first."""
     try:
-        text = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as err:
         found = f"0x{err.object[err.start]:02x}"
         raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
-    return _parse_text(text, len(data))
 
 
 def read_header(path: Path) -> tuple[str, ...]:

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.message_types import Column, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_access import name_write_error
+from turtlelog.log.mcap_writer import write_columns
+from turtlelog.log.message_encoding import PackedItems, lay_out_alike
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
 from turtlelog.log.recording.topics import (
     COMMAND,
@@ -37,8 +40,6 @@ from turtlelog.log.recording.topics import (
     define_types,
     name_state_type,
 )
-from turtlelog.log.writing.alike_messages import PackedItems, lay_out_alike
-from turtlelog.log.writing.container import name_write_error, write_columns
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW

@@ -10,8 +10,11 @@ from typing import Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
+from turtlelog.log.engine.cursor import CODES
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import read_type
+from turtlelog.log.mcap_writer import ChunkRows
+from turtlelog.log.message_encoding import ENCAPSULATION, HEAD, encode_message
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
 from turtlelog.log.recording.topics import (
     COMMAND,
@@ -34,7 +37,6 @@ from turtlelog.log.recording.topics import (
     describe_topics,
     list_topics,
 )
-from turtlelog.log.writing.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_message
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.scenario import Scenario

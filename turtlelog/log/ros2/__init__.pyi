@@ -2,24 +2,22 @@ from .bag import (
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
 )
-from .bag_maps import (
-    OccupancyMap as OccupancyMap,
-)
 from .bag_metadata import (
     METADATA_FILE as METADATA_FILE,
     BagPart as BagPart,
     BagTopic as BagTopic,
     format_bag_metadata as format_bag_metadata,
 )
-from .bag_reader import (
-    read_bag as read_bag,
-)
-from .bag_robots import (
+from .bag_poses import (
     BagRobot as BagRobot,
     find_robots as find_robots,
     select_robot as select_robot,
 )
-from .bag_scans import (
+from .bag_reader import (
+    read_bag as read_bag,
+)
+from .bag_surroundings import (
+    OccupancyMap as OccupancyMap,
     Surroundings as Surroundings,
     read_surroundings as read_surroundings,
 )

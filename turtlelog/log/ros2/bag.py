@@ -19,7 +19,6 @@ from turtlelog.log.file_info import (
     list_absent,
     merge_topics,
     read_info,
-    sort_topics,
 )
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
 
@@ -56,6 +55,11 @@ class Bag:
             for file, info in self.infos.items()
         )
         return tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
+
+    def read_topic(self, name: str, *, is_flat: bool = True) -> list[TopicColumns]:
+        """Return the messages of a topic, for each file that has some."""
+        files = self.read({name}, is_flat=is_flat)
+        return [file[name] for file in files if name in file and len(file[name])]
 
 
 def open_bag(path: str | Path) -> Bag:
@@ -119,18 +123,14 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
     """Return the files of a bag in the bag's order: the files in a folder, or a single file.
 
     Raises:
-        LogError: As for `_find_bag_files`.
+        LogError: If a folder contains no files of a bag, lacks a file named in its metadata, or
+            mixes kinds of files.
     """
     return _find_bag_files(path).files
 
 
 def _find_bag_files(path: str | Path) -> BagFiles:
-    """Return the files of a bag as named in metadata.yaml; without it, the files in the folder.
-
-    Raises:
-        LogError: If a folder contains no files of a bag, lacks a file named in its metadata, or
-            mixes kinds of files.
-    """
+    """Return the files of a bag as named in metadata.yaml; without it, the files in the folder."""
     path = make_path(path)
     if not path.is_dir():
         return BagFiles(files=(path,))
@@ -166,7 +166,8 @@ def list_present_files(folder: Path) -> tuple[Path, ...]:
 
 def _list_present(folder: Path) -> tuple[Path, ...]:
     with name_file(folder, expected="a bag"):
-        files = filter(_is_bag_file, folder.iterdir())
+        named = (file for file in folder.iterdir() if file.name.lower().endswith(BAG_SUFFIXES))
+        files = (file for file in named if file.is_file())
         return tuple(sorted(files, key=lambda file: split_numbers(file.name)))
 
 
@@ -179,37 +180,24 @@ def read_compression(folder: Path) -> str:
     return found if found == "message" else ""
 
 
-def _is_bag_file(file: Path) -> bool:
-    return file.name.lower().endswith(BAG_SUFFIXES) and file.is_file()
-
-
 def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
-    """Return the files in the folder, if no readable metadata name files.
-
-    Raises:
-        LogError: If there are no files.
-    """
-    if not present:
-        if not (folder / METADATA_FILE).exists():
-            ros1 = next(iter(sorted(folder.glob("*.bag"))), None)
-            if ros1 is not None:
-                raise LogError(f"{folder}: a folder with the ROS 1 bag {ros1.name}: name that file")
-            raise LogError(
-                f"{folder}: no recordings in this folder (no {METADATA_FILE}, .mcap or .db3 files)"
-            )
+    """Return the files in the folder, at least one, if no readable metadata name files."""
+    is_described = (folder / METADATA_FILE).exists()
+    if not present and is_described:
         raise LogError(reason)
+    if not present:
+        if ros1 := min(folder.glob("*.bag"), default=None):
+            raise LogError(f"{folder}: a folder with the ROS 1 bag {ros1.name}: name that file")
+        raise LogError(
+            f"{folder}: no recordings in this folder (no {METADATA_FILE}, .mcap or .db3 files)"
+        )
     names = ", ".join(file.name for file in present)
-    if not (folder / METADATA_FILE).exists():
-        reason = f"{METADATA_FILE} is missing"
+    reason = reason if is_described else f"{METADATA_FILE} is missing"
     return BagFiles(files=present, notes={"bag_files": f"{reason}; in order of name: {names}"})
 
 
 def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
-    """Return the files named in the metadata. A single renamed file is accepted.
-
-    Raises:
-        LogError: If a file is missing or named twice.
-    """
+    """Return the files named in the metadata, each once. A single renamed file is accepted."""
     files: dict[Path, None] = {}  # ordered, with fast look-up
     missing: list[str] = []
     base = folder.resolve().as_posix()
@@ -246,10 +234,8 @@ def _find_file(folder: Path, name: str, base: str) -> Path | None:
     within = place.relative_to(base) if place.is_relative_to(base) else place
     if within.is_absolute() or PureWindowsPath(name).drive or ".." in within.parts:
         return None
-    for file in (folder / within, folder / within.name):
-        if within.name and file.is_file():
-            return file
-    return None
+    places = (folder / within, folder / within.name) if within.name else ()
+    return next((file for file in places if file.is_file()), None)
 
 
 def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
@@ -336,7 +322,8 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
     infos = [read_info(file) for file in found.files]
     if len(infos) == 1 and infos[0].format_version is not None:
         return replace(infos[0], notes={**infos[0].notes, **found.notes})
-    topics = sort_topics(merge_topics(topic for info in infos for topic in info.topics))
+    merged = merge_topics(topic for info in infos for topic in info.topics)
+    topics = tuple(sorted(merged, key=lambda topic: (topic.topic, topic.type)))
     duration_ns = found.duration_ns
     if duration_ns is None and (spans := [info.span_ns for info in infos if info.span_ns]):
         duration_ns = max(end for _, end in spans) - min(start for start, _ in spans)

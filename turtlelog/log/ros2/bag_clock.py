@@ -112,14 +112,17 @@ def time_rows(
     else:
         text = f"{noun} are timed by their stamps{_describe(found)}"
         rows, clock = _sort(found.time_ns), _make_clock(found, "stamp")
-    if noun != "poses":
-        return BagTimes(
-            poses=rows, commands=_sort(commands.log_ns), clock=clock, notes={CLOCK: text}
-        )
-    if clock.used == "log":
-        return _build(rows, _sort(commands.log_ns), clock, text)
-    commands_ns, how = _time_commands(commands, poses, found)
-    return _build(rows, _sort(commands_ns), clock, text + how)
+    commands_ns, how = commands.log_ns, ""
+    if clock.used == "stamp" and noun == "poses":
+        commands_ns, how = _time_commands(commands, poses, found)
+    notes = {CLOCK: text + how}
+    if noun == "poses":
+        kept = _find_apart(rows.time_ns)
+        if close := int(len(kept) - kept.sum()):
+            closest = f"{describe_count(close, 'pose')} less than 1 ms before another left out"
+            notes |= {CLOCK: f"{notes[CLOCK]}; {closest}", CLOSE_ROWS: str(close)}
+        rows = TimedRows(rows=rows.rows[kept], time_ns=rows.time_ns[kept])
+    return BagTimes(poses=rows, commands=_sort(commands_ns), clock=clock, notes=notes)
 
 
 def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[TimesNs, str]:
@@ -140,23 +143,17 @@ def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[
 
 
 def _make_clock(found: StampClock, used: Literal["log", "stamp"]) -> Clock:
-    offset, jitter = found.offset_ns, found.jitter_ns
-    return Clock(
-        used=used,
-        ratio=found.pace,
-        offset_s=None if offset is None else offset / 1e9,
-        jitter_s=None if jitter is None else jitter / 1e9,
+    offset_s, jitter_s = (
+        None if time_ns is None else time_ns / 1e9 for time_ns in (found.offset_ns, found.jitter_ns)
     )
+    return Clock(used=used, ratio=found.pace, offset_s=offset_s, jitter_s=jitter_s)
 
 
 def _describe_log(found: StampClock) -> str:
     """Return the reason why log times are used, and its effect on rates."""
-    if found.reason:
-        return f"as {found.reason}"
-    text = "as given"
-    if found.is_other_pace:
-        text += f": rates are those of the motion times {found.pace:.3g}, the stamps' pace"
-    return text
+    if found.reason or not found.is_other_pace:
+        return f"as {found.reason or 'given'}"
+    return f"as given: rates are those of the motion times {found.pace:.3g}, the stamps' pace"
 
 
 def _describe(found: StampClock) -> str:
@@ -199,18 +196,6 @@ def _format_offset(offset_ns: int) -> str:
     """Return an offset with a sign, and without milliseconds for offsets of decades."""
     sign, offset_s = "-" if offset_ns < 0 else "+", abs(offset_ns) / 1e9
     return f"{sign} {offset_s:.3f} s" if offset_s < 1000.0 else f"{sign} {offset_s:.0f} s"
-
-
-def _build(poses: TimedRows, commands: TimedRows, clock: Clock, text: str) -> BagTimes:
-    """Return times of stamped poses, without poses at nearly equal times."""
-    kept = _find_apart(poses.time_ns)
-    notes = {CLOCK: text}
-    close = int(len(kept) - kept.sum())
-    if close:
-        notes[CLOSE_ROWS] = str(close)
-        notes[CLOCK] += f"; {describe_count(close, 'pose')} less than 1 ms before another left out"
-    poses = TimedRows(rows=poses.rows[kept], time_ns=poses.time_ns[kept])
-    return BagTimes(poses=poses, commands=commands, clock=clock, notes=notes)
 
 
 def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:

@@ -7,13 +7,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.planar import compute_heading, compute_tilt
 from turtlelog.log.ros2.bag_topics import ACKERMANN_TYPES, JOINTS
-from turtlelog.log.ros2.stamps import Stamps, read_stamps
+from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps
+from turtlelog.log.spatial_poses import compute_heading, compute_tilt
 from turtlelog.run.angles import wrap_angle
 
 _ROWS_AT_ONCE: Final = 65_536
@@ -59,10 +58,8 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
         if kind == JOINTS and name in fields:
             columns[name] = _widen(fields[name])
     if kind == "nav_msgs/msg/Odometry":
-        twist = "twist.twist"
-        columns["measured_speed"] = _widen(fields[f"{twist}.linear.x"])
-        columns["measured_lateral_speed"] = _widen(fields[f"{twist}.linear.y"])
-        columns["measured_turn_rate"] = _widen(fields[f"{twist}.angular.z"])
+        rates = _read_twist(fields, "twist.twist.")
+        columns |= {f"measured_{name}": values for name, values in rates.items()}
     return columns
 
 
@@ -83,24 +80,24 @@ class PoseShape:
     is_degrees: bool = False
 
 
-def _join_shape(
-    prefix: str, position: str = "position", orientation: str = "orientation"
-) -> PoseShape:
-    return PoseShape(position=f"{prefix}{position}.", orientation=f"{prefix}{orientation}.")
+def _name_shape(prefix: str) -> PoseShape:
+    return PoseShape(position=f"{prefix}position.", orientation=f"{prefix}orientation.")
 
 
 _SHAPES: Final = {
-    "nav_msgs/msg/Odometry": _join_shape("pose.pose."),
-    "geometry_msgs/msg/PoseStamped": _join_shape("pose."),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _join_shape("pose.pose."),
-    "geometry_msgs/msg/Pose": _join_shape(""),
+    "nav_msgs/msg/Odometry": _name_shape("pose.pose."),
+    "geometry_msgs/msg/PoseStamped": _name_shape("pose."),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _name_shape("pose.pose."),
+    "geometry_msgs/msg/Pose": _name_shape(""),
     "geometry_msgs/msg/Pose2D": PoseShape(position="", heading="theta"),
-    "geometry_msgs/msg/TransformStamped": _join_shape("transform.", "translation", "rotation"),
+    "geometry_msgs/msg/TransformStamped": PoseShape(
+        position="transform.translation.", orientation="transform.rotation."
+    ),
 }
 POSITIONS: Final = {kind: shape.position for kind, shape in _SHAPES.items()}
 """Prefix of x and y in the fields of each pose type."""
 
-_NO_SHAPE: Final = _join_shape("pose.")
+_NO_SHAPE: Final = _name_shape("pose.")
 """Shape for errors about missing fields: the shape of a stamped pose."""
 
 _ANGLES: Final = ("theta", "heading", "yaw", "orientation.yaw", "rotation.yaw")
@@ -151,11 +148,14 @@ def extract_commands(
             "lateral_speed": np.zeros_like(speed_m_s),
             "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
         }
-    twist = "twist." if kind == "geometry_msgs/msg/TwistStamped" else ""
+    return _read_twist(fields, "twist." if kind == "geometry_msgs/msg/TwistStamped" else "")
+
+
+def _read_twist(fields: Fields, prefix: str) -> dict[str, Values]:
     return {
-        "speed": _widen(fields[f"{twist}linear.x"]),
-        "lateral_speed": _widen(fields[f"{twist}linear.y"]),
-        "turn_rate": _widen(fields[f"{twist}angular.z"]),
+        "speed": _widen(fields[f"{prefix}linear.x"]),
+        "lateral_speed": _widen(fields[f"{prefix}linear.y"]),
+        "turn_rate": _widen(fields[f"{prefix}angular.z"]),
     }
 
 
@@ -183,13 +183,13 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
         # Messages have zeros by default in ROS 1, and in programs that never set the quaternion.
         empty[rows] = x**2 + y**2 + z**2 + w**2 == 0.0
         yaw_rad[rows], tilt_rad[rows] = compute_heading(x, y, z, w), compute_tilt(x, y, z, w)
-    if len(empty) > 1 and empty.all():
+    if len(empty) and empty.all():
+        if len(empty) == 1:
+            raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
         raise LogError(
             f"{name}: expected rotations, found all zeros in each of {len(empty)} messages:"
             " it was never set, and there is no heading"
         )
-    if len(empty) and empty.all():
-        raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
     # Some programs set quaternions only from the second message on; a camera may lose its robot.
     yaw_rad[empty] = np.nan
     return {"heading": yaw_rad, "tilt": tilt_rad}
@@ -254,25 +254,21 @@ def order_rows(
 ) -> OrderedRows:
     """Return a topic's rows in several files as one table, sorted by time, without duplicates.
 
-    Args:
-        found: The messages of each file.
-        tables: Requested columns of the messages.
+    The columns of the messages of each file are in `tables`.
     """
-    time_ns = _join([columns.log_time_ns for columns in found])
-    found_stamps = [read_stamps(columns) for columns in found]
-    known = [of_file for of_file in found_stamps if of_file is not None]
+    time_ns = join_arrays([columns.log_time_ns for columns in found])
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     rows = OrderedRows(
         time_ns=time_ns,
-        columns={name: _join([table[name] for table in tables]) for name in tables[0]},
+        columns={name: join_arrays([table[name] for table in tables]) for name in tables[0]},
         late=late,
         duplicates=0,
-        stamp_ns=_join(known) if len(known) == len(found) else None,
+        stamp_ns=join_stamps(found),
     )
     # Equal commands of one burst are not duplicates; their sequence numbers differ.
     others = [
-        _join([columns.publish_time_ns for columns in found]),
-        _join([columns.sequence for columns in found]),
+        join_arrays([columns.publish_time_ns for columns in found]),
+        join_arrays([columns.sequence for columns in found]),
     ]
     if late:
         order = np.argsort(time_ns, kind="stable")
@@ -287,9 +283,8 @@ def order_topic(
     found: Held, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
 ) -> OrderedRows:
     """Return the rows of a topic from all files; their messages are removed from `found`."""
-    messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
     tables = []
-    for columns in messages:
+    for columns in (of_file[choice.topic] for of_file in found if choice.topic in of_file):
         if columns.type != choice.type:
             raise LogError(f"topic {choice.topic}: expected {choice.type}, found {columns.type}")
         try:
@@ -297,19 +292,10 @@ def order_topic(
         except LogError as err:
             raise LogError(f"topic {choice.topic}: {err}") from err
         except KeyError as err:
-            raise LogError(
-                f"topic {choice.topic}: expected {choice.type} with a field {err.args[0]},"
-                f" found {', '.join(columns.fields)}"
-            ) from err
-    del messages
+            raise columns.describe_missing(err.args[0]) from err
     return order_rows(
         [of_file.pop(choice.topic) for of_file in found if choice.topic in of_file], tables
     )
-
-
-def _join(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return arrays as one array. A single array is not copied."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 _LARGEST: Final = 1e30
@@ -325,42 +311,6 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     if kept.all():
         return rows, 0
     return rows.take(kept), int((~kept).sum())
-
-
-_LEAP_M: Final = 0.1
-"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
-
-_LEAP_BACK: Final = 0.2
-"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
-
-_LEAP_SHARE: Final = 0.2
-"""Smallest share of poses that leap and return if two programs publish poses. One program may
-publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
-
-_LEAP_ROWS: Final = 4
-
-
-def describe_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses that alternate between two places; None if they do not.
-
-    Args:
-        xy_m: Positions in the order of reception [m], shape (n, 2).
-    """
-    rows = len(xy_m) - _LEAP_ROWS
-    if rows < _LEAP_ROWS:
-        return None
-    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
-    least_m = np.full(rows, np.inf)
-    for later in range(2, _LEAP_ROWS + 1):
-        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
-    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
-    if leaps.mean() <= _LEAP_SHARE:
-        return None
-    size_m = float(np.median(far_m[leaps]))
-    return (
-        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
-        " programs seem to publish them, and no motion can be told"
-    )
 
 
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

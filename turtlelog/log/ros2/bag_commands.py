@@ -58,15 +58,11 @@ def read_commands_alone(
     if pick is None:
         raise NoPosesError(f"no poses; {lack}") if lack else err
     if not choice.allow_no_poses:
-        found = f"{pick.topic.topic} ({pick.topic.type})"
-        # If there are unreadable poses, their reason is more helpful.
-        raise (
-            err
-            if err.is_unread
-            else NoPosesError(
-                f"no poses, only commands on {found}: info, metrics, check, plot and replay take"
-                " commands alone, and what was asked for needs poses"
-            )
+        if err.is_unread:  # the reason of unreadable poses is more helpful
+            raise err
+        raise NoPosesError(
+            f"no poses, only commands on {pick.describe()}: info, metrics, check, plot and replay"
+            " take commands alone, and what was asked for needs poses"
         )
     for name in ("goal", "path_topic"):
         if getattr(choice, name) is not None:
@@ -83,12 +79,11 @@ def read_commands_alone(
     start_ns = int(rows.time_ns[0])
     none = np.zeros(0)
     name, source = name_bag(bag.path)
+    no_time_ns = np.zeros(0, dtype=np.int64)
     return Run(
         name=name,
         source=source,
-        poses=PoseColumns(
-            time_ns=np.zeros(0, dtype=np.int64), xy_m=np.zeros((0, 2)), heading_rad=none
-        ),
+        poses=PoseColumns(time_ns=no_time_ns, xy_m=np.zeros((0, 2)), heading_rad=none),
         commands=build_commands(rows, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
@@ -104,15 +99,11 @@ def read_commands_alone(
     )
 
 
-_STORAGES: Final = {".mcap": "mcap", ".bag": "rosbag1"}
-"""Source of a run by the suffix of a single file."""
-
-
 def name_bag(path: Path) -> tuple[str, str]:
     """Return the name and the source of a run from a bag."""
     name = path.resolve().name
-    source = f"{_STORAGES.get(path.suffix, 'rosbag2')}: {name}"
-    return (name if path.is_dir() else strip_suffixes(path)), source
+    storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
+    return (name if path.is_dir() else strip_suffixes(path)), f"{storage}: {name}"
 
 
 def choose_commands(
@@ -168,24 +159,17 @@ def build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
 
 Times = NDArray[np.int64]
 
-_NAMED: Final = "phases are named by /turtle1/phase"
-_GUESSED: Final = "phases are named as those of sequential-p, as nothing else names them"
-_UNKNOWN: Final = "the law, its loops and its parameters are not known"
-
 
 def add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
     """Return a run with the samples of its bag if they fit its poses. A note describes the result.
 
-    Args:
-        run: Run of the bag, with the poses of `/turtle1/pose`.
-        bag: Bag of the run.
-        start_ns: Recorder's time at time 0 of the run [ns].
+    The run has the poses of `/turtle1/pose`; its time 0 is `start_ns` on the recorder's clock.
     """
     kinds = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
     if (CONTROL.name, CONTROL.schema) not in kinds:
         return run
-    names = {name for name, kind in kinds if (name, kind) == (PHASE.name, PHASE.schema)}
-    files = bag.read({CONTROL.name, *names})
+    names = {CONTROL.name, *({PHASE.name} if (PHASE.name, PHASE.schema) in kinds else ())}
+    files = bag.read(names)
     found = [of_file[CONTROL.name] for of_file in files if CONTROL.name in of_file]
     phases = [of_file[PHASE.name] for of_file in files if PHASE.name in of_file]
     try:
@@ -197,7 +181,13 @@ def add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
     told = _read_names(phases, time_ns, columns["phase"])
     highest = int(columns["phase"].max())
     samples = SampleColumns(time_ns=time_ns - start_ns, **columns)
-    note = f"from {CONTROL.name}; {_GUESSED if told is None else _NAMED}; {_UNKNOWN}"
+    named = "by /turtle1/phase"
+    if told is None:
+        named = "as those of sequential-p, as nothing else names them"
+    note = (
+        f"from {CONTROL.name}; phases are named {named}; the law, its loops and its parameters are"
+        " not known"
+    )
     return replace(
         run,
         samples=samples,
@@ -213,11 +203,10 @@ def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
     Raises:
         LogError: If the samples differ from those that turtlelog writes.
     """
+    names = [name for parts in CONTROL_COLUMNS.values() for name in parts]
     try:
         fields = {
-            name: np.concatenate([columns.fields[name] for columns in found])
-            for names in CONTROL_COLUMNS.values()
-            for name in names
+            name: np.concatenate([columns.fields[name] for columns in found]) for name in names
         }
     except KeyError as err:
         raise LogError(f"the field {err.args[0]} is missing") from err
@@ -246,14 +235,7 @@ def _lacks(name: str, values: NDArray[np.float64]) -> bool:
 def _require_fit(run: Run, written: int, time_ns: Times, columns: Mapping[str, Any]) -> None:
     """Refuse samples whose pose numbers are not rows of the run's poses.
 
-    Args:
-        run: Run with its poses.
-        written: Poses in the file.
-        time_ns: Time at which each sample was answered, on the run's clock [ns].
-        columns: Columns of the samples.
-
-    Raises:
-        LogError: If the samples do not fit.
+    The file has `written` poses; `time_ns` is when each sample was answered, on the run's clock.
     """
     read, poses = columns["pose_sequence"], run.poses
     if written != len(poses):

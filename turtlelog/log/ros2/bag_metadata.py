@@ -24,10 +24,11 @@ _LARGEST: Final = 2**24
 
 _MOST_ENTRIES: Final = 1000
 _MOST_FILES: Final = 100_000
-_MOST_LINES: Final = 10 * _MOST_FILES
-"""Largest number of lines: a file takes eight, and the text is read up to four times."""
 """Largest numbers of entries directly below the root, of which rosbag2 writes 12, and of files: a
 day in parts of one second. A text of this size could contain ten million entries."""
+
+_MOST_LINES: Final = 10 * _MOST_FILES
+"""Largest number of lines: a file takes eight, and the text is read up to four times."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
 
@@ -47,8 +48,6 @@ _FLOW_LIST: Final = re.compile(r"^\[(?P<items>[^\[\]]*)\](?:\s+#.*)?$")
 _FLOW_DURATION: Final = re.compile(r"^\{\s*nanoseconds:\s+(?P<value>[^\s{},]+)\s*\}")
 _COMMENT: Final = re.compile(r"(?:^|\s)#.*$")
 
-
-_EMPTY: Final = '""'
 _PLAIN: Final = re.compile(r"[\w/.][\w/.-]*", re.ASCII)
 """Text in names of topics and types that YAML can only read as text."""
 
@@ -97,17 +96,17 @@ def read_bag_metadata(folder: Path) -> BagMetadata:
         LogError: If there are no readable metadata.
     """
     place = folder / METADATA_FILE
-    with name_file(place, expected="the description of a bag"):
-        return parse_bag_metadata(_decode(_read_description(place)))
-
-
-def _read_description(place: Path) -> bytes:
-    with open_file(place) as stream:
+    with name_file(place, expected="the description of a bag"), open_file(place) as stream:
         size = stream.seek(0, 2)
         if size > _LARGEST:
             raise LogError(f"expected up to {_LARGEST} bytes, found {size}")
         stream.seek(0)
-        return stream.read()
+        try:
+            text = stream.read().decode("utf-8-sig")
+        except UnicodeDecodeError as err:
+            found = f"byte {err.object[err.start]:#04x} at {err.start}"
+            raise LogError(f"expected text in UTF-8, found {found}") from err
+        return parse_bag_metadata(text)
 
 
 def parse_bag_metadata(text: str) -> BagMetadata:
@@ -170,13 +169,14 @@ def format_bag_metadata(
     lines = ["version: 8", "storage_identifier: mcap"]
     lines += [*_format_span(start_ns, end_ns - start_ns, count), "topics_with_message_count:"]
     for topic in topics:
+        type_hash = topic.type_hash or '""'
         lines += [
             "  - topic_metadata:",
             f"      name: {_format_text(topic.name)}",
             f"      type: {_format_text(topic.type)}",
             "      serialization_format: cdr",
             '      offered_qos_profiles: ""',
-            f"      type_description_hash: {topic.type_hash or _EMPTY}",
+            f"      type_description_hash: {type_hash}",
             f"    message_count: {topic.count}",
         ]
     codec, mode = ("zstd", compression.upper()) if compression else ('""', '""')
@@ -209,11 +209,7 @@ def _quote(value: str) -> str:
 
 
 def _read_flow_list(number: int, value: str) -> list[str]:
-    """Return the names of a list in brackets on one line; empty for another value.
-
-    Raises:
-        LogError: If an item is neither plain text nor in quotes.
-    """
+    """Return the names of a list in brackets on one line; empty for another value."""
     found = _FLOW_LIST.match(value)
     items = found["items"].strip() if found else ""
     names, place = [], 0
@@ -312,11 +308,3 @@ def _unquote(number: int, key: str, value: str) -> str:
     if value[:1] in {"[", "{", "&", "*", "|", ">", "!"}:
         raise LogError(f"line {number}: {key}: expected plain text, found {value[:60]!r}")
     return "" if value in {"~", "null"} else value
-
-
-def _decode(content: bytes) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as err:
-        found = f"byte {content[err.start]:#04x} at {err.start}"
-        raise LogError(f"expected text in UTF-8, found {found}") from err

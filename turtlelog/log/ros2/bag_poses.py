@@ -1,8 +1,10 @@
-"""The source of a bag's poses: a topic, or the transforms between two frames."""
+"""The source of the poses in a bag: one of several robots; a topic, or transforms of two frames."""
 
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -14,20 +16,24 @@ from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_columns import POSITIONS, find_pose_shape
 from turtlelog.log.ros2.bag_topics import (
+    COMMAND_TYPES,
     FIX,
     JOINTS,
     NEEDS_WHEELS,
+    POSE_TYPES,
     TRANSFORM_TYPES,
     NoPosesError,
     Pick,
     choose_joint_topic,
     choose_pose_topic,
+    is_another_thing,
+    is_measured,
     list_by_fields,
     list_first_names,
+    list_numbers,
 )
 from turtlelog.log.ros2.bag_transforms import (
     TRANSFORM,
-    FrameChoice,
     Tree,
     build_link_columns,
     choose_frames,
@@ -120,15 +126,14 @@ def _integrate_wheels(
 ) -> PoseSource:
     """Return the odometry of two wheels as messages of a separate topic."""
     if choice.wheel_joints is None or choice.wheels is None:
-        given, needed = ("wheels", "wheel_joints")
-        if choice.wheels is None:
-            given, needed = needed, given
+        given, needed = "wheels", "wheel_joints"
+        given, needed = (needed, given) if choice.wheels is None else (given, needed)
         raise LogError(f"{given}: needs {needed}, too: {NEEDS_WHEELS}")
     if frames:
         raise LogError(f"{frames[0]}: expected poses from transforms, found wheel_joints")
     joints, wheels_m = parse_joints(choice.wheel_joints), parse_wheels(choice.wheels)
     topic = choose_joint_topic(topics, choice.pose_topic)
-    messages = [file[topic.topic] for file in bag.read({topic.topic}, is_flat=False) if file]
+    messages = bag.read_topic(topic.topic, is_flat=False)
     columns, note = integrate_wheels(messages, joints, wheels_m)
     return PoseSource(
         topic=replace(topic, count=len(columns)),
@@ -168,14 +173,9 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     links = {}
     # Transforms that are sent repeatedly come last, because they move.
     for is_static in (True, False):
-        chosen = [
-            file[name]
-            for name in names
-            if _is_static(name) == is_static
-            for file in files
-            if name in file
-        ]
-        links.update(collect_links(chosen, is_static=is_static))
+        own = [name for name in names if _is_static(name) == is_static]
+        found = (file[name] for name in own for file in files if name in file)
+        links.update(collect_links(found, is_static=is_static))
     return links
 
 
@@ -207,29 +207,22 @@ def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[P
     if not pick.others or pick.topic.type not in POSITIONS:
         return pick, None
     first = _read_moving(bag, pick.topic)
-    if first is None or first.moves:
-        return pick, None if first is None else first.found
+    if first is None or first[1]:
+        return pick, first and first[0]
     named = [topic for topic in topics if topic.topic in pick.others and topic.type in POSITIONS]
     for other in named:
         try:
             read = _read_moving(bag, other)
         except LogError:
             continue  # it was not requested
-        if read is not None and read.moves:
+        if read is not None and read[1]:
             others = (pick.topic.topic, *(name for name in pick.others if name != other.topic))
-            return Pick(topic=other, others=others, still=pick.topic.topic), read.found
-    return pick, first.found
+            return Pick(topic=other, others=others, still=pick.topic.topic), read[0]
+    return pick, first[0]
 
 
-class _Read(NamedTuple):
-    """Messages of a topic, and whether their positions differ in any bit."""
-
-    found: Found
-    moves: bool
-
-
-def _read_moving(bag: Bag, topic: TopicInfo) -> _Read | None:
-    """Return the messages of a topic and whether they move; None if that is unknown."""
+def _read_moving(bag: Bag, topic: TopicInfo) -> tuple[Found, bool] | None:
+    """Return the messages of a topic and whether positions differ in a bit; None if unknown."""
     if topic.count < _FEWEST_STILL or topic.reason:
         return None
     place, found = POSITIONS[topic.type], [*bag.read({topic.topic})]
@@ -240,7 +233,7 @@ def _read_moving(bag: Bag, topic: TopicInfo) -> _Read | None:
         for name in names
         if all(name in fields for fields in held)
     ]
-    return _Read(found=found, moves=any((column != column[0]).any() for column in columns))
+    return found, any((column != column[0]).any() for column in columns)
 
 
 def _holds_poses(bag: Bag, topic: str) -> bool:
@@ -273,7 +266,14 @@ def _trace_poses(
         unheld |= link.time_ns < one.time_ns[0]
     columns = build_link_columns(link, topic).select(~unheld)
     notes = note_pick("pose_topic", pick, f": {chosen.world} -> {chosen.robot}")
-    notes |= _note_frames(chosen, [one.describe() for one in held], int(unheld.sum()))
+    if chosen.others:
+        notes["other_frames"] = list_first_names(chosen.others)
+    if held:
+        names = ", ".join(one.describe() for one in held)
+        notes["held_transforms"] = f"{names}: the newest that was recorded counts"
+    if dropped := int(unheld.sum()):
+        poses = describe_count(dropped, "pose")
+        notes["dropped_before_transforms"] = f"{poses} before the first of {held[0].describe()}"
     if not len(columns):
         raise LogError(
             f"topic {topic}: expected {chosen.world} -> {chosen.robot} at one time at least, found"
@@ -292,18 +292,6 @@ def _trace_poses(
     )
 
 
-def _note_frames(chosen: FrameChoice, held: Sequence[str], dropped: int) -> dict[str, str]:
-    notes = {}
-    if chosen.others:
-        notes["other_frames"] = list_first_names(chosen.others)
-    if held:
-        notes["held_transforms"] = f"{', '.join(held)}: the newest that was recorded counts"
-    if dropped:
-        poses = describe_count(dropped, "pose")
-        notes["dropped_before_transforms"] = f"{poses} before the first of {held[0]}"
-    return notes
-
-
 def _read_frame(found: Found, topic: str) -> str:
     """Return the frame in the first message; empty if there is none."""
     for of_file in found:
@@ -311,3 +299,152 @@ def _read_frame(found: Found, topic: str) -> str:
             if name in of_file[topic].fields:
                 return str(of_file[topic].fields[name][0]).lstrip("/")
     return ""
+
+
+_Place = tuple[str, ...]
+"""The words before the robot's name in a topic name."""
+
+_NUMBER: Final = re.compile(r"\d+")
+
+_PARTS: Final = re.compile(
+    r"(?i)(?:front|rear|left|right)?_?(?:camera|cam|imu|lidar|laser|scan|gps|gnss|sensor|wheel|tag"
+    r"|marker|motor|arm|joy)s?_?"
+)
+"""Names, without their numbers, that belong to parts of a robot."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagRobot:
+    """One of several robots.
+
+    Attributes:
+        name: Word that occurs only in the topics of this robot.
+        topics: Topics of this robot.
+    """
+
+    name: str
+    topics: tuple[TopicInfo, ...]
+
+    @property
+    def poses(self) -> TopicInfo | None:
+        """The robot's topic with the most poses."""
+        return _find_most(filter(_tells_poses, self.topics))
+
+    @property
+    def commands(self) -> TopicInfo | None:
+        """The robot's topic with the most commands."""
+        return _find_most(topic for topic in self.topics if _is_command(topic))
+
+
+def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
+    """Return the robots that topic names distinguish; empty for a bag of one robot.
+
+    Several robots have topics of one type whose namespaces differ in one word. These words differ
+    only by number, or both poses and commands have them.
+    """
+    held = [topic for topic in topics if topic.count]
+    kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))
+    for place, words in _group_words(held):
+        for word, is_command in words.items():
+            kinds[place][word].add(is_command)
+    for place in sorted(kinds, key=lambda place: (len(place), place)):
+        names = _choose_names(kinds[place])
+        if len(names) > 1:
+            starts = {name: "/".join([*place, name, ""]) for name in names}
+            return tuple(
+                BagRobot(name=name, topics=tuple(t for t in held if t.topic.startswith(start)))
+                for name, start in starts.items()
+            )
+    return ()
+
+
+def _group_words(held: Sequence[TopicInfo]) -> Iterator[tuple[_Place, dict[str, bool]]]:
+    """Yield the words in which topics of one type differ, and whether the topics are commands."""
+    groups: dict[tuple[_Place, _Place, str], dict[str, bool]] = defaultdict(dict)
+    for topic in (one for one in held if _tells_poses(one) or _is_command(one)):
+        words = tuple(topic.topic.split("/"))
+        for place, word in enumerate(words[:-1]):
+            if word and not _PARTS.fullmatch(_NUMBER.sub("", word)):
+                key = words[:place], words[place + 1 :], topic.type
+                groups[key][word] = _is_command(topic)
+    for (before, _, _), found in groups.items():
+        if len(found) > 1:
+            yield before, found
+
+
+def select_robot(
+    topics: Sequence[TopicInfo], name: str | None
+) -> tuple[Sequence[TopicInfo], tuple[BagRobot, ...]]:
+    """Return the topics of one robot and those of no robot, and all robots.
+
+    Without a name, the first robot with poses is chosen if the robots differ only by number. A name
+    that occurs in no topic may occur in the frames of transforms.
+
+    Raises:
+        LogError: If several robots are equally likely.
+    """
+    robots = find_robots(topics)
+    if not robots:
+        return topics, ()
+    names = [robot.name for robot in robots]
+    if name is None:
+        if not any(robot.poses for robot in robots) and any(map(_tells_poses, topics)):
+            return topics, ()  # the robot of the poses is unknown
+        if len({_NUMBER.sub("#", one) for one in names}) > 1:
+            raise LogError(
+                f"{len(names)} robots, {list_first_names(names)}: choose with --robot NAME"
+            )
+        posed = [robot.name for robot in robots if robot.poses and robot.poses.count > 1]
+        name = min(posed or names, key=list_numbers)
+    if name not in names:
+        return topics, robots
+    others = {topic for robot in robots if robot.name != name for topic in robot.topics}
+    return [topic for topic in topics if topic not in others], robots
+
+
+def describe_robots(robots: Sequence[BagRobot], chosen: str | None) -> str:
+    """Return a sentence on the robots of a bag and the chosen one."""
+    names = list_first_names([robot.name for robot in robots])
+    which = "" if chosen is None else f"{chosen} of "
+    return f"{which}{names}: --robot NAME chooses"
+
+
+def require_robot(name: str, topic: str, robots: Collection[BagRobot]) -> None:
+    """Refuse a requested robot if the topic of poses or commands belongs to another.
+
+    Raises:
+        LogError: If so. The message contains the names of the robots.
+    """
+    if name in topic.split("/")[:-1]:
+        return
+    known = list_first_names([robot.name for robot in robots]) or f"a bag of one robot, on {topic}"
+    raise LogError(f"robot {name}: no topic below that name; found {known}")
+
+
+def _tells_poses(topic: TopicInfo) -> bool:
+    is_pose = topic.type in POSE_TYPES or topic.type == JOINTS
+    return topic.count > 0 and is_pose and not is_another_thing(topic.topic)
+
+
+def _is_command(topic: TopicInfo) -> bool:
+    return topic.type in COMMAND_TYPES and not is_measured(topic.topic)
+
+
+def _choose_names(words: dict[str, set[bool]]) -> list[str]:
+    """Return the words that are names of robots, in order of their numbers."""
+    counts: dict[str, int] = defaultdict(int)
+    for word in words:
+        counts[_NUMBER.sub("#", word)] += 1
+    names = [
+        word
+        for word, kinds in words.items()
+        if len(kinds) == 2 or (counts[_NUMBER.sub("#", word)] > 1 and _NUMBER.search(word))
+    ]
+    return sorted(names, key=lambda name: (_NUMBER.sub("#", name), list_numbers(name)))
+
+
+def _find_most(topics: Iterable[TopicInfo]) -> TopicInfo | None:
+    """Return the topic with the most messages, satellite fixes last."""
+    return min(
+        topics, key=lambda topic: (topic.type == FIX, -topic.count, topic.topic), default=None
+    )

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_short, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.file_access import name_file
-from turtlelog.log.file_info import RecordingInfo, TopicInfo
-from turtlelog.log.planar import describe_height, describe_level, lift_poses
+from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE64, SENSED, SHAPED
 from turtlelog.log.ros2.bag import Bag, open_bag
@@ -22,7 +21,6 @@ from turtlelog.log.ros2.bag_columns import (
     Held,
     OrderedRows,
     Values,
-    describe_leaps,
     drop_not_finite,
     extract_poses,
     order_topic,
@@ -38,19 +36,28 @@ from turtlelog.log.ros2.bag_commands import (
     order_commands,
     read_commands_alone,
 )
-from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
+from turtlelog.log.ros2.bag_poses import (
+    BagRobot,
+    PoseSource,
+    describe_robots,
+    find_poses,
+    note_pick,
+    require_robot,
+    select_robot,
+)
 from turtlelog.log.ros2.bag_references import RobotTrack, add_references
-from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
 from turtlelog.log.ros2.bag_topics import TRANSFORMS, NoPosesError, Pick, describe_unread_topics
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     PATH_NOTE,
     SPEED,
+    describe_leaps,
     describe_paths,
     describe_small_leaps,
     judge_rates,
     measure_paths,
 )
+from turtlelog.log.spatial_poses import describe_height, describe_level, lift_poses
 from turtlelog.run import PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -125,7 +132,8 @@ def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Ru
 def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
     """Return a run with notes on its bag's other contents and on the choices made."""
     unread = describe_unread_topics(topics)
-    notes = {**run.notes, **_note_rest(topics, run), **_join_notes(bag.infos.values())}
+    of_files = {name: text for info in bag.infos.values() for name, text in info.notes.items()}
+    notes = {**run.notes, **_note_rest(topics, run), **of_files}
     notes |= {NOT_UNDERSTOOD: unread} if unread else {}
     return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
 
@@ -147,26 +155,24 @@ def describe_chosen(notes: Mapping[str, str]) -> str:
     """Return one line on the topics that were read, with the alternatives."""
     command = notes.get("command_topic")
     poses = notes.get("pose_topic")
-    parts = [f"poses from {poses}" if poses else "no poses"]
-    parts.append(f"commands from {command}" if command else "no commands")
-    parts += [notes["commands"]] if "commands" in notes else []
-    parts += [f"robots {notes['robots']}"] if "robots" in notes else []
-    parts += [f"path {notes['path']}"] if "path" in notes else []
-    parts += [f"goal {notes['goal']}"] if "goal" in notes else []
-    parts += [notes[NOT_UNDERSTOOD]] if NOT_UNDERSTOOD in notes else []
-    line = ", ".join(parts[:2]) + "".join(f"; {part}" for part in parts[2:])
-    for name, option in _OPTIONS.items():
-        if name in notes:
-            line += f"; also there: {notes[name]}: {option}"
-    return line
+    line = f"poses from {poses}" if poses else "no poses"
+    line += f", commands from {command}" if command else ", no commands"
+    more = [f"; {text.format(notes[name])}" for name, text in _MORE.items() if name in notes]
+    return "".join([line, *more])
 
 
-_OPTIONS: Final = {
-    "other_pose_topics": "--pose-topic",
-    "other_frames": "--pose-frame and --world-frame",
-    "other_command_topics": "--command-topic",
-    "other_path_topics": "--path-topic",
+_MORE: Final = {
+    "commands": "{}",
+    "robots": "robots {}",
+    "path": "path {}",
+    "goal": "goal {}",
+    NOT_UNDERSTOOD: "{}",
+    "other_pose_topics": "also there: {}: --pose-topic",
+    "other_frames": "also there: {}: --pose-frame and --world-frame",
+    "other_command_topics": "also there: {}: --command-topic",
+    "other_path_topics": "also there: {}: --path-topic",
 }
+"""Notes that follow the topics, in order."""
 
 
 def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
@@ -180,11 +186,6 @@ def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
         if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
     ]
     return {NOT_READ: ", ".join(rest)} if rest else {}
-
-
-def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
-    """Return the notes of the files on their recovery."""
-    return {name: text for info in infos for name, text in info.notes.items()}
 
 
 def _build_run(
@@ -213,7 +214,6 @@ def _build_run(
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
-    speeds = _list_speeds(commands)
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
@@ -244,8 +244,11 @@ def _build_run(
         # Speeds are along the robot's axes: if it leaves the plane, they differ from those seen
         # from above.
         reported = poses.columns if SPEED in columns else columns
-        paths = describe_paths(measure_paths(poses.time_ns, reported, speeds))
-        notes |= {} if paths is None else {PATH_NOTE: _name_others(paths, source)}
+        paths = describe_paths(measure_paths(poses.time_ns, reported, _list_speeds(commands)))
+        others = source.notes.get("other_pose_topics")
+        if paths is not None:
+            is_of_poses = others is not None and "poses" in paths
+            notes[PATH_NOTE] = f"{paths}; others: {others}" if is_of_poses else paths
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
     run = Run(
@@ -317,12 +320,6 @@ def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Value
         return None
     speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
     return commands.time_ns, np.hypot(speed, lateral)
-
-
-def _name_others(text: str, source: PoseSource) -> str:
-    """Return a sentence on possibly wrong poses, with the other topics of poses."""
-    others = source.notes.get("other_pose_topics")
-    return text if others is None or "poses" not in text else f"{text}; others: {others}"
 
 
 def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> int:

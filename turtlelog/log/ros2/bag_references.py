@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import LogError, PathError
+from turtlelog.errors import PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.read_choice import ReadChoice, parse_goal_option
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_first_names
-from turtlelog.log.ros2.bag_transforms import Tree, locate_frame
-from turtlelog.log.ros2.rigid_transforms import rotate
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame
+from turtlelog.log.spatial_poses import rotate
 from turtlelog.run import Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
@@ -67,13 +67,16 @@ def add_references(
     given = choice.goal
     goal_pick = None if given else choose_goal_topic(topics, pose_topic=source.home)
     plans = choose_path_topics(topics, choice.path_topic, pose_topic=source.home)
-    goals = [] if goal_pick is None else _collect(bag, goal_pick.topic.topic)
+    goals = [] if goal_pick is None else bag.read_topic(goal_pick.topic.topic, is_flat=False)
     is_long = bool(plans) and choice.path_topic is None and plans[0].count > _MOST_PATHS
-    paths = [] if not plans or is_long else _collect(bag, plans[0].topic)
-    named = {_name_frame(columns) for columns in (*goals, *paths) if len(columns)}
+    paths = [] if not plans or is_long else bag.read_topic(plans[0].topic, is_flat=False)
+    named = {name_frame(columns) for columns in (*goals, *paths)}
     if track.frame and not track.tree and named - {track.frame, ""}:
         track = replace(track, tree=read_tree(bag, topics, source.home))
-    goal = None if given is None else _take_given(given)
+    goal = None
+    if given is not None:
+        xy_m, heading_rad = parse_goal_option(given)
+        goal = FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
     if goal_pick is not None:
         goal = find_goal(goals, goal_pick.topic.topic, track)
     notes, changes = dict[str, str](), dict[str, Any]()
@@ -82,32 +85,19 @@ def add_references(
         changes |= {"goal_xy_m": goal.xy_m, "goal_heading_rad": goal.heading_rad}
     if paths:
         since_ns = 0 if goal is None else goal.time_ns
-        path = find_path(paths, plans[0].topic, track, since_ns=since_ns)
+        points, notes["path"] = find_path(paths, plans[0].topic, track, since_ns=since_ns)
         others = list_first_names([topic.topic for topic in plans[1:]])
-        notes |= {"path": path.note} | ({"other_path_topics": others} if others else {})
-        if path.points is not None:
+        notes |= {"other_path_topics": others} if others else {}
+        if points is not None:
             notes["path_topic"] = f"{plans[0].topic} ({plans[0].type})"
-            points = {"path.kind": "waypoints", "path.points": path.points}
-            changes["parameters"] = {**run.parameters, **points}
+            path = {"path.kind": "waypoints", "path.points": points}
+            changes["parameters"] = {**run.parameters, **path}
     if is_long:
         said = f"{plans[0].count} messages, more than {_MOST_PATHS}: --path-topic reads them"
         notes["path"] = f"{plans[0].topic}: left out: {said}"
     known = {name for name, value in changes.items() if value is not None}
     absent = tuple(name for name in run.absent if name not in known)
     return replace(run, absent=absent, notes={**run.notes, **notes}, **changes)
-
-
-def _take_given(given: tuple[float, ...]) -> "FoundGoal":
-    xy_m, heading_rad = parse_goal_option(given)
-    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
-
-
-def _collect(bag: Bag, topic: str) -> list[TopicColumns]:
-    return [file[topic] for file in bag.read({topic}, is_flat=False) if topic in file]
-
-
-def _name_frame(columns: TopicColumns) -> str:
-    return str(columns.fields["header.frame_id"][0]).lstrip("/")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,11 +123,7 @@ def find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -
     A goal in another frame is converted to the frame of the poses by the transforms at the time of
     the goal. Without such transforms, there is no goal, and the note gives the reason.
     """
-    rows = sorted(
-        (time_ns, number, row)
-        for number, columns in enumerate(messages)
-        for row, time_ns in enumerate(columns.log_time_ns.tolist())
-    )
+    rows = _sort_rows(messages)
     known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
     time_ns, number, row = known[-1]
     fields = {name: column[row] for name, column in messages[number].fields.items()}
@@ -161,6 +147,15 @@ def find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -
     return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note=said, time_ns=time_ns)
 
 
+def _sort_rows(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:
+    """Return log time [ns], file and row of every message, in order of time."""
+    return sorted(
+        (time_ns, number, row)
+        for number, columns in enumerate(messages)
+        for row, time_ns in enumerate(columns.log_time_ns.tolist())
+    )
+
+
 def _name_place(columns: TopicColumns, row: int) -> tuple[str, ...]:
     names = [name for name in columns.fields if "stamp" not in name]
     return tuple(str(columns.fields[name][row]) for name in names)
@@ -179,64 +174,41 @@ def _bring_over(
     found = locate_frame(track.tree, track.frame, frame, np.array([time_ns]))
     if found is None:
         return f"it is in {frame}, the poses in {track.frame}, and no transform joins the two then"
-    origin_m, by = found
-    by = np.tile(by, (len(place_m), 1))
     how = f", brought from {frame} to {track.frame} by the transforms of that time"
-    return origin_m + rotate(by, place_m), rotate(by, ahead), how
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FoundPath:
-    """A path to follow, with a note.
-
-    Attributes:
-        points: Points in the frame of the poses [m]; None if the path is not a reference.
-        note: One sentence.
-    """
-
-    points: list[list[float]] | None
-    note: str
+    by = np.tile(found[1], (len(place_m), 1))
+    return found[0] + rotate(by, place_m), rotate(by, ahead), how
 
 
 def find_path(
     messages: Sequence[TopicColumns], topic: str, track: RobotTrack, *, since_ns: int = 0
-) -> FoundPath:
-    """Return the first path with a length, preferably after a time.
+) -> tuple[list[list[float]] | None, str]:
+    """Return the points of the first path with a length [m], in the frame of the poses, and a note.
 
-    A path topic with the robot's own trace does not count.
-
-    Args:
-        messages: Messages of `nav_msgs/msg/Path`, by file.
-        topic: Name of the topic.
-        track: Positions of the robot.
-        since_ns: Time when the goal was set, on the recorder's clock [ns].
+    A path after the goal was set (`since_ns`, on the recorder's clock) is preferred. If there is no
+    reference, for example as the topic has the robot's own trace, the points are None.
     """
-    rows = sorted(
-        ((time_ns, k, row) for k, columns in enumerate(messages)
-         for row, time_ns in enumerate(columns.log_time_ns.tolist())),
-    )  # fmt: skip
-    paths = [(time_ns, *_read_points(messages[k], row, time_ns, track)) for time_ns, k, row in rows]
+    paths = [
+        (time_ns, *_read_points(messages[number], row, time_ns, track))
+        for time_ns, number, row in _sort_rows(messages)
+    ]
     reasons = {reason for _, _, reason in paths if reason}
     known = [(time_ns, xy_m) for time_ns, xy_m, _ in paths if _measure(xy_m) >= LEAST_M]
     if not known:
         why = reasons.pop() if reasons else "no message of it has a length"
-        return FoundPath(points=None, note=f"{topic}: left out: {why}")
+        return None, f"{topic}: left out: {why}"
     if _is_trace(known, track):
-        return FoundPath(
-            points=None, note=f"{topic}: left out: it ends where the robot is, and is its trace"
-        )
+        return None, f"{topic}: left out: it ends where the robot is, and is its trace"
     _, xy_m = next((one for one in known if one[0] >= since_ns), known[0])
-    count = len(xy_m)
     points = _thin(xy_m)
     try:
         Path(kind="waypoints", points=tuple((x, y) for x, y in points))
     except PathError as err:
-        return FoundPath(points=None, note=f"{topic}: left out: {err}")
+        return None, f"{topic}: left out: {err}"
     differing = len({one.tobytes() for _, one in known})
     said = f"from {topic}" if differing == 1 else f"the first plan of {differing} from {topic}"
-    if len(points) < count:
-        said += f", {len(points)} of its {count} points"
-    return FoundPath(points=points, note=said)
+    if len(points) < len(xy_m):
+        said += f", {len(points)} of its {len(xy_m)} points"
+    return points, said
 
 
 def _read_points(
@@ -247,10 +219,7 @@ def _read_points(
         found: list[dict[str, Any]] = columns.fields["poses"][row]
         frame = str(columns.fields["header.frame_id"][row])
     except KeyError as err:
-        raise LogError(
-            f"topic {columns.topic}: expected {columns.type} with a field {err.args[0]}, found"
-            f" {', '.join(columns.fields)}"
-        ) from err
+        raise columns.describe_missing(err.args[0]) from err
     place_m = np.array(
         [[one[f"pose.position.{axis}"] for axis in "xyz"] for one in found], dtype=float
     ).reshape(-1, 3)

@@ -56,8 +56,6 @@ _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
 """Topics of a turtlelog recording that have the type of commands but contain none."""
 
-_NO_POSES: Final = frozenset({POSE64.name})
-
 _NO_ROBOT: Final = re.compile(
     r"(?:^|[/_])(?:goals?|goal_?pose|targets?|waypoints?|initial_?pose|set_?pose|clicked|via"
     r"|docks?|staging|desired|setpoints?|references?|ref|plan|trajectory|lookahead|carrot|markers?"
@@ -107,10 +105,7 @@ _MOST_LISTED: Final = 100
 
 
 def list_first_names(names: Sequence[str]) -> str:
-    """Return names for a note.
-
-    If there are too many names, the note has the first names and the number of the others.
-    """
+    """Return names for a note; of too many, the first and the number of the others."""
     few = ", ".join(names[:_MOST_LISTED])
     more = len(names) - _MOST_LISTED
     return f"{few} and {more:,} more" if more > 0 else few
@@ -145,8 +140,9 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     if asked is not None:
         return Pick(topic=_find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
     present = _drop_unread(held)
-    typed = [topic for topic in present if topic.type in POSE_TYPES]
-    usual = [topic for topic in typed if not is_another_thing(topic.topic)]
+    usual = [
+        topic for topic in present if topic.type in POSE_TYPES and not is_another_thing(topic.topic)
+    ]
     fitting = _drop_two_types(usual, present)
     if not fitting:
         text, is_unread = _describe_no_poses(held, present)
@@ -156,7 +152,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
         # If robots differ only by number, the first is chosen.
         best = [min(best, key=lambda topic: list_numbers(topic.topic))]
-    chosen = _require_one(best, "pose_topic", "--pose-topic")
+    chosen = _require_one(best, "pose_topic")
     others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
@@ -174,7 +170,7 @@ def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicI
     if not fitting:
         raise LogError(f"wheel_joints: expected a topic of {JOINTS}, found {_describe(held)}")
     named = [topic for topic in fitting if _take_last(topic.topic) == "joint_states"]
-    return _require_one(named or fitting, "pose_topic", "--pose-topic")
+    return _require_one(named or fitting, "pose_topic")
 
 
 def choose_command_topic(
@@ -188,13 +184,7 @@ def choose_command_topic(
 
     The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
     the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
-    chosen.
-
-    Args:
-        topics: Topics of the bag.
-        asked: Name of the requested topic.
-        pose_topic: Topic of the poses; empty without poses.
-        types: Accepted types of commands.
+    chosen. Without poses, `pose_topic` is empty.
 
     Raises:
         LogError: If several topics are equally likely.
@@ -215,7 +205,7 @@ def choose_command_topic(
     if not fitting:
         return None
     best = _list_first(fitting, lambda topic: _rank_commands(topic.topic, pose_topic))
-    chosen = _require_one(best, "command_topic", "--command-topic")
+    chosen = _require_one(best, "command_topic")
     return Pick(topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen))
 
 
@@ -280,13 +270,13 @@ def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
     Topics of other types do not matter for a run.
     """
     unread = [topic for topic in topics if topic.count and topic.reason]
-    return _join_reasons([topic for topic in unread if _is_of_a_run(topic)])
+    return _join_reasons(filter(_is_of_a_run, unread))
 
 
 def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> tuple[str, bool]:
     """Return the reason why a bag has no poses, and whether it has unreadable ones."""
     unread = [topic for topic in held if topic not in present]
-    if reasons := _join_reasons([topic for topic in unread if _is_of_a_run(topic)]):
+    if reasons := _join_reasons(filter(_is_of_a_run, unread)):
         return reasons, True
     found = f"no poses; it contains {_describe(held)}; poses are read from {_POSES_IN_SHORT}"
     has_joints = any(topic.type == JOINTS for topic in present)
@@ -294,10 +284,11 @@ def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) 
     return "; ".join(filter(None, parts)), False
 
 
-def _join_reasons(unread: Sequence[TopicInfo]) -> str:
-    parts = [topic.describe_reason() for topic in unread[:_MOST_UNREAD]]
-    more = len(unread) - len(parts)
-    return "; ".join([*parts, *([f"{more} more topics are not understood"] if more else [])])
+def _join_reasons(unread: Iterable[TopicInfo]) -> str:
+    reasons = [topic.describe_reason() for topic in unread]
+    more = len(reasons) - _MOST_UNREAD
+    rest = [f"{more} more topics are not understood"] if more > 0 else []
+    return "; ".join([*reasons[:_MOST_UNREAD], *rest])
 
 
 def _is_of_a_run(topic: TopicInfo) -> bool:
@@ -328,26 +319,18 @@ def _list_first(
     topics: Sequence[TopicInfo], rank: Callable[[TopicInfo], tuple[int, ...]]
 ) -> list[TopicInfo]:
     """Return the topics with the best rank."""
-    ranks = [rank(topic) for topic in topics]
-    least = min(ranks)
-    return [topic for topic, of_topic in zip(topics, ranks, strict=True) if of_topic == least]
+    least = min(map(rank, topics))
+    return [topic for topic in topics if rank(topic) == least]
 
 
 def _rank_poses(topic: TopicInfo, homes: Collection[str]) -> tuple[int, ...]:
-    """Return a sort key for pose topics, the most likely first.
-
-    Args:
-        topic: Topic to rank.
-        homes: Namespaces with commands.
-    """
-    has_neighbour = _take_home(topic.topic) in homes
+    """Return a sort key for pose topics, the most likely first; commands are in `homes`."""
     return (
-        # A single message shows no motion.
-        int(topic.count < 2),
-        int(topic.topic in _NO_POSES),
+        int(topic.count < 2),  # a single message shows no motion
+        int(topic.topic == POSE64.name),
         _TIERS[topic.type],
         _rank_name(topic.topic, _POSE_NAMES),
-        0 if has_neighbour else 1,
+        int(_take_home(topic.topic) not in homes),
         topic.topic.count("/"),
     )
 
@@ -387,12 +370,11 @@ def _rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
 
 def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
     """Return the index of the first pattern that matches the end of a name."""
-    last = _take_last(topic)
-    two = "/".join(topic.split("/")[-2:])
-    fitting = (
-        number for number, name in enumerate(names) if name.fullmatch(last) or name.fullmatch(two)
-    )
-    return next(fitting, len(names))
+    last, two = _take_last(topic), "/".join(topic.split("/")[-2:])
+    for number, name in enumerate(names):
+        if name.fullmatch(last) or name.fullmatch(two):
+            return number
+    return len(names)
 
 
 def is_another_thing(topic: str) -> bool:
@@ -431,7 +413,7 @@ def _find_asked(
     _require_one_type(asked, present)
     found = next((topic for topic in present if topic.topic == asked), None)
     if found is None:
-        names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
+        names = _describe(present, "{0.topic}")
         raise LogError(f"{name}: expected a topic with messages, found {asked} among {names}")
     is_free = name == "pose_topic" and not _ROS_TYPE.fullmatch(found.type)
     # The reader reports an undecodable topic, with the name of its file.
@@ -440,9 +422,10 @@ def _find_asked(
     return found
 
 
-def _require_one(chosen: list[TopicInfo], name: str, option: str) -> TopicInfo:
+def _require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
     if len(chosen) > 1:
         names = ", ".join(topic.topic for topic in chosen)
+        option = f"--{name.replace('_', '-')}"
         raise LogError(f"{name}: expected one topic, found {names}: choose with {option}")
     return chosen[0]
 
@@ -456,18 +439,11 @@ def _take_last(topic: str) -> str:
 
 
 def list_numbers(name: str) -> list[tuple[int, str]]:
-    """Return the numbers in a name as a sort key.
-
-    The numbers remain texts, because they may be very long.
-    """
+    """Return the numbers in a name as a sort key, as texts, because they may be very long."""
     digits = (found.lstrip("0") for found in _NUMBER.findall(name))
     return [(len(found), found) for found in digits]
 
 
-def _describe(present: Collection[TopicInfo]) -> str:
-    found = ", ".join(f"{topic.topic} ({topic.type})" for topic in present) or "no messages"
-    return _shorten(found)
-
-
-def _shorten(text: str) -> str:
+def _describe(present: Collection[TopicInfo], form: str = "{0.topic} ({0.type})") -> str:
+    text = ", ".join(form.format(topic) for topic in present) or "no messages"
     return text if len(text) <= 300 else f"{text[:297]}..."

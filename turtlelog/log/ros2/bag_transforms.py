@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.ros2.bag_topics import FRAME_TRANSFORM, TRANSFORMS, list_numbers
-from turtlelog.log.ros2.rigid_transforms import compose, invert, turn_between
+from turtlelog.log.spatial_poses import compose, invert, turn_between
 
 Values = NDArray[np.float64]
 
@@ -29,9 +29,12 @@ _ROBOTS: Final = (
 
 _WORLDS: Final = re.compile(r"earth|map|world|odom|odom_\w+|\w+_odom|mocap|optitrack|vicon")
 
+_LONGEST_HELD_NS: Final = 1_000_000_000
+"""Time that a transform is held before its first and after its last message [ns]."""
+
 _NUMBER: Final = re.compile(r"\d+")
-_NUMBERS: Final = ("translation.x", "translation.y", "translation.z")
-_TURNS: Final = ("rotation.x", "rotation.y", "rotation.z", "rotation.w")
+_NUMBERS: Final = tuple(f"transform.translation.{axis}" for axis in "xyz")
+_TURNS: Final = tuple(f"transform.rotation.{axis}" for axis in "xyzw")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,10 +100,6 @@ class Link:
         return f"{self.parent} -> {self.child}"
 
 
-_LONGEST_HELD_NS: Final = 1_000_000_000
-"""Time that a transform is held before its first and after its last message [ns]."""
-
-
 Tree = Mapping[tuple[str, str], Link]
 """Links by parent and child."""
 
@@ -120,6 +119,11 @@ class FrameChoice:
     others: tuple[str, ...] = ()
 
 
+def name_frame(columns: TopicColumns, row: int = 0) -> str:
+    """Return the frame of a message, without the leading slash of early versions."""
+    return str(columns.fields["header.frame_id"][row]).lstrip("/")
+
+
 def collect_links(
     messages: Iterable[TopicColumns], *, is_static: bool
 ) -> dict[tuple[str, str], Link]:
@@ -131,13 +135,9 @@ def collect_links(
     rows: dict[tuple[str, str], list[tuple[int, dict[str, Any]]]] = defaultdict(list)
     for columns in map(_wrap_foxglove, messages):
         if "transforms" not in columns.fields:
-            raise LogError(
-                f"topic {columns.topic}: expected {columns.type} with a field transforms, found"
-                f" {', '.join(columns.fields)}"
-            )
-        for time_ns, found in zip(
-            columns.log_time_ns.tolist(), columns.fields["transforms"], strict=True
-        ):
+            raise columns.describe_missing("transforms")
+        times = columns.log_time_ns.tolist()
+        for time_ns, found in zip(times, columns.fields["transforms"], strict=True):
             for one in found:
                 names = one["header.frame_id"].lstrip("/"), one["child_frame_id"].lstrip("/")
                 rows[names].append((time_ns, one))
@@ -152,12 +152,9 @@ def _wrap_foxglove(columns: TopicColumns) -> TopicColumns:
     """
     if columns.type != FRAME_TRANSFORM:
         return columns
-    missing = [name for name in _FOXGLOVE_NAMES if name not in columns.fields]
-    if missing:
-        raise LogError(
-            f"topic {columns.topic}: expected {columns.type} with a field {missing[0]}, found"
-            f" {', '.join(columns.fields)}"
-        )
+    for name in _FOXGLOVE_NAMES:
+        if name not in columns.fields:
+            raise columns.describe_missing(name)
     found = (columns.fields[name].tolist() for name in _FOXGLOVE_NAMES)
     wrapped = np.empty(len(columns), dtype=object)
     for row, values in enumerate(zip(*found, strict=True)):
@@ -185,7 +182,7 @@ def _build_link(
     ]
     order = np.argsort(time_ns, kind="stable")
     place_m, turn = (
-        np.array([[one[f"transform.{name}"] for name in axes] for _, one in rows], dtype=float)
+        np.array([[one[name] for name in axes] for _, one in rows], dtype=float)
         for axes in (_NUMBERS, _TURNS)
     )
     return Link(
@@ -233,7 +230,13 @@ def choose_frames(
         return FrameChoice(world=top, robot=robot, others=_list_other_parents(tree, robot, top))
     found = _list_robots(tree, world) or _list_lone(tree, world)
     if name is not None:
-        found = [pair for pair in found if is_named(pair[1], name)] or _list_unnamed(found, name)
+        # The frame of a named robot: turtle1, robot1/base_link.
+        starts = (f"{name}/", f"{name}_")
+        named = [pair for pair in found if pair[1] == name or pair[1].startswith(starts)]
+        if not named and any("/" in frame for _, frame in found):
+            robots = ", ".join(frame for _, frame in found)[:300]
+            raise LogError(f"robot {name}: no frame begins with that name; found {robots}")
+        found = named or found  # a robot's name may occur in topics alone
     if not found:
         links = ", ".join(link.describe() for link in tree.values() if link.moves) or "none"
         raise LogError(
@@ -252,23 +255,6 @@ def choose_frames(
     return FrameChoice(
         world=top, robot=robot, others=(*_list_other_parents(tree, robot, top), *others)
     )
-
-
-def is_named(frame: str, name: str) -> bool:
-    """Return whether a frame is that of a named robot: turtle1, robot1/base_link."""
-    return frame == name or frame.startswith((f"{name}/", f"{name}_"))
-
-
-def _list_unnamed(found: Sequence[tuple[str, str]], name: str) -> list[tuple[str, str]]:
-    """Return the pairs of frames of a robot whose name occurs only in topics.
-
-    Raises:
-        LogError: If frames have the names of other robots.
-    """
-    if any("/" in robot for _, robot in found):
-        frames = ", ".join(robot for _, robot in found)
-        raise LogError(f"robot {name}: no frame begins with that name; found {frames[:300]}")
-    return [*found]
 
 
 def _list_other_parents(tree: Tree, robot: str, world: str) -> tuple[str, ...]:
@@ -305,12 +291,14 @@ def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
 
 def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
     """Return moving links that are not joints: no frame above them moves or belongs to a robot."""
-    found = []
-    for (parent, child), link in tree.items():
-        is_root = not _list_moving(tree, parent) and not is_robot_frame(parent)
-        if link.moves and is_root and world in (None, parent):
-            found.append((parent, child))
-    return found
+    return [
+        (parent, child)
+        for (parent, child), link in tree.items()
+        if link.moves
+        and world in {None, parent}
+        and not _list_moving(tree, parent)
+        and not is_robot_frame(parent)
+    ]
 
 
 def _list_moving(tree: Tree, frame: str) -> list[Link]:
@@ -377,16 +365,14 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
     recorded value.
 
     Returns:
-        The link from world to robot, with NaN before the first message of a held link, and the held
-            links.
+        The link from world to robot, NaN before the first message of a held link; the held links.
 
     Raises:
         LogError: If no transforms join the two frames.
     """
     steps = _find_way(tree, choice.world, choice.robot)
-    moving = [link for link, _ in steps if link.moves] or [
-        link for link, _ in steps if not link.is_static
-    ]
+    moving = [link for link, _ in steps if link.moves]
+    moving = moving or [link for link, _ in steps if not link.is_static]
     if not moving:
         raise LogError(
             f"{choice.world} -> {choice.robot}: expected transforms that are sent again and again,"
@@ -465,10 +451,7 @@ def compose_way(
 
 def build_link_columns(link: Link, topic: str) -> TopicColumns:
     """Return a link as TransformStamped messages of a separate topic."""
-    numbers = {
-        **{f"transform.{name}": link.place_m[:, k] for k, name in enumerate(_NUMBERS)},
-        **{f"transform.{name}": link.turn[:, k] for k, name in enumerate(_TURNS)},
-    }
+    numbers = zip((*_NUMBERS, *_TURNS), (*link.place_m.T, *link.turn.T), strict=True)
     rows = len(link.time_ns)
     frames = {"header.frame_id": link.parent, "child_frame_id": link.child}
     return TopicColumns(
@@ -481,6 +464,6 @@ def build_link_columns(link: Link, topic: str) -> TopicColumns:
             "header.stamp.sec": link.stamp_ns // 1_000_000_000,
             "header.stamp.nanosec": link.stamp_ns % 1_000_000_000,
             **{name: np.full(rows, text, dtype=object) for name, text in frames.items()},
-            **{name: np.ascontiguousarray(values) for name, values in numbers.items()},
+            **{name: np.ascontiguousarray(values) for name, values in numbers},
         },
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.ros2.stamps import read_stamps
+from turtlelog.log.ros2.stamps import join_stamps
 from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
@@ -27,7 +28,6 @@ class JoinedMessages:
         publish_ns: Publish time of each message [ns], shape (n,).
         sequence: Sequence number set by the publisher, shape (n,).
         stamp_ns: Stamp of each message [ns], shape (n,); zeros if the type has no stamps.
-        frame: Frame of the messages, as named in the first.
         fields: Requested fields, each with n rows.
     """
 
@@ -37,7 +37,6 @@ class JoinedMessages:
     publish_ns: NDArray[np.int64]
     sequence: NDArray[np.uint32]
     stamp_ns: NDArray[np.int64]
-    frame: str
     fields: Mapping[str, NDArray[Any]]
 
     def __len__(self) -> int:
@@ -68,11 +67,7 @@ class JoinedMessages:
 
 
 def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> JoinedMessages:
-    """Return the messages of a topic in all files.
-
-    Args:
-        found: Messages of each file; at least one file.
-        names: Names of the requested fields.
+    """Return the messages of a topic in all files, at least one, with the named fields.
 
     Raises:
         LogError: If a field is missing.
@@ -80,25 +75,17 @@ def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> Joine
     for columns in found:
         for name in names:
             if name not in columns.fields:
-                raise LogError(
-                    f"topic {columns.topic}: expected {columns.type} with a field {name}, found"
-                    f" {', '.join(columns.fields)}"
-                )
+                raise columns.describe_missing(name)
     log_ns = np.concatenate([columns.log_time_ns for columns in found])
     order = np.argsort(log_ns, kind="stable")
-    stamps = [read_stamps(columns) for columns in found]
-    known = [of_file for of_file in stamps if of_file is not None]
-    stamp_ns = np.concatenate(known) if len(known) == len(found) else np.zeros_like(log_ns)
-    frames = [columns.fields.get("header.frame_id") for columns in found]
-    named = [str(column[0]).lstrip("/") for column in frames if column is not None and len(column)]
+    stamp_ns = join_stamps(found)
     return JoinedMessages(
         topic=found[0].topic,
         type=found[0].type,
         log_ns=log_ns[order],
         publish_ns=np.concatenate([columns.publish_time_ns for columns in found])[order],
         sequence=np.concatenate([columns.sequence for columns in found])[order],
-        stamp_ns=stamp_ns[order],
-        frame=[*named, ""][0],
+        stamp_ns=np.zeros_like(log_ns) if stamp_ns is None else stamp_ns[order],
         fields={
             name: np.concatenate([np.asarray(columns.fields[name]) for columns in found])[order]
             for name in names
@@ -141,9 +128,6 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
     x, y and z are the distances east, north and up from the first fix. While the receiver moves,
     the heading is its course; at rest, the heading is held. Before the first course, the heading
     equals that course.
-
-    Args:
-        found: Messages of NavSatFix, by file.
 
     Raises:
         LogError: If there is no fix, or the receiver never moves.
@@ -230,11 +214,8 @@ def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
 
     A course leads from a position at least half this distance behind to a position at least half of
     it ahead, both within ten seconds. Otherwise the previous course is held; at the start, the
-    first course is used. All courses are NaN if nothing moves.
-
-    Args:
-        time_s: Times of the positions, not decreasing [s], shape (n,).
-        xy_m: Positions [m], shape (n, 2).
+    first course is used. All courses are NaN if nothing moves. Times do not decrease, shape (n,);
+    positions have the shape (n, 2).
     """
     second_m = np.hypot(*np.diff(xy_m, n=2, axis=0).T)
     noise_m = float(np.median(second_m)) / _MEDIAN_OF_SECOND if len(second_m) else 0.0
@@ -324,9 +305,7 @@ def integrate_wheels(
 def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
     """Return x, y [m] and heading `theta` [rad] of a differential drive from the origin.
 
-    Args:
-        steps_m: Distances of the left and the right wheel from pose to pose [m], shape (n - 1, 2).
-        track_m: Distance between the wheels [m].
+    The steps of the left and the right wheel [m] have the shape (n - 1, 2).
     """
     turned_rad = (steps_m[:, 1] - steps_m[:, 0]) / track_m
     heading_rad = np.concatenate([[0.0], np.cumsum(turned_rad)])
@@ -342,15 +321,13 @@ def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
 
 def _find_joints(messages: JoinedMessages, joints: tuple[str, str]) -> NDArray[np.int64]:
     """Return the indices of the joints in each message, shape (n, 2); -1 if missing."""
-    places = np.full((len(messages), 2), -1)
-    known: Mapping[tuple[str, ...], tuple[int, ...]] = {}
-    for row, names in enumerate(messages.fields["name"]):
-        listed = tuple(names)
-        if listed not in known:
-            found = tuple(listed.index(joint) if joint in listed else -1 for joint in joints)
-            known = {**known, listed: found}
-        places[row] = known[listed]
-    return places
+
+    @cache
+    def find(listed: tuple[str, ...]) -> list[int]:
+        return [listed.index(joint) if joint in listed else -1 for joint in joints]
+
+    found = [find(tuple(names)) for names in messages.fields["name"]]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
 def _pick(
@@ -380,11 +357,11 @@ def _unwrap(turned_rad: Values) -> tuple[Values, int]:
 
 def _describe_missing(messages: JoinedMessages, joints: tuple[str, str]) -> str:
     names = sorted({name for listed in messages.fields["name"] for name in listed})
-    lacking = [joint for joint in joints if joint not in names]
-    if not lacking:
-        return (
-            f"topic {messages.topic}: expected {joints[0]} and {joints[1]} in one message, found"
-            " each in others"
-        )
     found = ", ".join(names)[:300] or "none"
-    return f"topic {messages.topic}: expected the joint {lacking[0]}, found {found}"
+    for joint in joints:
+        if joint not in names:
+            return f"topic {messages.topic}: expected the joint {joint}, found {found}"
+    return (
+        f"topic {messages.topic}: expected {joints[0]} and {joints[1]} in one message, found each"
+        " in others"
+    )

@@ -174,15 +174,47 @@ def _differ(one_m: float, other_m: float) -> bool:
     return abs(one_m - other_m) > _APART * max(one_m, other_m)
 
 
+_LEAP_M: Final = 0.1
+"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
+
+_LEAP_BACK: Final = 0.2
+"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
+
+_LEAP_SHARE: Final = 0.2
+"""Smallest share of poses, or steps, that leap if two programs publish poses. One program may
+publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
+
+_LEAP_ROWS: Final = 4
+
+
+def describe_leaps(xy_m: Values) -> str | None:
+    """Return a sentence on poses that alternate between two places; None if they do not.
+
+    The positions, shape (n, 2) [m], have the order of reception.
+    """
+    rows = len(xy_m) - _LEAP_ROWS
+    if rows < _LEAP_ROWS:
+        return None
+    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
+    least_m = np.full(rows, np.inf)
+    for later in range(2, _LEAP_ROWS + 1):
+        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
+    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
+    if leaps.mean() <= _LEAP_SHARE:
+        return None
+    size_m = float(np.median(far_m[leaps]))
+    return (
+        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
+        " programs seem to publish them, and no motion can be told"
+    )
+
+
 _LEAST_LEAP_M: Final = 0.01
 """Smallest leap of a driving robot [m]. Positions are rounded to a centimetre at most, and the
 noise of a filter is smaller."""
 
 _ROWS: Final = 4
 """Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
-
-_SHARE: Final = 0.2
-"""Smallest share of steps that leap if two programs publish, one as rarely as every fourth pose."""
 
 _OPPOSITE: Final = 0.9
 """Cosine of the angle between a leap and the reverse of the next leap (26 deg), from which they are
@@ -198,11 +230,7 @@ positions."""
 
 
 def describe_small_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses of two programs that are a few centimetres apart; else None.
-
-    Args:
-        xy_m: Positions in the order of reception [m], shape (n, 2).
-    """
+    """Return a sentence on poses of two programs that are a few centimetres apart; else None."""
     # Messages that were recorded twice add steps of 0.
     xy_m = xy_m[np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))]
     if len(xy_m) <= 4 * _ROWS:
@@ -213,7 +241,7 @@ def describe_small_leaps(xy_m: Values) -> str | None:
     size_m = np.hypot(*beyond_m.T)
     least_m = max(_LEAST_LEAP_M, 0.5 * float(np.quantile(size_m, 0.9)))
     leaps = np.flatnonzero(size_m > least_m)
-    if len(leaps) < max(_SHARE * len(size_m), 2):
+    if len(leaps) < max(_LEAP_SHARE * len(size_m), 2):
         return None
     unit = beyond_m[leaps] / size_m[leaps, np.newaxis]
     is_back = -(unit[1:] * unit[:-1]).sum(axis=1) >= _OPPOSITE

@@ -1,7 +1,8 @@
 """Analysis of a topic's stamps: whether they are usable, their clock, and its rate."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -130,6 +131,17 @@ def read_stamps(columns: TopicColumns) -> TimesNs | None:
             whole, part = (fields[name].astype(np.int64) for name in (seconds, rest))
             return np.asarray(whole * 1_000_000_000 + part)
     return None
+
+
+def join_stamps(found: Sequence[TopicColumns]) -> TimesNs | None:
+    """Return the stamps of a topic in all files, as `read_stamps` does."""
+    stamps = [of_file for one in found if (of_file := read_stamps(one)) is not None]
+    return join_arrays(stamps) if len(stamps) == len(found) else None
+
+
+def join_arrays(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays as one array. A single array is not copied."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def read_stamp_clock(stamps: Stamps) -> StampClock:

@@ -42,9 +42,9 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import replace_when_complete
+from turtlelog.log.file_access import name_write_error, replace_when_complete
+from turtlelog.log.message_encoding import ChannelRecords, Numbers, encode_records
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
-from turtlelog.log.writing.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
 from turtlelog.version import __version__
 
 LIBRARY: Final = f"turtlelog/{__version__}"
@@ -59,6 +59,9 @@ _MEDIA_TYPES: Final = {".toml": "application/toml"}
 _THREADS: Final = min(os.cpu_count() or 1, 4)
 _AHEAD: Final = 2 * _THREADS
 """Number of chunks that may wait to be written; each has 1 MiB unless one record is larger."""
+CHUNK_BYTES: Final = 2**20
+"""Largest chunk in a file that is written at once, without schemas and channels [bytes]."""
+
 _FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
 
 
@@ -99,15 +102,6 @@ def write_columns(
         raise name_write_error(path, err) from err
 
 
-def name_write_error(path: str | Path, err: Exception) -> LogError:
-    """Return a write error with the file's name."""
-    if isinstance(err, UnicodeEncodeError):
-        return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
-    # An error of an unwritable file names the file already.
-    text = str(err)
-    return LogError(text if text.startswith(f"{path}: ") else f"{path}: {text}")
-
-
 def _encode_topics(
     topics: Sequence[TopicColumns], definitions: Mapping[str, str]
 ) -> Iterator[ChannelRecords]:
@@ -121,6 +115,48 @@ def _encode_topics(
             yield encode_records(columns, schema, channel)
         except LogError as err:
             raise LogError(f"topic {columns.topic}: {err}") from err
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkRows:
+    """The messages of one chunk.
+
+    Attributes:
+        channels: Channels of the messages, with their schemas, if any.
+        records: Message records, one after the other.
+        index: By channel number: log time [ns] and offset in `records` of each message, shape (n,
+            2).
+        start_ns: Least log time [ns].
+        end_ns: Greatest log time [ns].
+    """
+
+    channels: Sequence[tuple[Schema | None, Channel]]
+    records: bytes | bytearray | memoryview
+    index: Mapping[int, NDArray[np.uint64]]
+    start_ns: int
+    end_ns: int
+
+
+def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
+    """Merge chunks into one chunk. A channel number must have the same meaning in all chunks."""
+    if len(chunks) == 1:
+        return chunks[0]
+    channels: dict[int, tuple[Schema | None, Channel]] = {}
+    index: dict[int, list[NDArray[np.uint64]]] = {}
+    size = 0
+    for chunk in chunks:
+        channels |= {channel.id: (schema, channel) for schema, channel in chunk.channels}
+        for number, entries in chunk.index.items():
+            moved = entries + np.array([0, size], np.uint64)
+            index.setdefault(number, []).append(moved)
+        size += len(chunk.records)
+    return ChunkRows(
+        channels=[*channels.values()],
+        records=b"".join(chunk.records for chunk in chunks),
+        index={number: np.concatenate(entries) for number, entries in index.items()},
+        start_ns=min(chunk.start_ns for chunk in chunks),
+        end_ns=max(chunk.end_ns for chunk in chunks),
+    )
 
 
 @dataclass(slots=True)
@@ -345,3 +381,69 @@ def _join_records(records: Sequence[McapRecord]) -> bytes:
 def _format_index(channel: int, entries: NDArray[np.uint64], front: int) -> bytes:
     moved = (entries + np.array([0, front], np.uint64)).astype("<u8").tobytes()
     return _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(moved), channel, len(moved)) + moved
+
+
+def cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
+    """Yield chunks of all records in order of log time; at equal times, channel by channel.
+
+    The records of each channel are in order of log time. A record larger than a chunk gets its own.
+    """
+    filled = [content for content in channels if len(content.sizes)]
+    if not filled:
+        return
+    times = np.concatenate([content.log_time_ns for content in filled])
+    sizes = np.concatenate([content.sizes for content in filled])
+    order = np.argsort(times, kind="stable")
+    ends, times = np.cumsum(sizes[order]), times[order]
+    starts = np.empty_like(ends)
+    starts[order] = ends - sizes[order]
+    borders = np.cumsum([len(content.sizes) for content in filled])[:-1]
+    placed = list(zip(filled, np.split(starts, borders), strict=True))
+    first, start = 0, 0
+    while first < len(ends):
+        after = int(np.searchsorted(ends, start + CHUNK_BYTES, side="right"))
+        last = max(after - 1, first)
+        end = int(ends[last])
+        yield _fill_chunk(placed, start, end, (int(times[first]), int(times[last])))
+        first, start = last + 1, end
+
+
+def _fill_chunk(
+    placed: Sequence[tuple[ChannelRecords, Numbers]],
+    start: int,
+    end: int,
+    times_ns: tuple[int, int],
+) -> ChunkRows:
+    """Return the records from `start` to `end` in the stream of channels with these starts."""
+    buffer = bytearray(end - start)
+    index, channels = {}, []
+    for content, starts in placed:
+        first, after = np.searchsorted(starts, (start, end)).tolist()
+        if first == after:
+            continue
+        places = starts[first:after] - start
+        _scatter(buffer, places, content, first, after)
+        entries = np.column_stack([content.log_time_ns[first:after], places])
+        index[content.channel.id] = entries.astype(np.uint64)
+        channels.append((content.schema, content.channel))
+    return ChunkRows(
+        channels=channels, records=buffer, index=index, start_ns=times_ns[0], end_ns=times_ns[1]
+    )
+
+
+def _scatter(
+    buffer: bytearray, places: Numbers, content: ChannelRecords, first: int, after: int
+) -> None:
+    """Copy rows [first, after) of a channel to their offsets."""
+    sizes = content.sizes[first:after]
+    begin = int(content.ends[first] - sizes[0])
+    data = content.data[begin : int(content.ends[after - 1])]
+    size = int(sizes[0])
+    if (sizes == size).all():
+        # A view makes a row start at every byte of the buffer, so all rows are copied in one step.
+        rows = len(buffer) - size + 1
+        view = np.ndarray((rows,), f"V{size}", buffer=buffer, strides=(1,))
+        view[places] = data.view(f"V{size}")
+        return
+    within = np.arange(len(data)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    np.frombuffer(buffer, np.uint8)[np.repeat(places, sizes) + within] = data

@@ -17,8 +17,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, Allowance
 from turtlelog.log.engine.parsing import RecordStretch, parse_body
-from turtlelog.log.writing.container import LIBRARY, McapFile
-from turtlelog.log.writing.records import ChunkRows, merge_chunks
+from turtlelog.log.mcap_writer import LIBRARY, ChunkRows, McapFile, merge_chunks
 
 _CHANNEL: Final = 9  # offset of the channel number in a message record, u16
 _MOST_FAULTS: Final = 100  # errors reported for one segment

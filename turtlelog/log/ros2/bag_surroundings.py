@@ -1,4 +1,4 @@
-"""Laser scans as points in the plane, and the map of a robot."""
+"""The surroundings of a robot in a bag: laser scans as points, maps and costmaps by cells."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,6 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.ros2.bag import Bag, open_bag
-from turtlelog.log.ros2.bag_maps import GRID, OccupancyMap, name_frame, pick_maps, place_map
 from turtlelog.log.ros2.bag_poses import read_tree
 from turtlelog.log.ros2.bag_topics import list_first_names
 from turtlelog.log.ros2.bag_transforms import (
@@ -21,9 +20,10 @@ from turtlelog.log.ros2.bag_transforms import (
     find_carrier,
     is_robot_frame,
     locate_frame,
+    name_frame,
 )
-from turtlelog.log.ros2.rigid_transforms import rotate
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
+from turtlelog.log.spatial_poses import place_points
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 
@@ -43,7 +43,7 @@ CELL_M: Final = 0.05
 """Cell size for thinning the points of all scans [m]; usual for maps."""
 
 MOST_CELLS: Final = 20_000
-"""Largest number of cells: walls of 1 km."""
+"""Largest number of cells of scans, and of cells of a map that determine a view: walls of 1 km."""
 
 _MOST_MESSAGES: Final = 20_000
 """Largest number of scans that are read: an hour at 5 Hz. More scans of 360 rays would take over
@@ -54,6 +54,57 @@ _LONGEST_RAY_M: Final = 10_000.0
 
 _LONGEST_GAP_NS: Final = 1_000_000_000
 """Longest gap between poses in which a scan can be placed [ns]."""
+
+GRID: Final = "nav_msgs/msg/OccupancyGrid"
+
+UNKNOWN: Final = 255
+"""Value of a cell with unknown occupancy; the message has -1."""
+
+_MOST_OCCUPANCY: Final = 100
+
+_MOST_GRID: Final = 16_000_000
+"""Largest number of cells of a map that is read: 200 m by 200 m with 0.05 m."""
+
+_LONGEST_SIDE: Final = 4096
+"""Largest number of cells along a picture's side; graphics cards of browsers draw no larger
+pictures."""
+
+_OCCUPIED: Final = 65
+"""Occupancy from which a cell is a wall [%], the default of ROS's map_server."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OccupancyMap:
+    """A map, in the frame of a robot's poses.
+
+    Attributes:
+        topic: Topic of the map.
+        is_costmap: Whether the values are costs of driving, not probabilities.
+        cells: Occupancy [%] or `UNKNOWN`, by row and column, shape (height, width).
+        corner_xy_m: Corner of the first cell [m], shape (2,).
+        column_xy_m: Vector from one column to the next [m], shape (2,).
+        row_xy_m: Vector from one row to the next [m], shape (2,).
+    """
+
+    topic: str
+    is_costmap: bool
+    cells: NDArray[np.uint8]
+    corner_xy_m: Values
+    column_xy_m: Values
+    row_xy_m: Values
+
+    @property
+    def is_occupied(self) -> NDArray[np.bool_]:
+        """Whether each cell is a wall, shape (height, width)."""
+        return np.asarray((self.cells >= _OCCUPIED) & (self.cells != UNKNOWN))
+
+    def list_occupied(self) -> Values:
+        """Return centers of occupied cells [m], shape (n, 2); of very many, an even selection."""
+        places = np.flatnonzero(self.is_occupied)
+        places = places[:: -(-max(len(places), 1) // MOST_CELLS)]
+        rows, columns = np.divmod(places, max(self.cells.shape[1], 1))
+        along = (columns + 0.5)[:, np.newaxis] * self.column_xy_m
+        return np.asarray(self.corner_xy_m + along + (rows + 0.5)[:, np.newaxis] * self.row_xy_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,7 +150,7 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
     bag = open_bag(path)
     start_ns = parse_utc(run.notes.get("original_timestamp", ""))
     home = run.notes.get("pose_topic", "").partition(" ")[0].rpartition("/")[0]
-    scan, grids = _pick_scan(bag.topics, home), pick_maps(bag.topics, home)
+    scan, grids = _pick_scan(bag.topics, home), _pick_maps(bag.topics, home)
     if start_ns is None or not (scan or grids):
         return None
     with name_file(bag.path, expected="a bag"):
@@ -107,7 +158,7 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
 
 
 def _pick_scan(topics: Collection[TopicInfo], home: str) -> TopicInfo | None:
-    """Return the topic of scans below the robot's name, or else the one with the most messages."""
+    """Return the topic of scans below the robot's name `home`, or else that with most messages."""
 
     def rank(topic: TopicInfo) -> tuple[bool, int, int]:
         return topic.topic.rpartition("/")[0] == home, topic.count, -len(topic.topic)
@@ -124,9 +175,13 @@ def _read(
     if scan is not None and scan.count > _MOST_MESSAGES:
         notes.append(f"{scan.topic} has {scan.count} scans, more than {_MOST_MESSAGES}: left out.")
     elif scan is not None:
-        times, points = _place_scans(_collect(bag, scan), run, start_ns, tree, notes)
+        times, points = _place_scans(
+            bag.read_topic(scan.topic, is_flat=False), run, start_ns, tree, notes
+        )
         notes += _name_others(bag.topics, SCAN, [scan])
-    placed = [place_map(_collect(bag, grid), run, tree, notes) for grid in grids]
+    placed = [
+        _place_map(bag.read_topic(grid.topic, is_flat=False), run, tree, notes) for grid in grids
+    ]
     notes += _name_others(bag.topics, GRID, grids)
     return Surroundings(
         time_ns=times,
@@ -144,14 +199,6 @@ def _name_others(
     if others:
         noun = "scans" if kind == SCAN else "maps"
         yield f"Other {noun} are left out: {list_first_names(others)}."
-
-
-def _collect(bag: Bag, topic: TopicInfo) -> list[TopicColumns]:
-    return [
-        file[topic.topic]
-        for file in bag.read({topic.topic}, is_flat=False)
-        if topic.topic in file and len(file[topic.topic])
-    ]
 
 
 def _place_scans(
@@ -221,10 +268,8 @@ def _to_robot(
     stamps_ns = read_stamps(columns)
     stamp_ns = None if stamps_ns is None else int(stamps_ns[row])
     at = locate_frame(tree, carrier, frame, columns.log_time_ns[row : row + 1], stamp_ns)
-    if at is None:
-        return np.asarray(points[:, :2])
-    place_m, turn = at
-    return np.asarray((place_m + rotate(np.tile(turn, (len(points), 1)), points))[:, :2])
+    points = points if at is None else place_points(*at, points)
+    return np.asarray(points[:, :2])
 
 
 def _to_world(points: Values, run: Run, time_ns: int) -> Values:
@@ -268,3 +313,88 @@ def _describe(
         if carrier is None and not is_robot_frame(frame):
             name = frame or "the scanner"
             yield f"No transform tells where {name} is on the robot: taken to be its middle."
+
+
+def _pick_maps(topics: Collection[TopicInfo], home: str) -> list[TopicInfo]:
+    """Return the topics of the map and of the global costmap below it, or of the only costmap."""
+
+    def rank(topic: TopicInfo) -> tuple[bool, bool, int, int]:
+        is_own = topic.topic.rpartition("/")[0] == home
+        return is_own, "global" in topic.topic, topic.count, -len(topic.topic)
+
+    grids = [topic for topic in topics if topic.type == GRID and topic.count]
+    costs = [topic for topic in grids if "costmap" in topic.topic]
+    maps = [topic for topic in grids if topic not in costs]
+    if maps:  # a local costmap moves with the robot: its last place says little of the drive
+        costs = [topic for topic in costs if "global" in topic.topic]
+    return [max(found, key=rank) for found in (maps, costs) if found]
+
+
+def _place_map(
+    messages: Sequence[TopicColumns], run: Run, tree: Tree, notes: list[str]
+) -> OccupancyMap | None:
+    """Return the last map of a topic in the frame of the poses; without a map, None and a note."""
+    columns, row = messages[-1], len(messages[-1]) - 1
+    fields, topic = columns.fields, columns.topic
+    width, height = int(fields["info.width"][row]), int(fields["info.height"][row])
+    size_m = float(fields["info.resolution"][row])
+    data = np.asarray(fields["data"][row])
+    if not (0.0 < size_m < np.inf) or width * height != len(data) or len(data) > _MOST_GRID:
+        notes.append(
+            f"The map of {topic} is left out: {width} x {height} cells of {size_m:g} m, and"
+            f" {describe_count(len(data), 'value')}."
+        )
+        return None
+    places = _place_corners(columns, row, size_m)
+    if places is None:
+        notes.append(f"The map of {topic} is left out: its origin has nan or infinity.")
+        return None
+    frame, home = name_frame(columns, row), run.notes.get("frame", "")
+    if frame and home and frame != home:
+        at = locate_frame(tree, home, frame, columns.log_time_ns[row : row + 1])
+        if at is None:
+            notes.append(f"The map of {topic} is left out: nothing joins {frame} and {home}.")
+            return None
+        places = place_points(*at, places)
+    cells, step = _read_cells(data.reshape(height, width))
+    corner, column, line = places[:, :2]
+    joined = "" if step == 1 else f", shown as cells of {step * size_m:g} m"
+    found = OccupancyMap(
+        topic=topic,
+        is_costmap="costmap" in topic,
+        cells=cells,
+        corner_xy_m=corner,
+        column_xy_m=(column - corner) * step,
+        row_xy_m=(line - corner) * step,
+    )
+    count = describe_count(int(found.is_occupied.sum()), "occupied cell")
+    notes.append(f"Map of {topic}: {width} x {height} cells of {size_m:g} m{joined}, {count}.")
+    return found
+
+
+def _place_corners(columns: TopicColumns, row: int, size_m: float) -> Values | None:
+    """Return the first cell's corner, and those one column and one row on [m], shape (3, 3)."""
+    origin, turn = (
+        np.array([[float(columns.fields[f"info.origin.{kind}.{axis}"][row]) for axis in axes]])
+        for kind, axes in (("position", "xyz"), ("orientation", "xyzw"))
+    )
+    if not (np.isfinite(origin).all() and np.isfinite(turn).all()):
+        return None
+    local = size_m * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    turn = turn if turn.any() else np.array([[0.0, 0.0, 0.0, 1.0]])
+    return place_points(origin, turn, local)
+
+
+def _read_cells(data: NDArray[np.generic]) -> tuple[NDArray[np.uint8], int]:
+    """Return the cells of a map, joined if there are too many, and the number of joined cells."""
+    signed = data.astype(np.int8)  # messages hold signed bytes; JSON has any numbers
+    known = np.where((signed < 0) | (signed > _MOST_OCCUPANCY), np.int8(-1), signed)
+    height, width = known.shape
+    step = max(-(-max(height, width) // _LONGEST_SIDE), 1)
+    if step > 1:
+        more = (-height % step, -width % step)
+        padded = np.pad(known, ((0, more[0]), (0, more[1])), constant_values=-1)
+        tall, wide = padded.shape
+        # The largest: a wall of one cell stays one, and what is known beside it stays known.
+        known = padded.reshape(tall // step, step, wide // step, step).max(axis=(1, 3))
+    return known.astype(np.uint8), step

@@ -1,7 +1,7 @@
-"""Encoding of topic columns as message records, and division into chunks by time."""
+"""Encoding of topic columns as message records, and of messages that differ only in numbers."""
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from struct import Struct
 from types import MappingProxyType
@@ -13,6 +13,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.cursor import CODES
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
@@ -23,35 +24,20 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     read_type,
 )
+from turtlelog.log.engine.parsing import HEADING_FIELDS
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.writing.alike_messages import AlikeLayout, PackedItems, lay_out_alike
 
-HEAD: Final = struct.Struct("<BQHIQQ4s")
+HEAD: Final = Struct("<BQHIQQ4s")
 """Front of a record: opcode, length, channel, sequence, log and publish time, encapsulation."""
 
-_HEAD: Final = np.dtype(
-    [
-        *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
-        *(("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "u1", (4,))),
-    ]
-)
+_HEAD: Final = np.dtype([*HEADING_FIELDS, ("encapsulation", "u1", (4,))])
 """The same bytes as a row of an array."""
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """Encapsulation of plain CDR, little-endian."""
 
-CODES: Final = MappingProxyType(
-    {"?": "?", "f4": "f", "f8": "d"}
-    | {"i1": "b", "i2": "h", "i4": "i", "i8": "q"}
-    | {"u1": "B", "u2": "H", "u4": "I", "u8": "Q"}
-)
-"""`struct` codes of little-endian numbers in fields."""
-
 _PACKERS: Final = MappingProxyType({kind: Struct(f"<{code}") for kind, code in CODES.items()})
 
-
-CHUNK_BYTES: Final = 2**20
-"""Largest chunk in a file that is written at once, without schemas and channels [bytes]."""
 
 Numbers = NDArray[np.int64]
 
@@ -66,6 +52,7 @@ class ChannelRecords:
         log_time_ns: Log time of each record [ns], shape (n,), not decreasing.
         data: The records one after the other, shape (bytes,).
         sizes: Size of each record [bytes], shape (n,).
+        ends: End of each record in `data` [bytes], shape (n,).
     """
 
     schema: Schema
@@ -73,48 +60,49 @@ class ChannelRecords:
     log_time_ns: Numbers
     data: NDArray[np.uint8]
     sizes: Numbers
+    ends: Numbers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChunkRows:
-    """The messages of one chunk.
+@dataclass(frozen=True, slots=True)
+class PackedItems:
+    """Items of a sequence, encoded one after another from a multiple of 8 bytes on."""
+
+    count: int
+    data: bytes
+
+
+class AlikeLayout:
+    """The offsets of fields in messages that differ only in numbers.
+
+    A type with texts or sequences has no fixed layout. If every text is the same in all messages
+    and every sequence has the same length, fields nevertheless have fixed offsets.
 
     Attributes:
-        channels: Channels of the messages, with their schemas, if any.
-        records: Message records, one after the other.
-        index: By channel number: log time [ns] and offset in `records` of each message, shape (n,
-            2).
-        start_ns: Least log time [ns].
-        end_ns: Greatest log time [ns].
+        size: Size of a message [bytes].
+        numbers: Name, type code, array length and offset [bytes] of each number.
+        constants: Bytes that are the same in all messages, with their offsets.
+        names: Names of all fields.
     """
 
-    channels: Sequence[tuple[Schema | None, Channel]]
-    records: bytes | bytearray | memoryview
-    index: Mapping[int, NDArray[np.uint64]]
-    start_ns: int
-    end_ns: int
+    def __init__(self) -> None:
+        self.size = 0
+        self.numbers: list[tuple[str, str, int | None, int]] = []
+        self.constants: list[tuple[bytes, int]] = []
+        self.names: list[str] = []
 
+    def fill(self, rows: int, columns: Mapping[str, Column]) -> NDArray[np.uint8]:
+        """Return the bytes of messages, shape (rows, size).
 
-def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
-    """Merge chunks into one chunk. A channel number must have the same meaning in all chunks."""
-    if len(chunks) == 1:
-        return chunks[0]
-    channels: dict[int, tuple[Schema | None, Channel]] = {}
-    index: dict[int, list[NDArray[np.uint64]]] = {}
-    size = 0
-    for chunk in chunks:
-        channels |= {channel.id: (schema, channel) for schema, channel in chunk.channels}
-        for number, entries in chunk.index.items():
-            moved = entries + np.array([0, size], np.uint64)
-            index.setdefault(number, []).append(moved)
-        size += len(chunk.records)
-    return ChunkRows(
-        channels=[*channels.values()],
-        records=b"".join(chunk.records for chunk in chunks),
-        index={number: np.concatenate(entries) for number, entries in index.items()},
-        start_ns=min(chunk.start_ns for chunk in chunks),
-        end_ns=max(chunk.end_ns for chunk in chunks),
-    )
+        Numbers by field name are little-endian and of the field's type. Missing fields are 0.
+        """
+        found = np.zeros((rows, self.size), dtype=np.uint8)
+        for data, place in self.constants:
+            found[:, place : place + len(data)] = np.frombuffer(data, dtype=np.uint8)
+        for name, *_, place in self.numbers:
+            if name in columns:
+                part = np.ascontiguousarray(columns[name]).view(np.uint8).reshape(rows, -1)
+                found[:, place : place + part.shape[1]] = part
+        return found
 
 
 def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> ChannelRecords:
@@ -158,7 +146,12 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
         records = _encode_fixed(layout, columns.fields, stamps, channel.id)
         data, sizes = records.view(np.uint8), np.full(len(columns), records.itemsize)
     return ChannelRecords(
-        schema=schema, channel=channel, log_time_ns=columns.log_time_ns, data=data, sizes=sizes
+        schema=schema,
+        channel=channel,
+        log_time_ns=columns.log_time_ns,
+        data=data,
+        sizes=sizes,
+        ends=np.cumsum(sizes),
     )
 
 
@@ -318,85 +311,85 @@ def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> 
         body += packer.pack(0 if value is None else value)
 
 
-def cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
-    """Yield chunks of all records in order of log time; at equal times, channel by channel.
+def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
+    """Return the layout of messages; None if the messages differ in more than numbers.
 
-    The records of each channel are in order of log time. A record larger than a chunk gets its own.
+    Columns have dotted field names. Those of items of a sequence of messages have an index, as in
+    `transforms.0.child_frame_id`.
     """
-    filled = [content for content in channels if len(content.sizes)]
-    if not filled:
-        return
-    times = np.concatenate([content.log_time_ns for content in filled])
-    sizes = np.concatenate([content.sizes for content in filled])
-    order = np.argsort(times, kind="stable")
-    ends, times = np.cumsum(sizes[order]), times[order]
-    starts = np.empty_like(ends)
-    starts[order] = ends - sizes[order]
-    placed = list(_split(filled, starts))
-    for first, last in _find_borders(ends):
-        start = int(ends[first - 1]) if first else 0
-        yield _fill_chunk(placed, start, int(ends[last]), (int(times[first]), int(times[last])))
+    layout = AlikeLayout()
+    try:
+        _place(layout, fields, "", columns)
+    except _UnlikeError:
+        return None
+    return layout
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Placed:
-    """The records of a channel, with their offsets in the stream of all channels [bytes]."""
-
-    content: ChannelRecords
-    starts: Numbers
-    ends_in_data: Numbers
+class _UnlikeError(Exception):
+    """Messages that differ in more than numbers."""
 
 
-def _split(channels: Sequence[ChannelRecords], starts: Numbers) -> Iterator[_Placed]:
-    first = 0
-    for content in channels:
-        sizes = content.sizes
-        own = starts[first : first + len(sizes)]
-        yield _Placed(content=content, starts=own, ends_in_data=np.cumsum(sizes))
-        first += len(sizes)
+def _place(
+    layout: AlikeLayout, fields: tuple[Field, ...], prefix: str, columns: Mapping[str, Column]
+) -> None:
+    for one in fields:
+        name = prefix + one.name
+        layout.names.append(name)
+        if one.is_sequence:
+            _place_items(layout, one, name, columns)
+        elif one.kind == TEXT:
+            if one.length is not None:
+                raise _UnlikeError
+            _place_text(layout, _find_text(columns.get(name)))
+        elif isinstance(one.kind, str):
+            _require_numbers(columns.get(name), one.length)
+            size = np.dtype(one.kind).itemsize
+            layout.size += -layout.size % size
+            layout.numbers.append((name, one.kind, one.length, layout.size))
+            layout.size += size * (1 if one.length is None else one.length)
+        else:
+            for part in name_parts(one):
+                _place(layout, one.kind, f"{prefix}{part}.", columns)
+    if not fields:  # ROS gives a type without fields one byte
+        layout.size += 1
 
 
-def _find_borders(ends: Numbers) -> Iterator[tuple[int, int]]:
-    """Yield the first row of every chunk, and the row after its last."""
-    first, start = 0, 0
-    while first < len(ends):
-        after = int(np.searchsorted(ends, start + CHUNK_BYTES, side="right"))
-        last = max(after - 1, first)
-        yield first, last
-        first, start = last + 1, int(ends[last])
+def _require_numbers(column: Column | None, length: int | None) -> None:
+    # Objects are checked one by one where they are encoded.
+    shape = () if length is None else (length,)
+    if column is not None and (column.dtype == object or column.shape[1:] != shape):
+        raise _UnlikeError
 
 
-def _fill_chunk(
-    placed: Sequence[_Placed], start: int, end: int, times_ns: tuple[int, int]
-) -> ChunkRows:
-    buffer = bytearray(end - start)
-    index, channels = {}, []
-    for channel in placed:
-        first, after = np.searchsorted(channel.starts, (start, end)).tolist()
-        if first == after:
-            continue
-        places = channel.starts[first:after] - start
-        _scatter(buffer, places, channel, first, after)
-        content = channel.content
-        times = content.log_time_ns[first:after]
-        index[content.channel.id] = np.column_stack([times, places]).astype(np.uint64)
-        channels.append((content.schema, content.channel))
-    return ChunkRows(
-        channels=channels, records=buffer, index=index, start_ns=times_ns[0], end_ns=times_ns[1]
-    )
+def _place_items(layout: AlikeLayout, one: Field, name: str, columns: Mapping[str, Column]) -> None:
+    start = f"{name}."
+    numbers = {key.removeprefix(start).split(".")[0] for key in columns if key.startswith(start)}
+    is_listed = numbers == {str(number) for number in range(len(numbers))}
+    if name in columns or (isinstance(one.kind, str) and numbers) or not is_listed:
+        raise _UnlikeError
+    _place_constant(layout, len(numbers).to_bytes(4, "little"))
+    for number in range(len(numbers)):
+        assert not isinstance(one.kind, str)
+        _place(layout, one.kind, f"{start}{number}.", columns)
 
 
-def _scatter(buffer: bytearray, places: Numbers, channel: _Placed, first: int, after: int) -> None:
-    """Copy rows [first, after) of a channel to their offsets."""
-    sizes = channel.content.sizes[first:after]
-    begin = int(channel.ends_in_data[first] - sizes[0])
-    data = channel.content.data[begin : int(channel.ends_in_data[after - 1])]
-    size = int(sizes[0])
-    if (sizes == size).all():
-        # A view makes a row start at every byte of the buffer, so all rows are copied in one step.
-        rows = len(buffer) - size + 1
-        view = np.ndarray((rows,), f"V{size}", buffer=buffer, strides=(1,))
-        view[places] = data.view(f"V{size}")
-        return
-    within = np.arange(len(data)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    np.frombuffer(buffer, np.uint8)[np.repeat(places, sizes) + within] = data
+def _find_text(column: Column | None) -> str:
+    if column is None or not len(column):
+        return ""
+    text: Any = column[0]
+    if not isinstance(text, str) or any(other != text for other in column):
+        raise _UnlikeError
+    return text
+
+
+def _place_text(layout: AlikeLayout, text: str) -> None:
+    data = text.encode() + b"\x00"
+    _place_constant(layout, len(data).to_bytes(4, "little"))
+    layout.constants.append((data, layout.size))
+    layout.size += len(data)
+
+
+def _place_constant(layout: AlikeLayout, data: bytes) -> None:
+    layout.size += -layout.size % len(data)
+    layout.constants.append((data, layout.size))
+    layout.size += len(data)

@@ -1,1 +1,0 @@
-"""Encoding of messages, and writing of chunks, containers and other formats."""
