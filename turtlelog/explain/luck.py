@@ -18,16 +18,16 @@ from turtlelog.errors import ExplainError
 from turtlelog.explain.attribute import attribute_run
 from turtlelog.explain.attribution import Attribution, choose_metric
 from turtlelog.explain.causes import simulate_without
-from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
-from turtlelog.explain.scenario_from_log.identification import Identification
-from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
-from turtlelog.explain.starts import (
+from turtlelog.explain.contributions import (
     find_steady_span,
     ranges_over,
     spread_starts,
     subtract_values,
     turn_start,
 )
+from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
+from turtlelog.explain.scenario_from_log.identification import Identification
+from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.run import Run
 from turtlelog.scenario import resolve_scenario
 from turtlelog.simulate import simulate_run

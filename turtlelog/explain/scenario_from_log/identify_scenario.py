@@ -11,17 +11,6 @@ import numpy as np
 from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
-from turtlelog.explain.scenario_from_log.hypothesis import (
-    AROUND,
-    LONGEST_S,
-    check_recorded_scenario,
-    describe_dead_time,
-    describe_stop_rule,
-    find_lag_slack,
-    identify_other_law,
-    reject_lag,
-    require_noise,
-)
 from turtlelog.explain.scenario_from_log.identification import (
     DEAD_TIME,
     LAW_KEYS,
@@ -39,29 +28,38 @@ from turtlelog.explain.scenario_from_log.identification import (
 )
 from turtlelog.explain.scenario_from_log.law_identification import (
     PHASES,
-    identify_rotation,
-    identify_translation,
-)
-from turtlelog.explain.scenario_from_log.loop_findings import (
-    describe_goal,
-    describe_loop,
-    describe_pause,
-    describe_start,
-    read_start,
-)
-from turtlelog.explain.scenario_from_log.loop_guesses import read_hints
-from turtlelog.explain.scenario_from_log.resimulation import (
-    Resimulation,
-    compare_samples,
-    cut_where_logged,
-)
-from turtlelog.explain.scenario_from_log.setting_search import Fits, search_loop
-from turtlelog.explain.scenario_from_log.stop_reason import (
     RULE_KEYS,
     Ending,
     find_pause,
     find_stop_rule,
+    identify_rotation,
+    identify_translation,
 )
+from turtlelog.explain.scenario_from_log.loop_settings import (
+    describe_goal,
+    describe_loop,
+    describe_pause,
+    describe_start,
+    read_hints,
+    read_start,
+)
+from turtlelog.explain.scenario_from_log.other_law import (
+    AROUND,
+    describe_dead_time,
+    describe_stop_rule,
+    find_lag_slack,
+    identify_other_law,
+    reject_lag,
+    require_noise,
+)
+from turtlelog.explain.scenario_from_log.resimulation import (
+    LONGEST_S,
+    Resimulation,
+    check_recorded_scenario,
+    compare_samples,
+    cut_where_logged,
+)
+from turtlelog.explain.scenario_from_log.setting_search import Fits, search_loop
 from turtlelog.explain.scenario_from_log.trace import (
     Trace,
     describe_trace_breaks,

@@ -19,9 +19,10 @@ from turtlelog.explain.scenario_from_log.driven_plant import (
     join_starts,
     keep_in_world,
 )
-from turtlelog.explain.scenario_from_log.loop_guesses import (
+from turtlelog.explain.scenario_from_log.loop_settings import (
     DEPTHS,
     PAUSE_KEY,
+    START_KEYS,
     Guess,
     Hints,
     agrees_with_clock,
@@ -62,7 +63,6 @@ _SPARE_S: Final = 3.0
 
 _USUAL_S: Final = Scenario().max_duration_s
 
-START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
 Settings = Mapping[str, Any]
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from turtlelog.display import join_words
 from turtlelog.explain.attribute import divide_game
 from turtlelog.explain.attribution import SAME, Attribution, Contribution, Resolution
+from turtlelog.explain.contributions import ORDERS, sample_game
+from turtlelog.explain.explained_difference import ROBOT, Change, ExplainedDifference, Side
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
-from turtlelog.explain.shapley import ORDERS, sample_game
-from turtlelog.explain.two_runs.explained_difference import ROBOT, Change, ExplainedDifference, Side
-from turtlelog.explain.two_runs.robot_parts import (
+from turtlelog.explain.robot_parts import (
     COMMANDS,
     MOTIONS,
     NOISE,

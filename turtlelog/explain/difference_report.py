@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 from turtlelog.display import describe_count, format_pair, join_words
 from turtlelog.explain.answer_words import NAMED, write_joint
 from turtlelog.explain.attribution import SAME, is_clear
-from turtlelog.explain.two_runs.explained_difference import ROBOT, SEED
-from turtlelog.explain.two_runs.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
+from turtlelog.explain.explained_difference import ROBOT, SEED
+from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
 if TYPE_CHECKING:
     from turtlelog.explain.attribution import ValueSet
-    from turtlelog.explain.two_runs.explained_difference import (
+    from turtlelog.explain.explained_difference import (
         Change,
         EffectShift,
         ExplainedDifference,

@@ -16,34 +16,34 @@ from turtlelog.explain.attribution import (
     choose_metric,
     find_resolution,
 )
-from turtlelog.explain.causes import draws_random
-from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
-from turtlelog.explain.scenario_from_log.hypothesis import (
-    LONGEST_S,
-    check_recorded_scenario,
-    require_trust,
-)
-from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
-from turtlelog.explain.scenario_from_log.resimulation import find_departure
-from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
-from turtlelog.explain.shapley import ORDERS, sample_game
-from turtlelog.explain.starts import (
+from turtlelog.explain.causes import draws_random, find_changes, set_values
+from turtlelog.explain.contributions import (
+    ORDERS,
     find_steady_span,
     ranges_over,
+    sample_game,
     spread_starts,
     subtract_values,
     turn_start,
 )
-from turtlelog.explain.two_runs.explained_difference import (
+from turtlelog.explain.explained_difference import (
     SEED,
     Change,
     DifferenceRange,
     EffectShift,
     ExplainedDifference,
     Side,
+    find_departure,
 )
-from turtlelog.explain.two_runs.robot_difference import explain_robots, is_robot_log
-from turtlelog.explain.two_runs.run_changes import ChangeGame, find_changes, set_values
+from turtlelog.explain.game import SEEDS, ChangeGame, Play, Work, iterate_outcomes
+from turtlelog.explain.robot_difference import explain_robots, is_robot_log
+from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
+from turtlelog.explain.scenario_from_log.resimulation import (
+    LONGEST_S,
+    check_recorded_scenario,
+    require_trust,
+)
+from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
 from turtlelog.measure import Metric, describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run, require_run
