@@ -208,14 +208,11 @@ _NAMES: Final[Mapping[str, str]] = {
 def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
     """Return the groups of settings in which two scenarios differ, by name, in the file's order.
 
-    Both gains form one group if each scenario has one value for both. The keys of an effect form
-    one group, as do goal, start and path each. If the kinds of law differ, the law with all of its
-    keys is one group; the same applies to the plant. A path that only one of the laws has belongs
-    to the law.
-
-    Args:
-        first: Scenario with the neutral values; None for a key that the scenario does not have.
-        second: Other scenario. The laws of both are already loaded.
+    Neutral values are those of `first`, None for a key that it does not have. Both gains form one
+    group if each scenario has one value for both. The keys of an effect form one group, as do goal,
+    start and path each. If the kinds of law differ, the law with all of its keys is one group; the
+    same applies to the plant. A path that only one of the laws has belongs to the law. Both laws
+    are loaded.
     """
     before, after = flatten_scenario(first), flatten_scenario(second)
     keys = [

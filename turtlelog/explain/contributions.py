@@ -38,9 +38,9 @@ Worth = Mapping[Coalition, float]
 def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, float]:
     """Return the contribution of each cause.
 
-    The `math.fsum` of the contributions is the float `worth` of all causes minus the `worth` of
-    none, to the last bit. If contributions cancel, the sum may differ by at most one float step of
-    the smallest contribution.
+    The `math.fsum` of the contributions is the float `worth` of all causes minus that of none, to
+    the last bit. If contributions cancel, it may differ by a float step of the smallest
+    contribution.
     """
     exact = [_compute_share(worth, cause, causes) for cause in causes]
     total = worth[frozenset(causes)] - worth[frozenset()]
@@ -79,8 +79,8 @@ def _compute_share(worth: Worth, cause: str, causes: Sequence[str]) -> Fraction:
 def _round_contributions(exact: list[Fraction], total: float) -> list[float]:
     """Return the contributions as floats whose exact sum rounds to the total.
 
-    The smallest nonzero contribution absorbs the rounding of the others, because its float steps
-    are finest. In a tie between two floats, the next smallest contribution absorbs the rounding.
+    The smallest nonzero contribution, whose float steps are finest, absorbs the rounding of the
+    others; in a tie between two floats, the next smallest does.
     """
     rounded = [float(one) for one in exact]
     rows = sorted((row for row, one in enumerate(rounded) if one), key=lambda r: abs(exact[r]))
@@ -176,15 +176,7 @@ def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArra
     """Return angles of equally spaced starts, relative to the scenario's start [rad], shape (n,).
 
     The angles span the largest turn from one sample to the next, with the scenario's own start in
-    the middle.
-
-    Args:
-        scenario: Scenario with all causes.
-        built: Run of the scenario.
-        count: Number of starts, an odd number.
-
-    Returns:
-        The angles; empty if the robot does not turn.
+    the middle; `count` is odd. Empty if the robot does not turn in `built`, the scenario's run.
     """
     turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max(initial=0.0))
     within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
@@ -198,12 +190,9 @@ def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
 
 
 def find_steady_span(values: Sequence[float | None], added: float, resolution: float) -> float:
-    """Return the largest range of values that counts as steady.
+    """Return the largest range of values from each start that counts as steady.
 
-    Args:
-        values: Values from each start.
-        added: Total of the causes from the scenario's own start.
-        resolution: Largest change that is negligible.
+    `added` is the total of the causes from the scenario's own start, and `resolution` negligible.
     """
     if abs(added) > resolution:
         return _WIDE * abs(added)
@@ -236,12 +225,8 @@ def vary_start(
 ) -> StartRange | None:
     """Return the range of the value over starts within one sample's turn; None without a turn.
 
-    Args:
-        scenario: Scenario with all causes.
-        metric: Id of a metric that has a value.
-        added: Total of the causes.
-        resolution: Largest change that is negligible.
-        acting: Causes that change the value.
+    The metric has a value, to which the `acting` causes contribute `added` in total. A change
+    within `resolution` is negligible.
     """
     built = simulate_run(scenario)
     offsets_rad = spread_starts(scenario, built).tolist()
@@ -272,7 +257,8 @@ def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple
     """Return the lowest and highest part of each cause; empty unless all parts are positive."""
     parts = []
     for game in games:
-        found = {inside: game.play(inside, causes).value for inside in list_coalitions(causes)}
+        every = {*causes}
+        found = {one: game.take_out(every - one).value for one in list_coalitions(causes)}
         worth = {inside: value for inside, value in found.items() if value is not None}
         if len(worth) < len(found):
             return ()
@@ -299,8 +285,7 @@ _CENTRAL: Final = (0.025, 0.975)
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
     """Return the attribution with its contributions, or the reason for their absence.
 
-    A seed is used only if every combination has a value with this seed, because combinations are
-    compared by seed.
+    A seed is used only if every combination has a value with it: combinations are compared by seed.
     """
     names = found.causes
     coalitions = list_coalitions(names)

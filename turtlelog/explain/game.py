@@ -127,10 +127,6 @@ class Game(ABC):
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
         """Yield the outcome of each simulation."""
 
-    def play(self, inside: Coalition, causes: Sequence[str]) -> Outcome:
-        """Return the outcome with only these acting causes."""
-        return self.take_out(name for name in causes if name not in inside)
-
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these causes; for a random game, the majority over seeds."""
         found = self.take_out_each(names)
@@ -228,13 +224,7 @@ class ScenarioGame(Game):
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """A scenario to simulate.
-
-    Attributes:
-        scenario: Scenario without the removed causes.
-        is_finer: Whether the clock is finer.
-        may_fail: Whether a failing law only leaves no value; otherwise a failure ends the work.
-    """
+    """A scenario to simulate, perhaps on a finer clock. A failing law may only leave no value."""
 
     scenario: Scenario
     is_finer: bool
@@ -272,20 +262,16 @@ def _simulate_each(metric: str, plays: Sequence[Play]) -> Iterator[Outcome]:
     """Yield the outcome of each simulation, with one run at a time in memory."""
     runs = simulate_many([play.scenario for play in plays if not play.is_finer], threads=1)
     for play in plays:
-        run = _simulate_finer(play.scenario) if play.is_finer else next(runs)
+        try:
+            run = simulate_finer(play.scenario) if play.is_finer else next(runs)
+        except SimulationError as err:
+            run = err
         if isinstance(run, Run):
             yield _measure(metric, run, is_finer=play.is_finer)
         elif play.may_fail:
             yield Outcome(value=None, reason=str(run), ended=())
         else:
             raise run
-
-
-def _simulate_finer(scenario: Scenario) -> Run | SimulationError:
-    try:
-        return simulate_finer(scenario)
-    except SimulationError as err:
-        return err
 
 
 def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:

@@ -125,15 +125,15 @@ def measure_luck(
         ScenarioError: If the recorded law is neither built in nor trusted, or does not exist.
     """
     work = work or Work()
+    identified = identified or identify_run(run, trust_law=trust_law)
     if found is None:
         metric = metric or choose_metric(run.declaration)
-        identified = identified or identify_run(run, trust_law=trust_law)
         if identified.scenario is None:
-            raise ExplainError(f"no scenario stands for it: {_find_reason(identified)}")
+            reason = next(iter(identified.notes), "too little is known").rstrip(".")
+            raise ExplainError(f"no scenario stands for it: {reason}")
         found = attribute_run(
             run, metric=metric, identified=identified, trust_law=trust_law, work=work
         )
-    identified = identified or identify_run(run, trust_law=trust_law)
     if found.withheld and not found.without_value:
         raise ExplainError(found.withheld)
     scenario = resolve_scenario(identified.build_scenario())
@@ -160,10 +160,6 @@ def measure_luck(
         goal_xy_m=run.goal_xy_m,
         dependence=_judge(curves, found),
     )
-
-
-def _find_reason(identified: Identification) -> str:
-    return next(iter(identified.notes), "too little is known").rstrip(".")
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,7 +65,6 @@ _ROUNDING: Final = 1e-12
 _NAMES: Final = ("the first run", "the second run")
 """Names of runs that have equal names."""
 
-
 _NO_SAMPLES: Final = (
     "without controller samples no scenario is known (turtlelog identify shows how a robot follows"
     " its commands)"
@@ -260,12 +259,7 @@ def choose_common_metric(first: Run, second: Run) -> str:
 
 
 def _require_common_metric(first: Run, second: Run, metric: str) -> None:
-    """Require a metric that both runs have.
-
-    Raises:
-        ExplainError: If a run does not have the metric (the message contains the nearest names), or
-            if the units differ.
-    """
+    """Require a metric that both runs have, in the same unit."""
     for run in (first, second):
         known = list_metrics(run.declaration)
         if metric not in known:

@@ -170,7 +170,6 @@ DEFAULT_TOLERANCE: Final = 0.001
 """Default tolerance of heading [rad] and position [m], if the log does not show it."""
 
 _LAST_TWO: Final = "the errors at the end and before it"
-_NOISY: Final = "noise; from the last errors and commands"
 
 _SURE: Final = 4.0
 """Standard deviations by which a bound from one noisy error is widened, so that it always holds
@@ -217,7 +216,8 @@ def _bound_by_noise(
     """Return bounds from noisy errors, widened by the noise."""
     low = max(low - _SURE * noise, 0.0)
     high += _SURE * (noise if high_noise is None else high_noise)
-    return miss(f"{_NOISY}: {_name_bounds(low, high, unit)}", _choose(low, high), (low, high))
+    seen = f"noise; from the last errors and commands: {_name_bounds(low, high, unit)}"
+    return miss(seen, _choose(low, high), (low, high))
 
 
 def _bound_between(low: float, high: float, evidence: str, unit: str) -> Finding:
@@ -250,7 +250,7 @@ _LEADING: Final = "1528346790"
 def find_round_number(low: float, high: float) -> float:
     """Return the roundest number in [low, high), 0 < high: fewest digits, then common digits."""
     if low <= 0.0:
-        return _find_power_below(high)
+        return float(f"1e{int(np.ceil(np.log10(high))) - 1}")  # the power of ten below it
     for digits in range(1, DIGITS + 1):
         exponent = int(np.floor(np.log10(high))) - digits + 1
         found = [
@@ -272,11 +272,6 @@ def _list_multiples(low: float, high: float, place: int) -> list[float]:
 def _rank(number: float) -> tuple[int, int]:
     digits = f"{number:.16e}".split("e")[0].rstrip("0").replace(".", "")
     return len(digits), _LEADING.index(digits[0])
-
-
-def _find_power_below(high: float) -> float:
-    exponent = int(np.ceil(np.log10(high))) - 1
-    return float(f"1e{exponent}")
 
 
 _USUAL: Final = SequentialPParameters()
@@ -303,12 +298,7 @@ _PAUSE_KEYS: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ending:
-    """The law's rule that ended a run.
-
-    Attributes:
-        reason: Finding `stop_reason`.
-        rules: Findings of rules with unusual values, by key of the scenario.
-    """
+    """The rule that ended a run (`stop_reason`), and rules with unusual values, by key."""
 
     reason: Finding
     rules: dict[str, Finding]
@@ -316,17 +306,13 @@ class Ending:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Rule:
-    """A rule over the log's last samples.
+    """A rule over the log's last samples, with the key and the default of its duration.
 
     Attributes:
-        name: Name of the rule in the law.
-        key: Key of the parameter that sets its duration.
-        usual: Default value of the parameter.
-        now: Time for which the condition has been true at the last sample.
-        before: Time for which it had been true at the sample before.
+        now: Time for which the condition has been true at the last sample; `before`, at the sample
+            before it.
         longest: Longest earlier time for which the condition was true without ending the run.
         slack: Uncertainty of these durations.
-        evidence: Evidence in words.
     """
 
     name: str
@@ -348,11 +334,7 @@ class _Rule:
 
 
 def find_pause(hints: Hints) -> dict[str, Finding]:
-    """Return how long the controller was silent after rotating.
-
-    The robot's motion in this time and the number of poses answered afterwards come from a
-    simulation; see `describe_pause`.
-    """
+    """Return how long the controller was silent after rotating; `describe_pause` adds the rest."""
     if hints.pause_s is None:
         return dict.fromkeys(_PAUSE_KEYS, miss("the log does not show the end of a rotation"))
     reason = "no setting reproduces every sample"
@@ -367,12 +349,8 @@ def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Endi
     """Return the name of the law's rule that the last sample meets, or `cut`.
 
     A rule that would have ended the run earlier does not have its default value, and the log bounds
-    it.
-
-    Args:
-        trace: Samples of the run.
-        is_certain: Whether the commands follow the logged poses bit for bit.
-        is_finished: Whether the log shows that the controller finished.
+    it. `is_certain`: the commands follow the logged poses bit for bit. `is_finished`: the log shows
+    that the controller finished.
     """
     speed = trace.speed_m_s[trace.rotating :]
     if not len(speed):

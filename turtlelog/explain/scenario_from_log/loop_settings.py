@@ -48,6 +48,7 @@ _PAUSE_SLACK_TICKS: Final = 2.5
 _JITTER_TICKS: Final = 0.75
 """Largest difference of a pause from the clock's pause without contradiction: a callback waits for
 less than a tick, and the paper's clocks are wrong by a tenth of a tick."""
+
 _QUICK: Final = 0.5
 """Share of the usual time between answers below which answers belong to a burst."""
 
@@ -61,7 +62,7 @@ class Hints:
     Attributes:
         backlogs: Initial queues that agree with the stamps and numbers.
         pauses: Pauses that agree with the stamps [ticks]; empty if the law's own pause is unknown.
-        pause_s: Silence after the rotation, by the clock [s]; None if the rotation does not end.
+        pause_s: Silence after the rotation, by the clock; None if the rotation does not end.
         burst: Number of poses answered at once after the pause.
         pose_queue: Depth of the pose queue if poses were lost; otherwise None.
     """
@@ -149,9 +150,8 @@ def list_queues(
 ) -> list[list[Guess]]:
     """Return the settings of initial queue and queues that agree with the dead times, in tiers.
 
-    The first tier has the usual queue depths. The second has depths that could cause a dead time or
-    a burst, the third all other depths of the command queue. In each tier, settings without a
-    transport delay come first.
+    First the usual queue depths, then depths that could cause a dead time or a burst, then all
+    other depths of the command queue. In each tier, settings without a transport delay come first.
     """
     before = rotate.ticks if isinstance(rotate, DeadTime) else None
     after = translate.ticks if isinstance(translate, DeadTime) else None
@@ -255,12 +255,8 @@ _PERIOD: Final = "the usual distance of the poses answered"
 def describe_loop(trace: Trace, fits: "Fits", lag_slack: int = 0) -> dict[str, Finding]:
     """Return findings on the settings between controller and plant, and on lost commands.
 
-    If no setting is exact and the residual is not noise, the best fit is not a finding.
-
-    Args:
-        trace: Samples of the run.
-        fits: Settings that fit.
-        lag_slack: Number of ticks of the dead times that may be a time constant of the robot.
+    If no setting is exact and the residual is not noise, the best fit is not a finding. `lag_slack`
+    is the number of ticks of the dead times that may be a time constant of the robot.
     """
     keys = [key for key in LOOP_KEYS if key in fits.guesses[0]]
     poses = np.column_stack([trace.xy_m, trace.heading_rad])
@@ -315,11 +311,8 @@ def _describe_queues(fits: "Fits") -> dict[str, Finding]:
         return dict.fromkeys(_HELD_AND_BURST, miss("the re-simulation has no pause"))
     found = {"pause.burst": _settle(bursts, "poses answered at once after it")}
     reason = "the queue is not empty before the pause ends: no command is held"
-    found["pause.held_turn_rate_rad_s"] = (
-        miss(reason)
-        if None in held
-        else _settle(held, "the last command before the rotation's end")
-    )
+    last = "the last command before the rotation's end"
+    found["pause.held_turn_rate_rad_s"] = miss(reason) if None in held else _settle(held, last)
     return found
 
 
@@ -401,10 +394,9 @@ def _describe_lost(fits: "Fits") -> Finding:
         never = "no setting reproduces every sample"
         return miss("only a re-simulation shows" if fits.is_driven else never)
     likeliest, *others = list_lost_commands(fits.scenarios)
-    counts = sorted({likeliest, *others})
-    if len(counts) > 1:
+    if counts := {*others} - {likeliest}:
         because = "the settings that fit lose different numbers"
-        return leave_open(tuple(counts), because, likeliest)
+        return leave_open(sorted({likeliest, *counts}), because, likeliest)
     return find_exactly(likeliest, "the re-simulation's plant never takes them")
 
 
@@ -413,7 +405,8 @@ _GOAL_KEYS: Final = ("goal.x_m", "goal.y_m")
 
 def read_start(trace: Trace) -> dict[str, Any]:
     """Return the initial settings to simulate with, by key of the scenario: the first pose read."""
-    precision = "float32" if _is_single(trace) else "float64"
+    values = np.column_stack([trace.run.poses.xy_m, trace.run.poses.heading_rad])
+    precision = "float32" if (values == values.astype(np.float32)).all() else "float64"
     first = (*trace.xy_m[0].tolist(), float(trace.heading_rad[0]))
     return {**dict(zip(START_KEYS, first, strict=True)), "loop.pose_precision": precision}
 
@@ -443,13 +436,9 @@ def _describe_pose(fits: "Fits", read: dict[str, Any]) -> dict[str, Finding]:
     if fits.is_exact and fits.bounds is None:
         return {key: find_exactly(value, "first pose read") for key, value in read.items()}
     if fits.bounds is not None:
+        evidence = "between the steps of logged poses; all poses agree with it"
         bounds = zip(read, fits.bounds.middle, fits.bounds.low, fits.bounds.high, strict=True)
-        return {
-            key: bound_value(
-                value, "between the steps of logged poses; all poses agree with it", (low, high)
-            )
-            for key, value, low, high in bounds
-        }
+        return {key: bound_value(value, evidence, (low, high)) for key, value, low, high in bounds}
     if fits.drive is None or not fits.is_fitted:
         reason = "no setting explains the motion; taken from the first pose read"
         return {key: miss(reason, value) for key, value in read.items()}
@@ -469,12 +458,4 @@ def _describe_precision(fits: "Fits", precision: str) -> Finding:
     evidence = "every pose is a 32-bit float"
     if precision == "float64":
         evidence = "poses have more than 32 bits"
-    if fits.is_exact:
-        return find_exactly(precision, evidence)
-    return fit_value(precision, evidence)
-
-
-def _is_single(trace: Trace) -> bool:
-    poses = trace.run.poses
-    values = np.column_stack([poses.xy_m, poses.heading_rad])
-    return bool((values == values.astype(np.float32)).all())
+    return (find_exactly if fits.is_exact else fit_value)(precision, evidence)

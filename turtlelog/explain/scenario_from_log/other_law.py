@@ -64,13 +64,7 @@ _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is e
 
 
 def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
-    """Return facts about the loop around a law whose parameters cannot be identified.
-
-    Args:
-        run: Run with samples.
-        reason: Reason why the parameters cannot be identified, in one clause.
-        trust_law: Whether the recorded law may run.
-    """
+    """Return facts about the loop around a law whose parameters, for a reason, are unknown."""
     kind = str(run.parameters.get("law.kind", ""))
     trace = mark_breaks(trace_run(run))
     motion = space_out(trace)

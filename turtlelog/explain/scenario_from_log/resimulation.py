@@ -65,10 +65,9 @@ class Depths:
 
 
 class QueueGauge:
-    """Gauge of the queue depths that lose no pose or command; deeper queues give the same run.
+    """Gauge of the queue depths that lose nothing; deeper queues give the same run.
 
-    The depths follow from the times at which poses are answered and commands published. A constant
-    delay does not change them.
+    The depths follow from the times of answers and commands; a constant delay does not change them.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -141,9 +140,9 @@ def count_equal(
 ) -> tuple[int, Depths]:
     """Return how many samples, from the first, a simulation reproduces bit for bit.
 
-    If all samples are reproduced and the simulation continues, the number is one more.
-    `to_rounding` allows differences of 1e-6 for poses and 1e-9 for commands, as between platforms.
-    The second value is the smallest queue depths with the same result.
+    The number is one more if all are reproduced and the simulation continues. `to_rounding` allows
+    differences of 1e-6 for poses and 1e-9 for commands, as between platforms. The second value is
+    the smallest queue depths with the same result.
     """
     width = len(rows[-1] or ())
     equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)
@@ -239,15 +238,16 @@ def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
 
 
 def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
-    """Return, for each scenario, the number of published commands that the plant never takes.
+    """Return how many published commands the plant never takes, for each scenario.
 
-    Commands on their way at the end of the run are not counted. Scenarios that differ only in
-    queues of sufficient depth are simulated once.
+    Commands on their way at the end do not count. Scenarios that differ only in queues of
+    sufficient depth are simulated once.
     """
     known: list[tuple[Scenario, Depths, int]] = []
     counts = []
     for scenario in scenarios:
-        alike, depths = _set_depths(scenario, 1), read_depths(scenario)
+        shallow = replace(scenario.loop, command_queue=1, pose_queue=1)
+        alike, depths = replace(scenario, loop=shallow), read_depths(scenario)
         found = (lost for other, needed, lost in known if depths.hold(needed) and other == alike)
         lost = next(found, None)
         if lost is None:
@@ -256,11 +256,6 @@ def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
                 known.append((alike, needed, lost))
         counts.append(lost)
     return counts
-
-
-def _set_depths(scenario: Scenario, depth: int) -> Scenario:
-    loop = replace(scenario.loop, command_queue=depth, pose_queue=depth)
-    return replace(scenario, loop=loop)
 
 
 def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
@@ -275,10 +270,9 @@ def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
-    """Return the turn rate that the plant held at the end of the law's pause, and the burst.
+    """Return the turn rate held at the end of the law's pause, and the poses answered at once then.
 
-    The rate is None if commands were still queued. The burst is the number of poses answered at
-    once; 0 if there is no pause.
+    The rate is None if commands were still queued. The number is 0 if there is no pause.
     """
     is_blocked, sent = False, 0.0
     for tick in iterate_ticks(scenario):
@@ -311,12 +305,9 @@ class RecordedScenario:
     """Result of testing the recorded scenario of a run.
 
     Attributes:
-        scenario: Scenario that ends with the log; None if the scenario does not reproduce every
-            sample.
-        run: Re-simulated run; None if the scenario was not simulated.
-        resimulation: Comparison of this run with the log; None if the scenario was not simulated.
-        reach: Agreement with the log, or the reason why the scenario was not simulated, in one
-            clause.
+        scenario: Scenario that ends with the log, if it reproduces every sample.
+        run: Re-simulated run, and `resimulation` its comparison with the log, if simulated.
+        reach: Agreement with the log, or why the scenario was not simulated, in one clause.
     """
 
     scenario: Scenario | None = None
