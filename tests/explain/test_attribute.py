@@ -20,7 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.attribution import find_resolution
 from turtlelog.explain.causes import FINER, is_present, list_effects
-from turtlelog.explain.starts import find_steady_span, vary_start
+from turtlelog.explain.contributions import find_steady_span, vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run

@@ -19,15 +19,15 @@ from turtlelog.explain.scenario_from_log.gain_fit import (
 from turtlelog.explain.scenario_from_log.identification import ABSENT_KEYS, LAW_KEYS, LOOP_KEYS
 from turtlelog.explain.scenario_from_log.law_identification import (
     PHASES,
+    RULE_KEYS,
     bound_position_tolerance,
+    find_stop_rule,
     identify_rotation,
     identify_translation,
 )
-from turtlelog.explain.scenario_from_log.loop_findings import describe_loop
-from turtlelog.explain.scenario_from_log.loop_guesses import read_hints
+from turtlelog.explain.scenario_from_log.loop_settings import describe_loop, read_hints
 from turtlelog.explain.scenario_from_log.resimulation import list_lost_commands
 from turtlelog.explain.scenario_from_log.setting_search import Fits
-from turtlelog.explain.scenario_from_log.stop_reason import RULE_KEYS, find_stop_rule
 from turtlelog.explain.scenario_from_log.trace import find_pose_resolution, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
 from turtlelog.scenario import get_preset, override_scenario
@@ -80,7 +80,7 @@ def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
     ticks: float,
     near: bool,  # noqa: FBT001
 ) -> None:
-    from turtlelog.explain.scenario_from_log.loop_guesses import agrees_with_clock
+    from turtlelog.explain.scenario_from_log.loop_settings import agrees_with_clock
 
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)

@@ -15,7 +15,7 @@ from turtlelog.explain import (
     explain_difference,
 )
 from turtlelog.explain.attribution import Together
-from turtlelog.explain.two_runs.explained_difference import SEED
+from turtlelog.explain.explained_difference import SEED
 from turtlelog.run import PoseColumns, Run
 from turtlelog.scenario import get_preset
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.explain.robot_pairs import METRICS, draw_robot_pair
 from turtlelog.explain import ExplainedDifference, explain_difference
-from turtlelog.explain.two_runs.difference_report import choose_told
+from turtlelog.explain.difference_report import choose_told
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle

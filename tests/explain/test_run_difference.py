@@ -14,7 +14,7 @@ import turtlelog as tl
 from tests.explain.changed_pairs import draw_pair
 from turtlelog.errors import ExplainError
 from turtlelog.explain import Depth, ExplainedDifference, explain_difference
-from turtlelog.explain.two_runs.run_changes import find_changes, undo_changes
+from turtlelog.explain.causes import find_changes, undo_changes
 from turtlelog.run import Run, slice_run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 

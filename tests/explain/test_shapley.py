@@ -4,8 +4,13 @@ from fractions import Fraction
 import pytest
 from hypothesis import example, given, strategies as st
 
+from turtlelog.explain.contributions import (
+    Worth,
+    compute_contributions,
+    compute_dividends,
+    find_smallest,
+)
 from turtlelog.explain.game import list_coalitions
-from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends, find_smallest
 
 VALUES = st.floats(-1e3, 1e3) | st.floats(-1e-3, 1e-3) | st.sampled_from([0.0, 0.1, 0.3, 1e-17])
 

@@ -10,7 +10,7 @@ from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Change, Contribution, ExplainedDifference
 from turtlelog.explain.attribution import THIS_SEED
-from turtlelog.explain.two_runs.explained_difference import SEED, Side
+from turtlelog.explain.explained_difference import SEED, Side
 
 _SAME: Final = 1e-6
 """Share of the largest value below which a step counts as 0: two platforms differ by less."""

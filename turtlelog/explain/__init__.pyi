@@ -22,13 +22,22 @@ from .attribution import (
     ValueSet as ValueSet,
     choose_metric as choose_metric,
 )
-from .causes import (
-    find_causes as find_causes,
-    simulate_without as simulate_without,
+from .causes import find_causes as find_causes, simulate_without as simulate_without
+from .difference_report import (
+    format_change as format_change,
+    format_magnitude as format_magnitude,
+    name_change as name_change,
 )
-from .game import (
-    Work as Work,
+from .explained_difference import (
+    Change as Change,
+    Departure as Departure,
+    DifferenceRange as DifferenceRange,
+    EffectShift as EffectShift,
+    ExplainedDifference as ExplainedDifference,
+    Side as Side,
+    find_departure as find_departure,
 )
+from .game import Work as Work
 from .luck import (
     Luck as Luck,
     LuckCurve as LuckCurve,
@@ -42,39 +51,19 @@ from .motion_facts import (
     Periods as Periods,
     read_motion_facts as read_motion_facts,
 )
-from .scenario_from_log.hypothesis import (
-    require_trust as require_trust,
+from .run_difference import (
+    Depth as Depth,
+    choose_common_metric as choose_common_metric,
+    explain_difference as explain_difference,
 )
 from .scenario_from_log.identification import (
     Certainty as Certainty,
     Finding as Finding,
     Identification as Identification,
 )
-from .scenario_from_log.identify_scenario import (
-    identify_run as identify_run,
-)
-from .scenario_from_log.law_identification import (
-    describe_loop_name as describe_loop_name,
-)
+from .scenario_from_log.identify_scenario import identify_run as identify_run
+from .scenario_from_log.law_identification import describe_loop_name as describe_loop_name
 from .scenario_from_log.resimulation import (
-    Departure as Departure,
     Resimulation as Resimulation,
-    find_departure as find_departure,
-)
-from .two_runs.difference_report import (
-    format_change as format_change,
-    format_magnitude as format_magnitude,
-    name_change as name_change,
-)
-from .two_runs.explained_difference import (
-    Change as Change,
-    DifferenceRange as DifferenceRange,
-    EffectShift as EffectShift,
-    ExplainedDifference as ExplainedDifference,
-    Side as Side,
-)
-from .two_runs.run_difference import (
-    Depth as Depth,
-    choose_common_metric as choose_common_metric,
-    explain_difference as explain_difference,
+    require_trust as require_trust,
 )

@@ -1,7 +1,8 @@
 """An attribution in sentences that hold for the run."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Final
 
 from turtlelog.display import join_words
@@ -163,7 +164,11 @@ def format_contribution(found: Attribution, one: Contribution) -> str:
 def write_reasons(found: Attribution) -> tuple[str, ...]:
     """Return the total of the causes, their dependences, and what else changes the value."""
     if found.without_value:
-        sentences = [_write_missing(found)]
+        names = join_words(found.causes, "or")
+        never = f"It has no value without {names} either." if found.causes else ""
+        is_never = not found.with_value and found.without_all is None
+        missing = write_missing(found.without_value, found.with_value, partial(_name_set, found))
+        sentences = [never if is_never else missing]
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
     else:
@@ -174,22 +179,18 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
         sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
-        sentences += [f"{_capitalise(join_words(found.left))} {_be(found.left)} left as recorded."]
+        be = "is" if len(found.left) == 1 else "are"
+        sentences += [f"{_capitalise(join_words(found.left))} {be} left as recorded."]
     sentences += found.remarks
     return tuple(filter(None, sentences))
 
 
-def _write_missing(found: Attribution) -> str:
-    if not found.with_value and found.without_all is None:
-        return (
-            f"It has no value without {join_words(found.causes, 'or')} either."
-            if found.causes
-            else ""
-        )
-    parts = [
-        f"{_name_set(found, case)} it has no value: {case.reason}" for case in found.without_value
-    ]
-    parts += [f"{_name_set(found, case)} it has a value" for case in found.with_value]
+def write_missing(
+    without: Iterable[ValueSet], having: Iterable[ValueSet], name_set: Callable[[ValueSet], str]
+) -> str:
+    """Return the named sets that leave a metric without a value, and those that give it one."""
+    parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
+    parts += [f"{name_set(case)} it has a value" for case in having]
     return _capitalise("; ".join(parts)) + ". Therefore there are no contributions."
 
 
@@ -275,19 +276,22 @@ def _write_together(found: Attribution) -> str:
     """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
-    largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
-    parts = [
-        _write_case(found, case)
+    return " ".join(
+        write_joint(
+            case.causes, case.value, _format_value(found, abs(case.value), case.standard_error)
+        )
+        for case in choose_joint(found.together, _sum_contributions(found))
+    )
+
+
+def choose_joint(together: Iterable[Together], total: float) -> list[Together]:
+    """Return the largest joint parts, if clear and large beside the contributions' total."""
+    largest = sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
+    return [
+        case
         for case in largest
-        if abs(case.value) > NAMED * _sum_contributions(found)
-        and is_clear(case.value, case.standard_error)
+        if abs(case.value) > NAMED * total and is_clear(case.value, case.standard_error)
     ]
-    return " ".join(parts)
-
-
-def _write_case(found: Attribution, case: Together) -> str:
-    size = _format_value(found, abs(case.value), case.standard_error)
-    return write_joint(case.causes, case.value, size)
 
 
 def _write_singles(found: Attribution) -> str:
@@ -304,13 +308,7 @@ def _write_singles(found: Attribution) -> str:
 
 
 def write_joint(names: Sequence[str], value: float, size: str) -> str:
-    """Return the part that arises only if several causes act: more or less than they do alone.
-
-    Args:
-        names: Names of the causes.
-        value: The part.
-        size: Its magnitude with its unit.
-    """
+    """Return the part that arises only if several causes act, of this size with its unit."""
     them = _capitalise(join_words(names))
     if value > 0.0:
         both = "both" if len(names) == 2 else "all of them"
@@ -350,11 +348,9 @@ def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
         return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
     if not idle:
         return f"All {seeds.count} seeds give the same value."
-    return (
-        f"The {idle[0]} does not change this metric."
-        if len(idle) == 1
-        else f"{_capitalise(join_words(idle))} do not change this metric."
-    )
+    if len(idle) == 1:
+        return f"The {idle[0]} does not change this metric."
+    return f"{_capitalise(join_words(idle))} do not change this metric."
 
 
 def _list_idle(found: Attribution) -> list[str]:
@@ -466,10 +462,6 @@ def _format_value(
     """Return a value with four digits, the metric's unit, and a given standard error."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
-
-
-def _be(words: "tuple[str, ...]") -> str:
-    return "is" if len(words) == 1 else "are"
 
 
 def _capitalise(text: str) -> str:

@@ -24,8 +24,16 @@ from turtlelog.explain.causes import (
     find_causes,
     list_effects,
 )
+from turtlelog.explain.contributions import (
+    Worth,
+    compute_contributions,
+    compute_dividends,
+    describe_alone,
+    divide_over_seeds,
+    find_smallest,
+    vary_start,
+)
 from turtlelog.explain.game import Coalition, Game, Outcome, ScenarioGame, Work, list_coalitions
-from turtlelog.explain.scenario_from_log.hypothesis import require_trust
 from turtlelog.explain.scenario_from_log.identification import (
     LOOP_KEYS,
     Certainty,
@@ -33,8 +41,7 @@ from turtlelog.explain.scenario_from_log.identification import (
     Identification,
 )
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
-from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends, find_smallest
-from turtlelog.explain.starts import describe_alone, divide_over_seeds, vary_start
+from turtlelog.explain.scenario_from_log.resimulation import require_trust
 from turtlelog.laws import LAWS, find_law, list_causes
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run, require_run

@@ -6,7 +6,7 @@ finer clock.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -16,8 +16,15 @@ from turtlelog.laws import find_law, list_causes, list_sample_counters, name_law
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
 from turtlelog.run.loops import Cause
-from turtlelog.scenario import Scenario, flatten_scenario, override_scenario, resolve_scenario
-from turtlelog.simulate import simulate_run
+from turtlelog.scenario import (
+    Scenario,
+    build_scenario,
+    flatten_scenario,
+    nest_parameters,
+    override_scenario,
+    resolve_scenario,
+)
+from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.loop_parts import RANDOM_KEYS, STREAMS
 
 FINER: Final = 8
@@ -175,3 +182,117 @@ def _stretch_counts(scenario: Scenario) -> Scenario:
             transport_delay_ticks=loop.transport_delay_ticks * FINER,
         ),
     )
+
+
+LAW: Final = "law"
+"""Group of all settings of a law, if the runs have different laws."""
+
+GAINS: Final = "gains"
+"""Group of the gains of all loops, if each run has one value for them."""
+
+_NOT_SETTINGS: Final = ("name", "seed")
+"""Keys that are not settings: a name changes nothing, and the seeds have their own line."""
+
+_WHOLE: Final = ("goal", "start", "path")
+"""Tables that are changed as a whole."""
+
+_NAMES: Final[Mapping[str, str]] = {
+    "saturation": "limits",
+    "sampling": "sampling period",
+    "float32": "pose precision",
+    "max_duration_s": "time span",
+}
+"""Names of groups that differ from the names of their causes."""
+
+
+def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
+    """Return the groups of settings in which two scenarios differ, by name, in the file's order.
+
+    Neutral values are those of `first`, None for a key that it does not have. Both gains form one
+    group if each scenario has one value for both. The keys of an effect form one group, as do goal,
+    start and path each. If the kinds of law differ, the law with all of its keys is one group; the
+    same applies to the plant. A path that only one of the laws has belongs to the law. Both laws
+    are loaded.
+    """
+    before, after = flatten_scenario(first), flatten_scenario(second)
+    keys = [
+        key
+        for key in {**before, **after}
+        if key not in _NOT_SETTINGS and before.get(key) != after.get(key)
+    ]
+    names = _name_groups(first, second)
+    groups: dict[str, dict[str, object]] = {}
+    for key in keys:
+        table = key.partition(".")[0]
+        # A table within a law is changed as a whole.
+        name = names.get(table) or names.get(key) or ".".join(key.split(".")[:2])
+        groups.setdefault(_NAMES.get(name, name), {})[key] = before.get(key)
+    if LAW in groups:  # equal values may mean different things to different laws
+        own = [key for key in {**before, **after} if key.startswith("law.")]
+        groups[LAW] |= {key: before.get(key) for key in own}
+    return {
+        name: Cause(name=name, kind="effect", neutral=values, meaning=f"as in {first.name}")
+        for name, values in groups.items()
+    }
+
+
+def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
+    """Return the name of the group of a table or key.
+
+    A key without a group is a group of its own.
+    """
+    names = {key: name for name, found in _list_effect_keys() for key in found}
+    names |= {table: table for table in _WHOLE}
+    if second.plant.kind != first.plant.kind:
+        names["plant"] = "plant"
+    if second.law.kind != first.law.kind:
+        names["law"] = LAW
+        if (second.path is None) != (first.path is None):
+            names["path"] = LAW
+        return names
+    causes = (*PLANT_CAUSES.get(second.plant.kind, ()), *list_causes(find_law(second.law.kind)))
+    names |= {key: one.name for one in causes for key in one.neutral}
+    gains = declare_scenario(second).list_gains()
+    if len(gains) > 1 and all(_has_one_value(one, gains) for one in (first, second)):
+        names |= dict.fromkeys(gains, GAINS)
+    return names
+
+
+def _list_effect_keys() -> Iterable[tuple[str, tuple[str, ...]]]:
+    """Yield the causes of the loop with their keys; other keys belong to the first cause."""
+    for effect in EFFECTS:
+        keys = tuple(
+            f"{table}.{field.name}"
+            for table, kind in effect.tables.items()
+            for field in fields(kind)
+        )
+        names = [one.name for one in effect.causes] or [effect.name]
+        yield names[0], keys
+        yield from ((one.name, tuple(one.neutral)) for one in effect.causes)
+
+
+def _has_one_value(scenario: Scenario, keys: Iterable[str]) -> bool:
+    values = flatten_scenario(scenario)
+    return len({values.get(key) for key in keys}) == 1
+
+
+def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:
+    """Return a scenario with some groups of settings taken from another scenario.
+
+    Raises:
+        ScenarioError: If the settings contradict each other.
+    """
+    values = {key: value for one in changes for key, value in one.neutral.items()}
+    return set_values(second, values)
+
+
+def set_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with values of another scenario by dotted key; None: the key is absent.
+
+    Raises:
+        ScenarioError: If the settings contradict each other.
+    """
+    found = {**flatten_scenario(scenario), **values}
+    tables = nest_parameters({key: value for key, value in found.items() if value is not None})
+    # Both laws run already: the user of the comparison has named them.
+    return resolve_scenario(build_scenario(tables, source="both runs", trust_law=True))

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, combinations, islice
 from statistics import fmean
-from typing import Final
+from typing import Any, Final
 
-from turtlelog.errors import ExplainError, SimulationError
+from turtlelog.errors import ExplainError, ScenarioError, SimulationError
 from turtlelog.explain.causes import (
     SAMPLING,
     draws_random,
@@ -22,6 +22,7 @@ from turtlelog.explain.causes import (
     is_present,
     simulate_finer,
     take_out,
+    undo_changes,
 )
 from turtlelog.explain.scenario_from_log.law_identification import describe_phase
 from turtlelog.laws import LAWS
@@ -126,10 +127,6 @@ class Game(ABC):
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
         """Yield the outcome of each simulation."""
 
-    def play(self, inside: Coalition, causes: Sequence[str]) -> Outcome:
-        """Return the outcome with only these acting causes."""
-        return self.take_out(name for name in causes if name not in inside)
-
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these causes; for a random game, the majority over seeds."""
         found = self.take_out_each(names)
@@ -227,13 +224,7 @@ class ScenarioGame(Game):
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """A scenario to simulate.
-
-    Attributes:
-        scenario: Scenario without the removed causes.
-        is_finer: Whether the clock is finer.
-        may_fail: Whether a failing law only leaves no value; otherwise a failure ends the work.
-    """
+    """A scenario to simulate, perhaps on a finer clock. A failing law may only leave no value."""
 
     scenario: Scenario
     is_finer: bool
@@ -271,20 +262,16 @@ def _simulate_each(metric: str, plays: Sequence[Play]) -> Iterator[Outcome]:
     """Yield the outcome of each simulation, with one run at a time in memory."""
     runs = simulate_many([play.scenario for play in plays if not play.is_finer], threads=1)
     for play in plays:
-        run = _simulate_finer(play.scenario) if play.is_finer else next(runs)
+        try:
+            run = simulate_finer(play.scenario) if play.is_finer else next(runs)
+        except SimulationError as err:
+            run = err
         if isinstance(run, Run):
             yield _measure(metric, run, is_finer=play.is_finer)
         elif play.may_fail:
             yield Outcome(value=None, reason=str(run), ended=())
         else:
             raise run
-
-
-def _simulate_finer(scenario: Scenario) -> Run | SimulationError:
-    try:
-        return simulate_finer(scenario)
-    except SimulationError as err:
-        return err
 
 
 def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:
@@ -323,3 +310,50 @@ def list_coalitions(causes: Sequence[str]) -> list[Coalition]:
         for size in range(len(causes) + 1)
         for inside in combinations(causes, size)
     ]
+
+
+class ChangeGame(ScenarioGame):
+    """Simulations of the second of two scenarios, with some changes undone as in the first."""
+
+    def __init__(
+        self,
+        second: Scenario,
+        metric: str,
+        changes: Mapping[str, Cause],
+        first: Scenario,
+        work: Work | None = None,
+    ) -> None:
+        """Store the scenario with all changes."""
+        super().__init__(second, metric, work, causes=changes)
+        self.is_random = draws_random(second) or draws_random(first)
+        self._impossible: dict[Coalition, str] = {}
+
+    def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        """Return the seeds for a simulation; None alone if there is nothing to simulate."""
+        return (None,) if self._find_obstacle(out) else super().list_seeds(out)
+
+    def _simulate(self, wanted: Any) -> None:
+        for out, seed in wanted:
+            if reason := self._find_obstacle(out):
+                self._outcomes[out, seed] = Outcome(value=None, reason=reason, ended=())
+        super()._simulate(wanted)
+
+    def build_play(self, out: Coalition, seed: int | None = None) -> Play:
+        """Return the simulation. A law that fails with another law's settings gives no value."""
+        return replace(super().build_play(out, seed), may_fail=True)
+
+    def _find_obstacle(self, out: Coalition) -> str:
+        """Return why these settings are not a valid scenario; empty if the scenario is valid."""
+        if out not in self._impossible:
+            try:
+                self._take_out(out)
+                self._impossible[out] = ""
+            except ScenarioError as err:
+                self._impossible[out] = f"these settings contradict each other ({err})"
+        return self._impossible[out]
+
+    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
+        return tuple(causes)
+
+    def _build_without(self, causes: Iterable[Cause]) -> Scenario:
+        return undo_changes(self._scenario, causes)

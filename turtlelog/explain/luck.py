@@ -18,16 +18,16 @@ from turtlelog.errors import ExplainError
 from turtlelog.explain.attribute import attribute_run
 from turtlelog.explain.attribution import Attribution, choose_metric
 from turtlelog.explain.causes import simulate_without
-from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
-from turtlelog.explain.scenario_from_log.identification import Identification
-from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
-from turtlelog.explain.starts import (
+from turtlelog.explain.contributions import (
     find_steady_span,
     ranges_over,
     spread_starts,
     subtract_values,
     turn_start,
 )
+from turtlelog.explain.game import SEEDS, Outcome, Play, ScenarioGame, Work, iterate_outcomes
+from turtlelog.explain.scenario_from_log.identification import Identification
+from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.run import Run
 from turtlelog.scenario import resolve_scenario
 from turtlelog.simulate import simulate_run
@@ -125,15 +125,15 @@ def measure_luck(
         ScenarioError: If the recorded law is neither built in nor trusted, or does not exist.
     """
     work = work or Work()
+    identified = identified or identify_run(run, trust_law=trust_law)
     if found is None:
         metric = metric or choose_metric(run.declaration)
-        identified = identified or identify_run(run, trust_law=trust_law)
         if identified.scenario is None:
-            raise ExplainError(f"no scenario stands for it: {_find_reason(identified)}")
+            reason = next(iter(identified.notes), "too little is known").rstrip(".")
+            raise ExplainError(f"no scenario stands for it: {reason}")
         found = attribute_run(
             run, metric=metric, identified=identified, trust_law=trust_law, work=work
         )
-    identified = identified or identify_run(run, trust_law=trust_law)
     if found.withheld and not found.without_value:
         raise ExplainError(found.withheld)
     scenario = resolve_scenario(identified.build_scenario())
@@ -160,10 +160,6 @@ def measure_luck(
         goal_xy_m=run.goal_xy_m,
         dependence=_judge(curves, found),
     )
-
-
-def _find_reason(identified: Identification) -> str:
-    return next(iter(identified.notes), "too little is known").rstrip(".")
 
 
 @dataclass(frozen=True, slots=True)

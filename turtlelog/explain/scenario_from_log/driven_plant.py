@@ -44,10 +44,6 @@ _SOLVED: Final = 1e-9
 _REFITS: Final = 3
 """Number of rounds until the weights of position and heading converge."""
 
-
-_PHASE: Final = "control"
-"""Name of the phase of a law without declared phases."""
-
 _SMALLER: Final = 16.0
 """Factor by which the motion is scaled down. After a jump, the driven plant is not at the robot's
 place, and must not meet a wall. The scaled motion around the middle of the world has 88 m to every
@@ -56,13 +52,7 @@ side. The factor is a power of two, so that commands are rounded in the same way
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaybackParameters:
-    """Commands to send, one per pose.
-
-    Attributes:
-        commands: Speed [m/s] and turn rate [rad/s] of each sample, shape (n, 2).
-        pauses_at: Index of the sample after which the controller is blocked; -1: no sample.
-        pause_ticks: Duration of the block [ticks].
-    """
+    """Speed [m/s] and turn rate [rad/s] to send, one pair per pose; -1: no sample blocks."""
 
     commands: tuple[tuple[float, float], ...]
     pauses_at: int
@@ -93,7 +83,7 @@ class Playback:
         return Decision(
             speed_m_s=speed_m_s,
             turn_rate_rad_s=turn_rate_rad_s,
-            phase=_PHASE,
+            phase="control",
             bearing_rad=0.0,
             heading_error_rad=0.0,
             error_x_m=0.0,
@@ -105,15 +95,15 @@ class Playback:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
-    """Comparison of a driven plant with the log.
+    """Comparison of a driven plant with the log, in x, y [m] and heading [rad].
 
     Attributes:
         rows: Number of compared rows.
-        whiteness: Whiteness of the residuals of x, y and heading.
+        whiteness: Whiteness of the residuals.
         explains: Whether the residual is noise.
         is_rounding: Whether the residual of an axis is within the step of its poses.
-        noise: Standard deviation of the residuals of x, y [m] and heading [rad].
-        start: Best-fitting start pose: x, y [m], heading [rad].
+        noise: Standard deviation of the residuals.
+        start: Best-fitting start pose.
         reach: Half-width of the 95 % intervals of the start.
         left: Logged minus driven poses for this start, shape (rows, 3).
         slopes: Derivatives of these differences by the start, shape (rows, 3, 3).
@@ -164,10 +154,7 @@ def drive_plant(
 def join_starts(drives: list[Drive]) -> Drive:
     """Return the first of several equally good fits, with intervals that cover all of them."""
     best = drives[0]
-    edges = [
-        abs(np.array(drive.start) - np.array(best.start)) + np.array(drive.reach)
-        for drive in drives
-    ]
+    edges = [abs(np.subtract(one.start, best.start)) + np.array(one.reach) for one in drives]
     return replace(best, reach=_as_pose(np.max(edges, axis=0).tolist()))
 
 
@@ -223,8 +210,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
     kept = np.zeros(count, dtype=bool)
     for stretch in stretches:
         kept[stretch] = True
-    slopes = np.zeros((count, 3, 3))
-    slopes[:, 0, 0] = slopes[:, 1, 1] = slopes[:, 2, 2] = 1.0
+    slopes = np.tile(np.eye(3), (count, 1, 1))
     offsets, spread = np.zeros(3), np.zeros(3)
     logged = np.column_stack([trace.xy_m[:count], trace.heading_rad[:count]])
     noise = np.ones(3)
@@ -258,9 +244,9 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
         whiteness=whiteness,
         explains=bool((is_noise | is_rounding).all()),
         is_rounding=bool(is_rounding.any()),
-        noise=(float(noise[0]), float(noise[1]), float(noise[2])),
-        start=tuple(start.tolist()),
-        reach=tuple(reach.tolist()),
+        noise=_as_pose(noise.tolist()),
+        start=_as_pose(start.tolist()),
+        reach=_as_pose(reach.tolist()),
         left=after,
         slopes=slopes,
     )
@@ -305,13 +291,7 @@ def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartBounds:
-    """Bounds of the starts for which every pose rounds to the logged pose.
-
-    Attributes:
-        middle: Start furthest from any bound: x, y [m], heading [rad].
-        low: Lower bounds of x, y [m] and heading [rad].
-        high: Upper bounds of x, y [m] and heading [rad].
-    """
+    """Bounds of the starts for which every pose rounds to the logged one, and their middle."""
 
     middle: tuple[float, float, float]
     low: tuple[float, float, float]
@@ -343,17 +323,13 @@ def bound_start(drive: Drive, trace: Trace) -> StartBounds | None:
     coarse = grains > 2.0 * half_steps.max(axis=0)
     # Coarse poses were rounded to 32 bits before, and again in the log.
     half_steps = np.where(coarse, grains * (1.0 + OFF_GRID) + 2.0 * half_steps, half_steps)
-    if coarse.any() and _hides_step(trace):
+    # A coordinate with too few values does not show its quantisation step.
+    columns = trace.xy_m[:, 0], trace.xy_m[:, 1], trace.heading_rad
+    if coarse.any() and min(len(np.unique(one)) for one in columns) < FEWEST_DIFFERENT:
         return None
     if (np.array(drive.noise) > 2.0 * half_steps.max(axis=0) + FLOOR).any():
         return None
     return _solve_bounds(drive, half_steps)
-
-
-def _hides_step(trace: Trace) -> bool:
-    """Return whether a coordinate has too few values to show its quantisation step."""
-    columns = trace.xy_m[:, 0], trace.xy_m[:, 1], trace.heading_rad
-    return min(len(np.unique(column)) for column in columns) < FEWEST_DIFFERENT
 
 
 def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:

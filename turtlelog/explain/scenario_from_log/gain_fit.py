@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.explain.scenario_from_log.identification import (
     Finding,
     bound_value,
@@ -42,12 +43,9 @@ class GainFit:
     Attributes:
         value: Shortest decimal that reproduces every command, or else the least-squares value.
         is_exact: Whether only this value reproduces every command, bit for bit.
-        is_close: Whether several doubles reproduce every command, or the value reproduces them
-            within the rounding of other platforms.
-        interval: Interval of the gain: all values that reproduce the commands, or else the 95 %
-            interval of least squares.
-        noise: Standard deviation of the residual error, in the error's unit; 0 if there is no
-            residual.
+        is_close: Whether several doubles do, or the value does within the rounding of platforms.
+        interval: All values that reproduce the commands, or else the 95 % interval.
+        noise: Standard deviation of the residual error, in the error's unit.
         whiteness: Mean square of the changes of the residual, divided by twice its mean square: 1
             for noise, near 0 for a curve.
         rows: Number of commands used.
@@ -85,7 +83,8 @@ def _find_exact_gain(
     typed = [gain for gain in decimals if gain in fitting]
     if digits < DIGITS and not typed:
         return None
-    low, high = (min(fitting), max(fitting)) if fitting else _widen(ratio)
+    apart = _ROUNDING * abs(ratio)
+    low, high = (min(fitting), max(fitting)) if fitting else (ratio - apart, ratio + apart)
     inside = typed or fitting or [gain for gain in decimals if low <= gain <= high]
     return GainFit(
         value=[*inside, ratio][0],
@@ -98,25 +97,16 @@ def _find_exact_gain(
     )
 
 
-def _widen(ratio: float) -> tuple[float, float]:
-    slack = _ROUNDING * abs(ratio)
-    return ratio - slack, ratio + slack
-
-
 def _fit_least_squares(command: Values, error: Values) -> GainFit:
-    """Regress the errors on the commands: only the errors are noisy, the commands are exact.
-
-    The inverse regression would make every gain too small.
-    """
+    """Regress the errors on the commands, which are exact: the inverse makes gains too small."""
     slope, reach, noise, whiteness = _fit_slope(command, error)
+    is_clear = slope > reach
     return GainFit(
         value=1.0 / slope if slope else 0.0,
         is_exact=False,
         is_close=False,
         # The interval of the gain is that of the slope, inverted.
-        interval=(1.0 / (slope + reach), 1.0 / (slope - reach))
-        if slope > reach
-        else (0.0, math.inf),
+        interval=(1.0 / (slope + reach), 1.0 / (slope - reach)) if is_clear else (0.0, math.inf),
         noise=noise,
         whiteness=whiteness,
         rows=len(command),
@@ -201,13 +191,12 @@ _REFITS: Final = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseNoise:
-    """Noise of the logged poses.
+    """Noise of the logged poses [m or rad].
 
     Attributes:
-        size: Standard deviation [m or rad]; includes the curvature of the motion between rows.
-        least: The same standard deviation from fourth differences, which contain almost none of the
-            motion.
-        grain: Quantisation step of the log [m or rad].
+        size: Standard deviation, with the curvature of the motion between rows.
+        least: The same from fourth differences, which contain almost none of the motion.
+        grain: Quantisation step of the log.
     """
 
     size: float
@@ -287,17 +276,13 @@ def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> Comm
     below = size < largest
     has_signs = bool((error * command > 0.0).all())
     known: dict[str, Any] = {"largest": largest, "noise": noise, "has_signs": has_signs}
+    known["rows"] = len(command)
     whole = fit_gain(command, reproduce)
     if (whole.is_exact or whole.is_close) and np.ptp(error) > 0.0:
-        return CommandFit(gain=whole, limit=None, rows=len(command), **known)
+        return CommandFit(gain=whole, limit=None, **known)
     if not below.any():
-        return CommandFit(
-            gain=None,
-            limit=None,
-            least=largest / max(float(np.abs(error).min()), _TINY),
-            rows=len(command),
-            **known,
-        )
+        least = largest / max(float(np.abs(error).min()), _TINY)
+        return CommandFit(gain=None, limit=None, least=least, **known)
     fit = fit_gain(command[below], lambda gain: reproduce(gain)[below])
     if fit.is_exact or fit.is_close:
         is_clipped = bool((np.abs(reproduce(fit.value))[~below] >= largest).all())
@@ -307,18 +292,15 @@ def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> Comm
     if _is_read(fit, noise):
         limit = largest if is_clipped else None
         read = _fit_read(command, error, fit, limit or math.inf)
-        return CommandFit(gain=read, limit=limit, rows=len(command), is_read=True, **known)
+        return CommandFit(gain=read, limit=limit, is_read=True, **known)
     if is_clipped:
-        return CommandFit(gain=fit, limit=largest, rows=len(command), **known)
+        return CommandFit(gain=fit, limit=largest, **known)
     every = _fit_noisy(command, error, np.ones_like(below))
-    return CommandFit(gain=every, limit=None, rows=len(command), **known)
+    return CommandFit(gain=every, limit=None, **known)
 
 
 def _fit_noisy(command: Values, error: Values, rows: NDArray[np.bool_]) -> GainFit:
-    """Fit commands by least squares.
-
-    Equal successive commands count once, because rounding repeats.
-    """
+    """Fit commands by least squares. Equal successive commands count once: rounding repeats."""
     first = np.flatnonzero(np.diff(command[rows], prepend=np.nan) != 0.0)
     means = np.add.reduceat(error[rows], first) / np.diff(np.append(first, rows.sum()))
     return fit_gain(command[rows][first], lambda gain: gain * means)
@@ -384,13 +366,11 @@ def describe_fitted_gain(fit: CommandFit) -> Finding:
     if fit.obstacle:
         return miss(fit.obstacle, max(fit.gain.value, _TINY))
     found = fit.gain
-    noun = "command" if found.rows == 1 else "commands"
+    shown = f"reproduces {describe_count(found.rows, 'unclipped command')}"
     if found.is_exact:
-        return find_exactly(found.value, f"reproduces {found.rows} unclipped {noun}")
+        return find_exactly(found.value, shown)
     if found.is_close:
-        return bound_value(
-            found.value, f"reproduces {found.rows} unclipped {noun} to rounding", found.interval
-        )
+        return bound_value(found.value, f"{shown} to rounding", found.interval)
     return fit_value(found.value, f"least squares of {found.rows}, 95 %", found.interval)
 
 

@@ -235,12 +235,6 @@ def _count_lost(run: Run) -> Finding:
     return find_exactly(use.unseen, f"no pose shows them; {use.taken} others are shown")
 
 
-def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Finding]:
-    """Return findings that leave the law unknown, with the reason."""
-    used = {key: findings[key].used if key in findings else None for key in LAW_KEYS}
-    return {**findings, **{key: miss(reason, value) for key, value in used.items()}}
-
-
 def give_up(
     name: str, findings: Mapping[str, Finding], reason: str, breaks: Sequence[str] = ()
 ) -> Identification:

@@ -11,24 +11,12 @@ import numpy as np
 from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
-from turtlelog.explain.scenario_from_log.hypothesis import (
-    AROUND,
-    LONGEST_S,
-    check_recorded_scenario,
-    describe_dead_time,
-    describe_stop_rule,
-    find_lag_slack,
-    identify_other_law,
-    reject_lag,
-    require_noise,
-)
 from turtlelog.explain.scenario_from_log.identification import (
     DEAD_TIME,
     LAW_KEYS,
     Certainty,
     Finding,
     Identification,
-    disclaim_law,
     fit_value,
     give_up,
     identify_plant,
@@ -39,29 +27,38 @@ from turtlelog.explain.scenario_from_log.identification import (
 )
 from turtlelog.explain.scenario_from_log.law_identification import (
     PHASES,
-    identify_rotation,
-    identify_translation,
-)
-from turtlelog.explain.scenario_from_log.loop_findings import (
-    describe_goal,
-    describe_loop,
-    describe_pause,
-    describe_start,
-    read_start,
-)
-from turtlelog.explain.scenario_from_log.loop_guesses import read_hints
-from turtlelog.explain.scenario_from_log.resimulation import (
-    Resimulation,
-    compare_samples,
-    cut_where_logged,
-)
-from turtlelog.explain.scenario_from_log.setting_search import Fits, search_loop
-from turtlelog.explain.scenario_from_log.stop_reason import (
     RULE_KEYS,
     Ending,
     find_pause,
     find_stop_rule,
+    identify_rotation,
+    identify_translation,
 )
+from turtlelog.explain.scenario_from_log.loop_settings import (
+    describe_goal,
+    describe_loop,
+    describe_pause,
+    describe_start,
+    read_hints,
+    read_start,
+)
+from turtlelog.explain.scenario_from_log.other_law import (
+    AROUND,
+    describe_dead_time,
+    describe_stop_rule,
+    find_lag_slack,
+    identify_other_law,
+    reject_lag,
+    require_noise,
+)
+from turtlelog.explain.scenario_from_log.resimulation import (
+    LONGEST_S,
+    Resimulation,
+    check_recorded_scenario,
+    compare_samples,
+    cut_where_logged,
+)
+from turtlelog.explain.scenario_from_log.setting_search import Fits, search_loop
 from turtlelog.explain.scenario_from_log.trace import (
     Trace,
     describe_trace_breaks,
@@ -147,12 +144,11 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
         f"it lasts {length_s:.0f} s, and up to {LONGEST_S:.0f} s are simulated again:"
         f" what is found is of its first {_BEGINNING_S:.0f} s"
     )
-    ends = {key: miss("the end of the run is not looked at") for key in ("stop_reason", *RULE_KEYS)}
+    ends = found.findings.keys() & {"stop_reason", *RULE_KEYS}
+    unseen = dict.fromkeys(ends, miss("the end of the run is not looked at"))
     return replace(
         found,
-        findings=MappingProxyType(
-            {**found.findings, **{key: ends[key] for key in ends if key in found.findings}}
-        ),
+        findings=MappingProxyType({**found.findings, **unseen}),
         scenario=None,
         notes=(reason, *found.notes),
     )
@@ -161,9 +157,8 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
 def _identify_recorded(run: Run) -> Identification | None:
     """Return the findings on a run whose scenario contains effects that cannot be identified.
 
-    An effect may be invisible in this run, or look like another setting. Therefore the settings of
-    the recorded scenario are used if it reproduces every sample. The result is None if the scenario
-    does not reproduce them, or contains no such effect.
+    An effect may be invisible, or look like another setting. So the recorded settings are used if
+    they reproduce every sample; None if they do not, or contain no such effect.
     """
     unseen = list_unseen(run)
     if not (unseen and run.scenario_is_complete):
@@ -290,7 +285,8 @@ def _identify_samples(run: Run) -> Identification:
     if not (fits.is_exact or fits.is_close):
         findings |= _withhold_law(findings, turning, driving)
     if not (fits.is_exact or fits.is_close or fits.is_fitted):
-        findings = disclaim_law(findings, "no setting of the loop explains the motion")
+        reason = "no setting of the loop explains the motion"
+        findings |= {key: miss(reason, findings[key].used) for key in LAW_KEYS}
     findings |= {**find_pause(hints), **describe_pause(trace, fits)}
     findings["stop_reason"] = ending.reason
     resimulation = compare_samples(trace, again)
@@ -325,11 +321,9 @@ def _describe_dead_times_again(
         again = [find_dead_time(run, loop) for run in runs] if is_hidden else []
         ticks = [one.ticks for one in again if isinstance(one, DeadTime)]
         if ticks and len(ticks) == len(runs):
-            found[f"{DEAD_TIME}{loop}"] = fit_value(
-                ticks[0],
-                "of the settings that explain the motion",
-                (max(min(ticks) - lag_slack, 0), max(ticks)),
-            )
+            interval = (max(min(ticks) - lag_slack, 0), max(ticks))
+            evidence = "of the settings that explain the motion"
+            found[f"{DEAD_TIME}{loop}"] = fit_value(ticks[0], evidence, interval)
     return found
 
 
@@ -337,18 +331,15 @@ def _withhold_law(
     findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
 ) -> dict[str, Finding]:
     """Remove findings of a loop whose commands are all clipped, unless a scenario reproduces it."""
-    keys = {
-        "law.kp_angular": turning,
-        "limits.turn_rate_rad_s": turning,
-        "law.heading_tolerance_rad": turning,
-        "law.kp_linear": driving,
-        "limits.speed_m_s": driving,
-        "law.position_tolerance_m": driving,
-    }
+    sides = (
+        (turning, ("law.kp_angular", "limits.turn_rate_rad_s", "law.heading_tolerance_rad")),
+        (driving, ("law.kp_linear", "limits.speed_m_s", "law.position_tolerance_m")),
+    )
     return {
         key: miss(f"all {fit.rows} commands are alike in size: any law", findings[key].used)
-        for key, fit in keys.items()
+        for fit, keys in sides
         if fit is not None and fit.gain is None
+        for key in keys
     }
 
 

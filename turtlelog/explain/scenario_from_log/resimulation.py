@@ -2,27 +2,19 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from dataclasses import astuple, dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.errors import SimulationError
 from turtlelog.explain.scenario_from_log.trace import Trace, Values
+from turtlelog.laws import LAWS
 from turtlelog.replay import PoseError
-from turtlelog.replay.differences import Difference, Pairing, compare_pairing, find_earliest
-from turtlelog.replay.run_pairs import (
-    compare_ends,
-    count_missing_samples,
-    count_recorded_rows,
-    find_count_difference,
-    has_ticks,
-    pair_by_sample,
-    pair_by_tick,
-)
 from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import (
     PlainLoop,
     SampleRow,
@@ -30,6 +22,7 @@ from turtlelog.simulate import (
     declare_scenario,
     iterate_ticks,
     needs_time,
+    simulate_run,
 )
 
 CLOSE: Final = 1e-6
@@ -72,10 +65,9 @@ class Depths:
 
 
 class QueueGauge:
-    """Gauge of the queue depths that lose no pose or command; deeper queues give the same run.
+    """Gauge of the queue depths that lose nothing; deeper queues give the same run.
 
-    The depths follow from the times at which poses are answered and commands published. A constant
-    delay does not change them.
+    The depths follow from the times of answers and commands; a constant delay does not change them.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -148,9 +140,9 @@ def count_equal(
 ) -> tuple[int, Depths]:
     """Return how many samples, from the first, a simulation reproduces bit for bit.
 
-    If all samples are reproduced and the simulation continues, the number is one more.
-    `to_rounding` allows differences of 1e-6 for poses and 1e-9 for commands, as between platforms.
-    The second value is the smallest queue depths with the same result.
+    The number is one more if all are reproduced and the simulation continues. `to_rounding` allows
+    differences of 1e-6 for poses and 1e-9 for commands, as between platforms. The second value is
+    the smallest queue depths with the same result.
     """
     width = len(rows[-1] or ())
     equal, poses, gauge = 0, list[Row](), QueueGauge(scenario)
@@ -246,15 +238,16 @@ def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
 
 
 def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
-    """Return, for each scenario, the number of published commands that the plant never takes.
+    """Return how many published commands the plant never takes, for each scenario.
 
-    Commands on their way at the end of the run are not counted. Scenarios that differ only in
-    queues of sufficient depth are simulated once.
+    Commands on their way at the end do not count. Scenarios that differ only in queues of
+    sufficient depth are simulated once.
     """
     known: list[tuple[Scenario, Depths, int]] = []
     counts = []
     for scenario in scenarios:
-        alike, depths = _set_depths(scenario, 1), read_depths(scenario)
+        shallow = replace(scenario.loop, command_queue=1, pose_queue=1)
+        alike, depths = replace(scenario, loop=shallow), read_depths(scenario)
         found = (lost for other, needed, lost in known if depths.hold(needed) and other == alike)
         lost = next(found, None)
         if lost is None:
@@ -263,11 +256,6 @@ def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
                 known.append((alike, needed, lost))
         counts.append(lost)
     return counts
-
-
-def _set_depths(scenario: Scenario, depth: int) -> Scenario:
-    loop = replace(scenario.loop, command_queue=depth, pose_queue=depth)
-    return replace(scenario, loop=loop)
 
 
 def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
@@ -282,10 +270,9 @@ def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
-    """Return the turn rate that the plant held at the end of the law's pause, and the burst.
+    """Return the turn rate held at the end of the law's pause, and the poses answered at once then.
 
-    The rate is None if commands were still queued. The burst is the number of poses answered at
-    once; 0 if there is no pause.
+    The rate is None if commands were still queued. The number is 0 if there is no pause.
     """
     is_blocked, sent = False, 0.0
     for tick in iterate_ticks(scenario):
@@ -302,89 +289,79 @@ def _max(values: Values) -> float:
     return float(values.max()) if len(values) else 0.0
 
 
-Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]
+LONGEST_S: Final = 3600.0
+"""Longest run that is simulated again [s]: 225,000 ticks, about five seconds for each
+simulation."""
 
-_TIMES: Final = ("sample_time", "pose_read", "command_time")
-_POSES: Final = ("x", "y", "heading", "applied_speed", "applied_turn_rate")
-_ENDS: Final = ("stop", "samples", "poses", "commands")
+
+_NOT_DETERMINISTIC: Final = (
+    "the recorded scenario reproduces every sample once, and not when it is simulated again:"
+    " its law is not deterministic, and nothing is claimed of it"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Departure:
-    """The earliest difference of two runs.
+class RecordedScenario:
+    """Result of testing the recorded scenario of a run.
 
     Attributes:
-        part: Part that differs first. `start`: the first pose. `robot`: the motion after equal
-            commands. `sensor`: the sensed pose. `controller`: the answer to an equal pose.
-            `timing`: the time of a sample or command. `end`: one run is longer.
-        signal: Name of the signal that differs.
-        unit: Unit of the values; empty for a name or a count.
-        time_s: Time of the difference from the first sample, or else from the first pose [s].
-        first: Value of the first run; None if it has no value there.
-        second: Value of the second run.
-        samples: Number of equal samples before the difference.
+        scenario: Scenario that ends with the log, if it reproduces every sample.
+        run: Re-simulated run, and `resimulation` its comparison with the log, if simulated.
+        reach: Agreement with the log, or why the scenario was not simulated, in one clause.
     """
 
-    part: Part
-    signal: str
-    unit: str
-    time_s: float
-    first: float | str | None
-    second: float | str | None
-    samples: int
+    scenario: Scenario | None = None
+    run: Run | None = None
+    resimulation: Resimulation | None = None
+    reach: str
 
 
-def find_departure(first: Run, second: Run) -> Departure | None:
-    """Return the first difference of two runs; None if all their common data are equal.
+def require_trust(run: Run, *, trust_law: bool) -> None:
+    """Refuse a run whose complete scenario has a law that is neither built in nor trusted.
 
-    Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
-    samples read are compared.
+    Raises:
+        ScenarioError: If a trusted law cannot run, or the law is not trusted; the message contains
+            the law's name and how to trust it.
     """
-    signals = [compare_pairing(one, tolerance=0.0) for one in _pair(first, second)]
-    others = [*_compare_counts(first, second), compare_ends(first, second.stop_reason)]
-    found = find_earliest([*(one.first_difference for one in signals), *others])
-    if found is None:
-        return None
-    units = {one.signal: one.unit for one in signals}
-    return Departure(
-        part=_name_part(found, first),
-        signal=found.signal,
-        unit=units.get(found.signal, ""),
-        time_s=float(found.time_ns - first.start_ns) / 1e9,
-        first=found.recorded,
-        second=found.replayed,
-        samples=int(np.searchsorted(first.samples.time_ns, found.time_ns)),
+    if run.scenario_is_complete and run.parameters.get("law.kind", DEFAULT_LAW) not in LAWS:
+        resolve_scenario(restore_scenario(run), trust_law=trust_law)
+
+
+def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> RecordedScenario:
+    """Simulate the recorded scenario of a run, and compare it with the log sample by sample.
+
+    Raises:
+        ScenarioError: If the law may not or cannot run.
+    """
+    scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
+    rows = list_rows(trace)
+    try:
+        count, _ = count_equal(scenario, rows, to_rounding=True)
+        if count < len(rows):
+            return RecordedScenario(reach=_describe_reach(trace, count))
+        if count > len(rows):
+            end_s = find_end_s(trace, scenario, len(rows))
+            scenario = replace(scenario, max_duration_s=end_s)
+        again = simulate_run(scenario)
+    except SimulationError as err:
+        return RecordedScenario(reach=f"the recorded scenario cannot be simulated again: {err}")
+    resimulation = compare_samples(trace, again)
+    error = max(astuple(resimulation.max_abs_error))
+    if error >= CLOSE or resimulation.max_command_error >= CLOSE_COMMAND:
+        return RecordedScenario(reach=_NOT_DETERMINISTIC)
+    rounding = " to rounding, not bit for bit" if error or resimulation.max_command_error else ""
+    return RecordedScenario(
+        scenario=scenario,
+        run=again,
+        resimulation=resimulation,
+        reach=f"the recorded scenario reproduces all {len(trace)} samples{rounding}",
     )
 
 
-def _pair(first: Run, second: Run) -> Iterator[Pairing]:
-    """Yield the signals row by row; at equal times, causes before their consequences."""
-    if count_missing_samples(second.samples):  # rows are matched by sample number
-        return
-    by_tick = has_ticks(first) and has_ticks(second)
-    pairings = (pair_by_tick if by_tick else pair_by_sample)(first, second)
-    yield from (one for one in pairings if len(one.time_ns))
-
-
-def _compare_counts(first: Run, second: Run) -> Iterator[Difference | None]:
-    by_tick = has_ticks(first) and has_ticks(second)
-    for name, count in count_recorded_rows(first, second, by_tick=by_tick).items():
-        found = find_count_difference(first, name, count)
-        if found is not None:
-            end_ns = min(first.end_ns, second.end_ns)
-            yield Difference(
-                signal=name, time_ns=end_ns, recorded=found.recorded, replayed=found.replayed
-            )
-
-
-def _name_part(found: Difference, first: Run) -> Part:
-    signal = found.signal
-    if signal in _ENDS:
-        return "end"
-    if signal in _TIMES:
-        return "timing"
-    if signal.startswith("sensed_"):
-        return "sensor"
-    if signal in _POSES:
-        return "start" if found.time_ns <= first.poses.time_ns[0] else "robot"
-    return "controller"
+def _describe_reach(trace: Trace, equal: int) -> str:
+    row = int(np.searchsorted(trace.number, equal))
+    at_s = float(trace.time_ns[row] - trace.run.start_ns) / 1e9
+    return (
+        f"the recorded scenario reproduces the first {row:,} samples and departs at {at_s:.3f} s:"
+        " nothing is claimed of the law"
+    )

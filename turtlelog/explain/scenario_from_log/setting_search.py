@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby, product
 from math import ceil
 from typing import Any, Final
@@ -19,9 +20,10 @@ from turtlelog.explain.scenario_from_log.driven_plant import (
     join_starts,
     keep_in_world,
 )
-from turtlelog.explain.scenario_from_log.loop_guesses import (
+from turtlelog.explain.scenario_from_log.loop_settings import (
     DEPTHS,
     PAUSE_KEY,
+    START_KEYS,
     Guess,
     Hints,
     agrees_with_clock,
@@ -62,12 +64,13 @@ _SPARE_S: Final = 3.0
 
 _USUAL_S: Final = Scenario().max_duration_s
 
-START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
 Settings = Mapping[str, Any]
 
 _Exact = tuple[Guess, int]
 """Settings that reproduce every sample, and the number of simulated samples."""
+
+_Driven = tuple[Guess, Drive]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,12 +79,11 @@ class Fits:
 
     Attributes:
         guesses: Values by key of the scenario, the most likely first; at least one.
-        scenarios: The same guesses as whole scenarios.
+        scenarios: The same guesses as whole scenarios; empty without a law.
         is_exact: Whether the settings reproduce every sample bit for bit.
         is_close: Whether the settings reproduce every sample within rounding.
-        drive: The plant driven with the log's commands and the most likely settings; None if the
-            drive was not needed or is impossible.
-        reproduced: Number of samples, from the first, that the most likely settings reproduce.
+        drive: Plant driven with the log's commands and the likeliest settings, if that was needed.
+        reproduced: Number of samples, from the first, that the likeliest settings reproduce.
         tried: Number of simulated settings.
         ranges: Values of each key among the tried settings, in ascending order.
         is_driven: Whether the plant was driven with the log's commands, without a law.
@@ -128,17 +130,11 @@ def search_loop(
 ) -> Fits:
     """Return the loop settings that reproduce a log; `known` contains all other settings.
 
-    The usual queue depths are tried first. Other depths are tried if the usual ones do not fit, or
-    fit only with a pause or an initial queue that the clock contradicts. If no setting is exact,
-    the plant is driven with the log's own commands, and the settings that explain the motion best
-    are returned.
-
-    Args:
-        trace: Samples of the run.
-        known: Values by key of the scenario.
-        hints: Constraints from time stamps and pose numbers.
-        dead_times: Dead times of the loops, in the order in which they act; at least one.
-        recorded: Settings that reproduce the log, if known; they are tried first.
+    The usual queue depths are tried first, after `recorded` settings, if any. Other depths are
+    tried if the usual ones do not fit, or fit only with a pause or an initial queue that the clock
+    contradicts. If no setting is exact, the plant is driven with the log's own commands, and the
+    settings that explain the motion best are returned. `dead_times` are those of the loops, in the
+    order in which they act; at least one.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
@@ -162,11 +158,9 @@ def drive_loop(trace: Trace, hints: Hints, dead_times: Sequence[DeadTime | Missi
 
 
 class _Search:
-    """Simulation and counting of scenarios.
+    """Simulation and counting of scenarios, bit for bit or `to_rounding`.
 
-    Attributes:
-        to_rounding: Whether samples need to be reproduced only to rounding.
-        is_driven: Whether no law is used; then the numbers of the answered poses count as well.
+    Without a law (`is_driven`), the numbers of the answered poses count as well.
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
@@ -210,7 +204,8 @@ class _Search:
         for tier in tiers:
             # Once one setting agrees with the clock, only others that agree count.
             is_settled = any(self.contradict_clock(guess) == (False, False) for guess, _ in exact)
-            exact += self.find_exact(self._keep_agreeing(tier) if is_settled else tier)
+            agreeing = [one for one in tier if one["loop.start_backlog"] in self._hints.backlogs]
+            exact += self.find_exact(agreeing if is_settled else tier)
             if self._simulated > _MOST_SAMPLES:
                 break
         if not exact:
@@ -220,13 +215,11 @@ class _Search:
             [found for found in exact if self.contradict_clock(found[0]) == least]
         )
 
-    def _keep_agreeing(self, queues: Sequence[Guess]) -> list[Guess]:
-        return [g for g in queues if g["loop.start_backlog"] in self._hints.backlogs]
-
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
         """Of the settings that reproduce every sample, return those nearest to the clock."""
         self._note_values(queues, self._pauses)
-        first, rotation = self._pauses[0], self._list_rotation()
+        first = self._pauses[0]
+        rotation = self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
         alike = [
             guess
             for guess in queues
@@ -277,25 +270,24 @@ class _Search:
         first = self._near[0]
         before = self._drive(queues, [first], rows=self._trace.rotating)
         guesses = [guess for guess, _ in before] or [set_pause(queues[0], first)]
-        driven = self._drive(guesses, self._near, rows=None)
-        if not driven:
-            guesses = guesses[:1]
-            return self._build_nearest(guesses, [])
-        # Among equally good settings, those that the clock does not contradict.
-        least = min(self.contradict_clock(guess) for guess, _ in driven)
-        agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
+        agreeing = self._choose_agreeing(self._drive(guesses, self._near, rows=None))
+        if not agreeing:
+            return self._build_nearest(guesses[:1], [])
         found = self._build_nearest(
             [guess for guess, _ in agreeing], [drive for _, drive in agreeing]
         )
         return replace(found, hidden=self._find_hidden(agreeing))
 
+    def _choose_agreeing(self, driven: Sequence[_Driven]) -> list[_Driven]:
+        """Return those of equally good settings that the clock contradicts least."""
+        least = min((self.contradict_clock(guess) for guess, _ in driven), default=None)
+        return [pair for pair in driven if self.contradict_clock(pair[0]) == least]
+
     def drive_only(self, queues: Sequence[Guess]) -> Fits:
         """Return the settings with which the log's commands alone move the plant as logged."""
         self.is_driven = True
         self._note_values(queues, self._pauses)
-        driven = self._drive(queues, self._pauses, rows=None)
-        least = min((self.contradict_clock(guess) for guess, _ in driven), default=(False, False))
-        agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
+        agreeing = self._choose_agreeing(self._drive(queues, self._pauses, rows=None))
         drives = [drive for _, drive in agreeing]
         return Fits(
             guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
@@ -310,7 +302,7 @@ class _Search:
             hidden=self._find_hidden(agreeing),
         )
 
-    def _find_hidden(self, driven: Sequence[tuple[Guess, Drive]]) -> frozenset[str]:
+    def _find_hidden(self, driven: Sequence[_Driven]) -> frozenset[str]:
         """Return queue depths above which deeper queues move the plant equally."""
         return frozenset(
             key for key in DEPTHS if any(self._is_deeper_alike(*one, key) for one in driven)
@@ -343,11 +335,10 @@ class _Search:
 
     def _drive(
         self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
-    ) -> list[tuple[Guess, Drive]]:
+    ) -> list[_Driven]:
         """Return the settings that fit equally well, the best first."""
         every = [
-            set_pause(guess, pause)
-            for pause, guess in product(pauses, [drop_pause(g) for g in guesses])
+            set_pause(guess, pause) for pause, guess in product(pauses, map(drop_pause, guesses))
         ]
         if rows is not None:
             # All settings are tried over the first rows, instead of some over all rows.
@@ -358,19 +349,15 @@ class _Search:
         tried = every[: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
         self._is_partial |= len(tried) < len(every)
         self._tried += len(tried)
-        alike = self.is_driven
-        found = [
-            (guess, drive_plant(self._trace, guess, rows=rows, reads_alike=alike))
-            for guess in tried
-        ]
-        driven = [(guess, drive) for guess, drive in found if drive is not None]
+        drive = partial(drive_plant, self._trace, rows=rows, reads_alike=self.is_driven)
+        driven = [(guess, found) for guess in tried if (found := drive(guess)) is not None]
         if not driven:
             return []
         # The residual of the best setting shows how independent the rows are.
         first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
-        misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
+        misfits = [one.compute_misfit(first.whiteness) for _, one in driven]
         order = np.argsort(misfits, kind="stable").tolist()
-        within = self._list_within_steps([drive for _, drive in driven], order[0])
+        within = self._list_within_steps([one for _, one in driven], order[0])
         return [
             driven[row] for row in order if within[row] or misfits[row] < min(misfits) + CERTAIN
         ]
@@ -415,9 +402,6 @@ class _Search:
 
     def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
         return {key: tuple(sorted(values)) for key, values in self._values.items()}
-
-    def _list_rotation(self) -> list[Row | None]:
-        return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
 
     def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1

@@ -30,23 +30,16 @@ class Trace:
 
     Attributes:
         run: Run of the samples.
-        number: Number of each sample in the run, from 0, shape (n,); numbers of lost rows are
-            missing. Without sample numbers in the log, row numbers until `mark_breaks` is
-            applied.
-        jumps: Rows whose pose the robot cannot have reached from the pose before; empty until
-            `mark_breaks` is applied.
-        time_ns: Time of each answer [ns], shape (n,).
-        xy_m: Position read, as the plant published it [m], shape (n, 2).
-        heading_rad: Heading read, as the plant published it [rad], shape (n,).
-        read_xy_m: Position as the controller read it, if logged; otherwise `xy_m` [m].
-        read_heading_rad: Heading as the controller read it, if logged; otherwise `heading_rad`
-            [rad].
-        speed_m_s: Published speed [m/s], shape (n,).
-        turn_rate_rad_s: Published turn rate [rad/s], shape (n,).
-        rotating: Number of samples in the first phase, which is the rotation for sequential-p. All
-            samples if the phases of the law are unknown.
-        translating: Number of samples in the next phase, which is the translation for sequential-p.
-        goal_xy_m: Goal position [m]; None if the log does not show it.
+        number: Number of each sample in the run, from 0; numbers of lost rows are missing. Without
+            sample numbers in the log, row numbers until `mark_breaks` is applied.
+        jumps: Rows whose pose the robot cannot have reached from the pose before, if marked.
+        time_ns: Time of each answer.
+        xy_m, heading_rad: Pose read, as the plant published it.
+        read_xy_m, read_heading_rad: Pose as the controller read it, if logged, otherwise the same.
+        speed_m_s, turn_rate_rad_s: Published command.
+        rotating: Number of samples in the first phase; all samples if the phases are unknown.
+        translating: Number of samples in the next phase.
+        goal_xy_m: Goal; None if the log does not show it.
         period_ticks: Number of ticks between answered poses.
         has_exact_clock: Whether times are simulated, in whole ticks.
         has_ticks: Whether there is a pose for every tick, answered or not.
@@ -137,11 +130,7 @@ class Trace:
 
 
 def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
-    """Return the samples of a run, one after another.
-
-    Args:
-        run: Run with samples.
-        phases: Two successive phases of the run; None for a law with unknown phases.
+    """Return the samples of a run, one after another, and the lengths of two successive phases.
 
     Raises:
         ExplainError: If the run has no samples.
@@ -274,14 +263,14 @@ def describe_trace_breaks(trace: Trace) -> list[str]:
         row = trace.jumps[0]
         moved, turned = _measure_steps(trace)
         way = f"{moved[row - 1]:.3g} m and {np.degrees(turned[row - 1]):.3g} deg"
-        more = _count_more(len(trace.jumps))
+        more = f", and {len(trace.jumps) - 1} more" * (len(trace.jumps) > 1)
         found.append(f"the pose jumps by {way} at {_find_time_s(trace, row):.3f} s{more}")
     if trace.missing:
         row, amount = trace.missing[0]
         noun = "sample is" if amount == 1 else "samples are"
         at_s = _find_time_s(trace, row - 1)
         length_s = _find_time_s(trace, row) - at_s
-        more = _count_more(len(trace.missing))
+        more = f", and {len(trace.missing) - 1} more" * (len(trace.missing) > 1)
         found.append(f"{amount} {noun} missing after {at_s:.3f} s, for {length_s:.3f} s{more}")
     if not np.array_equal(trace.read_xy_m, trace.xy_m) or not np.array_equal(
         trace.read_heading_rad, trace.heading_rad
@@ -341,15 +330,8 @@ def _find_fastest(trace: Trace) -> tuple[float, float]:
         for name in ("speed", "turn_rate")
     ]
     shown = [run.poses.speed_m_s, run.poses.turn_rate_rad_s]
-    fastest = [
-        max(rate * gain, _find_largest(values))
-        for rate, gain, values in zip((speed, turn_rate), gains, shown, strict=True)
-    ]
-    return fastest[0], fastest[1]
-
-
-def _find_largest(values: Values | None) -> float:
-    return 0.0 if values is None else float(np.abs(values).max())
+    seen = [0.0 if values is None else float(np.abs(values).max()) for values in shown]
+    return max(speed * gains[0], seen[0]), max(turn_rate * gains[1], seen[1])
 
 
 def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
@@ -386,10 +368,6 @@ def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
     return np.cumsum(number)
 
 
-def _count_more(amount: int) -> str:
-    return f", and {amount - 1} more" if amount > 1 else ""
-
-
 def _find_time_s(trace: Trace, row: int) -> float:
     return float(trace.time_ns[row] - trace.run.start_ns) / 1e9
 
@@ -401,6 +379,5 @@ def _measure_steps(trace: Trace) -> tuple[Values, Values]:
 
 
 def _find_slack(values: Values, grain: float) -> float:
-    return (
-        _NOISE_STEPS * float(np.sqrt(2.0)) * estimate_trace_noise(values) + 2.0 * grain + _ROUNDING
-    )
+    step = float(np.sqrt(2.0)) * estimate_trace_noise(values)
+    return _NOISE_STEPS * step + 2.0 * grain + _ROUNDING

@@ -2,26 +2,23 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from turtlelog.display import describe_count, format_pair, join_words
-from turtlelog.explain.answer_words import NAMED, write_joint
-from turtlelog.explain.attribution import SAME, is_clear
-from turtlelog.explain.two_runs.explained_difference import ROBOT, SEED
-from turtlelog.explain.two_runs.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
+from turtlelog.explain.answer_words import NAMED, choose_joint, write_joint, write_missing
+from turtlelog.explain.attribution import SAME, ValueSet, is_clear
+from turtlelog.explain.explained_difference import (
+    ROBOT,
+    SEED,
+    Change,
+    ExplainedDifference,
+    Side,
+)
+from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
-
-if TYPE_CHECKING:
-    from turtlelog.explain.attribution import ValueSet
-    from turtlelog.explain.two_runs.explained_difference import (
-        Change,
-        EffectShift,
-        ExplainedDifference,
-        Side,
-    )
-
 
 _FEW: Final = 3
 """Largest number of changes that are all named, so that their contributions visibly add up."""
@@ -69,8 +66,10 @@ _CODE: Final = (
 )
 
 
-def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
+def write_difference_sentences(found: ExplainedDifference) -> tuple[str, ...]:
     """Return sentences on the difference, its reasons, their dependences, and what else differs."""
+    is_seed_alone = bool(found.contributions) and not _list_divided(found)
+    idle = f"Different, but without effect on this metric: {join_words(found.idle)}."
     sentences = [
         write_difference_headline(found),
         _write_resimulated(found),
@@ -78,18 +77,18 @@ def write_difference_sentences(found: "ExplainedDifference") -> tuple[str, ...]:
         *_write_obstacle(found),
         _write_starts(found),
         _write_together(found),
-        _write_seeds(found),
+        "No setting differs but the seed of the random effects." * is_seed_alone,
         _write_orders(found),
         _write_unclear(found),
         _write_effects(found),
-        _write_idle(found),
+        idle if found.idle else "",
         _write_basis(found),
         *_write_robot_basis(found),
     ]
     return tuple(filter(None, sentences))
 
 
-def write_difference_headline(found: "ExplainedDifference") -> str:
+def write_difference_headline(found: ExplainedDifference) -> str:
     """Return both values, and how much each change adds to the first value or subtracts from it."""
     first, second = found.first, found.second
     if first.as_logged is None or second.as_logged is None:
@@ -107,9 +106,13 @@ def write_difference_headline(found: "ExplainedDifference") -> str:
     return f"{found.metric} {moves}{f': {told}' if told else ''}."
 
 
-def _write_parts(found: "ExplainedDifference") -> str:
+def _write_parts(found: ExplainedDifference) -> str:
     """Return the contributions of the changes; those not in the headline are added up."""
-    parts = [_write_part(found, one) for one in choose_told(found)]
+    parts = [
+        f"{name_change(one)}"
+        f" {_write_move(found, one.contribution or 0.0, is_many=one.name in _PLURALS)}"
+        for one in choose_told(found)
+    ]
     if found.unexplained is not None:
         return join_words(parts) or ("no cause is certain" if found.contributions else "")
     rest = [one for one in _list_divided(found) if one not in choose_told(found)]
@@ -120,16 +123,16 @@ def _write_parts(found: "ExplainedDifference") -> str:
     return f"in the mean over {found.seeds} seeds {told}" if told and found.seeds > 1 else told
 
 
-def _list_divided(found: "ExplainedDifference") -> list["Change"]:
+def _list_divided(found: ExplainedDifference) -> list[Change]:
     return [one for one in found.contributions if not _is_chance(found, one)]
 
 
-def _is_chance(found: "ExplainedDifference", one: "Change") -> bool:
+def _is_chance(found: ExplainedDifference, one: Change) -> bool:
     """Return whether a change is due to chance. Noise that a scenario sets is a cause instead."""
     return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
 
 
-def _write_chance(found: "ExplainedDifference") -> list[str]:
+def _write_chance(found: ExplainedDifference) -> list[str]:
     """Return the parts of the difference that chance adds."""
     least = _TINY * _sum(found.contributions)
     return [
@@ -139,13 +142,13 @@ def _write_chance(found: "ExplainedDifference") -> list[str]:
     ]
 
 
-def _write_side(found: "ExplainedDifference", side: "Side") -> str:
+def _write_side(found: ExplainedDifference, side: Side) -> str:
     if side.as_logged is None:
         return f"{side.name} has no value ({side.reason})"
     return f"{side.name} has {format_magnitude(found, side.as_logged)}"
 
 
-def _write_resimulated(found: "ExplainedDifference") -> str:
+def _write_resimulated(found: ExplainedDifference) -> str:
     """Return the re-simulated values, which contributions divide, if they differ from the log's."""
     sides = (found.first, found.second)
     pairs = [(one.as_logged, one.resimulated) for one in sides]
@@ -159,7 +162,7 @@ def _write_resimulated(found: "ExplainedDifference") -> str:
     return f"Simulated again it is {values[0]} and {values[1]}."
 
 
-def choose_told(found: "ExplainedDifference") -> list["Change"]:
+def choose_told(found: ExplainedDifference) -> list[Change]:
     """Return the changes that the first line names: all relevant ones, or the largest of many."""
     divided = _list_divided(found)
     if found.unexplained is not None:
@@ -172,27 +175,21 @@ def choose_told(found: "ExplainedDifference") -> list["Change"]:
     return divided if len(told) == len(divided) - 1 else told
 
 
-def _sum(changes: Sequence["Change"]) -> float:
+def _sum(changes: Sequence[Change]) -> float:
     return math.fsum(abs(one.contribution or 0.0) for one in changes)
 
 
-def _is_large(one: "Change", least: float) -> bool:
+def _is_large(one: Change, least: float) -> bool:
     size = one.contribution or 0.0
     return abs(size) > least and is_clear(size, one.standard_error)
 
 
-def _write_part(found: "ExplainedDifference", one: "Change") -> str:
-    """Return a change and the amount that it adds or subtracts."""
-    many = one.name in _PLURALS
-    return f"{name_change(one)} {_write_move(found, one.contribution or 0.0, is_many=many)}"
-
-
-def _write_move(found: "ExplainedDifference", size: float, *, is_many: bool) -> str:
+def _write_move(found: ExplainedDifference, size: float, *, is_many: bool) -> str:
     verb, end = ("add", "") if size >= 0.0 else ("take", " away")
     return f"{verb}{'' if is_many else 's'} {format_magnitude(found, abs(size))}{end}"
 
 
-def format_change(found: "ExplainedDifference", one: "Change") -> str:
+def format_change(found: ExplainedDifference, one: Change) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
     size = one.contribution or 0.0
     if one.low is not None and one.high is not None:
@@ -203,9 +200,9 @@ def format_change(found: "ExplainedDifference", one: "Change") -> str:
     return f"{'+' if size >= 0.0 else ''}{format_magnitude(found, size)}{spread}"
 
 
-def name_change(one: "Change") -> str:
+def name_change(one: Change) -> str:
     """Return a group of settings in words: `the gains`, `the shorter pause`, or its key."""
-    if _is_robot_part(one):
+    if one.keys[0].partition(".")[0] in AXES:
         return f"the robot's {_describe_robot_part(one)}"
     if one.name in _WORDS:
         return _WORDS[one.name]
@@ -214,7 +211,7 @@ def name_change(one: "Change") -> str:
     return f"the {_compare_spans(one)}{one.name}"
 
 
-def _compare_spans(one: "Change") -> str:
+def _compare_spans(one: Change) -> str:
     """Return `longer `, `shorter ` or `missing ` for a changed duration or queue; else nothing."""
     if len(one.keys) != 1 or one.name not in _SPANS:
         return ""
@@ -228,13 +225,13 @@ def _compare_spans(one: "Change") -> str:
     return "longer " if after > before else "shorter "
 
 
-def _is_negligible(found: "ExplainedDifference") -> bool:
+def _is_negligible(found: ExplainedDifference) -> bool:
     """Return whether all contributions, and the difference, are within the resolution."""
     sizes = [abs(one.contribution or 0.0) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
 
-def format_magnitude(found: "ExplainedDifference", value: float) -> str:
+def format_magnitude(found: ExplainedDifference, value: float) -> str:
     """Return a value with its unit, with as many decimals as all values of the answer."""
     text = f"{value:.{_count_decimals(found)}f}"
     if not float(text):
@@ -242,7 +239,7 @@ def format_magnitude(found: "ExplainedDifference", value: float) -> str:
     return f"{text} {found.unit}".removesuffix(" 1")
 
 
-def _count_decimals(found: "ExplainedDifference") -> int:
+def _count_decimals(found: ExplainedDifference) -> int:
     """Return the decimals that show four digits of the largest value, or two of a contribution."""
     sides = (found.first.as_logged, found.second.as_logged)
     sizes = [one.contribution for one in found.contributions]
@@ -254,16 +251,11 @@ def _count_decimals(found: "ExplainedDifference") -> int:
     return min(max([*decimals, 0]), _MOST_DECIMALS)
 
 
-def _write_obstacle(found: "ExplainedDifference") -> list[str]:
+def _write_obstacle(found: ExplainedDifference) -> list[str]:
     if found.without_value:
         changes = {one.name: one for one in found.changes}
-        cases = [
-            f"{_name_set(case, changes)} it has no value: {case.reason}"
-            for case in found.without_value
-        ]
-        cases += [f"{_name_set(case, changes)} it has a value" for case in found.with_value]
-        text = "; ".join(cases)
-        return [f"{text[:1].upper()}{text[1:]}. Therefore there are no contributions."]
+        name_set = partial(_name_set, changes)
+        return [write_missing(found.without_value, found.with_value, name_set)]
     if not found.withheld:
         return []
     if found.has_same_settings:
@@ -281,44 +273,34 @@ def _write_obstacle(found: "ExplainedDifference") -> list[str]:
     return [f"Why is not known: {found.withheld}.{differ}{software}"]
 
 
-def _name_set(case: "ValueSet", changes: "dict[str, Change]") -> str:
+def _name_set(changes: dict[str, Change], case: ValueSet) -> str:
     if not case.causes:
         return "without all changes"
     alone = " alone" if len(case.causes) < len(changes) else ""
     return f"with {join_words([name_change(changes[name]) for name in case.causes])}{alone}"
 
 
-def _write_together(found: "ExplainedDifference") -> str:
+def _write_together(found: ExplainedDifference) -> str:
     """Return the part that arises only if several changes act together; empty if it is small."""
     if not found.contributions or _is_negligible(found):
         return ""
-    least = NAMED * _sum(_list_divided(found))
-    large = [
-        one
-        for one in sorted(found.together, key=lambda one: -abs(one.value))[:_FEW]
-        if abs(one.value) > least and is_clear(one.value, one.standard_error)
-    ]
-    changes = {one.name: one for one in found.contributions}
-    named = ([name_change(changes[name]) for name in one.causes] for one in large)
+    names = {one.name: name_change(one) for one in found.contributions}
     return " ".join(
-        write_joint(names, one.value, format_magnitude(found, abs(one.value)))
-        for one, names in zip(large, named, strict=True)
+        write_joint(
+            [names[name] for name in one.causes], one.value, format_magnitude(found, abs(one.value))
+        )
+        for one in choose_joint(found.together, _sum(_list_divided(found)))
     )
 
 
-def _write_seeds(found: "ExplainedDifference") -> str:
-    is_seed_alone = found.contributions and not _list_divided(found)
-    return "No setting differs but the seed of the random effects." if is_seed_alone else ""
-
-
-def _write_orders(found: "ExplainedDifference") -> str:
+def _write_orders(found: ExplainedDifference) -> str:
     if found.orders is None or not found.contributions:
         return ""
     orders = f"{found.orders} orders of the changes were sampled"
     return f"{orders}: each contribution has a standard error."
 
 
-def _write_unclear(found: "ExplainedDifference") -> str:
+def _write_unclear(found: ExplainedDifference) -> str:
     unclear = [
         name_change(one)
         for one in found.contributions
@@ -329,7 +311,7 @@ def _write_unclear(found: "ExplainedDifference") -> str:
     return f"May be chance: what {join_words(unclear)} {'adds' if len(unclear) == 1 else 'add'}."
 
 
-def _write_starts(found: "ExplainedDifference") -> str:
+def _write_starts(found: ExplainedDifference) -> str:
     starts = found.starts
     if starts is None or not starts.is_wide:
         return ""
@@ -341,12 +323,12 @@ def _write_starts(found: "ExplainedDifference") -> str:
     )
 
 
-def _format_span(found: "ExplainedDifference", low: float, high: float) -> str:
+def _format_span(found: ExplainedDifference, low: float, high: float) -> str:
     least, most = format_magnitude(found, low), format_magnitude(found, high)
     return most if least == most else f"{least} to {most}"
 
 
-def _write_departure(found: "ExplainedDifference") -> list[str]:
+def _write_departure(found: ExplainedDifference) -> list[str]:
     one = found.departure
     if not found.has_same_settings:
         return []
@@ -361,13 +343,13 @@ def _write_departure(found: "ExplainedDifference") -> list[str]:
     ]
 
 
-def _has_other_code(found: "ExplainedDifference") -> bool:
+def _has_other_code(found: ExplainedDifference) -> bool:
     """Return whether both recordings contain a digest of the law's code, and the digests differ."""
     codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
     return None not in codes and codes[0] != codes[1]
 
 
-def _write_software(found: "ExplainedDifference") -> str:
+def _write_software(found: ExplainedDifference) -> str:
     """Return differences other than settings before the runs differ: versions, platform or code."""
     first, second = found.first.simulated_by, found.second.simulated_by
     silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
@@ -383,26 +365,19 @@ def _write_software(found: "ExplainedDifference") -> str:
     return f"No setting differs: both ran with {describe_software(first)}{code}."
 
 
-def _write_effects(found: "ExplainedDifference") -> str:
+def _write_effects(found: ExplainedDifference) -> str:
     """Return how the contributions of `explain` differ; empty if the differences are negligible."""
     large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
-    parts = [_write_shift(found, one) for one in large[:_FEW]]
+    parts = [
+        f"{format_magnitude(found, abs(one.shift))} {'more' if one.shift >= 0.0 else 'less'} from"
+        f" the {one.cause}"
+        for one in large[:_FEW]
+    ]
     head = "By effect instead of by setting (turtlelog explain), the second run has"
     return f"{head} {join_words(parts)}." if parts else ""
 
 
-def _write_shift(found: "ExplainedDifference", one: "EffectShift") -> str:
-    size = format_magnitude(found, abs(one.shift))
-    return f"{size} {'more' if one.shift >= 0.0 else 'less'} from the {one.cause}"
-
-
-def _write_idle(found: "ExplainedDifference") -> str:
-    if not found.idle:
-        return ""
-    return f"Different, but without effect on this metric: {join_words(found.idle)}."
-
-
-def _write_basis(found: "ExplainedDifference") -> str:
+def _write_basis(found: ExplainedDifference) -> str:
     """Return the basis of the contributions."""
     sides: Sequence[Side] = (found.first, found.second)
     if found.contributions and all(side.basis == "recorded" for side in sides):
@@ -410,7 +385,7 @@ def _write_basis(found: "ExplainedDifference") -> str:
     return " ".join(_write_identified(side) for side in sides if side.basis == "identified")
 
 
-def _write_identified(side: "Side") -> str:
+def _write_identified(side: Side) -> str:
     unknown = f" Not identified, so taken as equal: {join_words(side.unknown)}."
     reason, _, _ = side.note.partition(":")
     return (
@@ -427,12 +402,7 @@ _AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rat
 """Text after a value: instead of the axis's unit, or after this unit."""
 
 
-def _is_robot_part(one: "Change") -> bool:
-    """Return whether a group is a parameter of an identified robot's axis."""
-    return one.keys[0].partition(".")[0] in AXES
-
-
-def _describe_robot_part(one: "Change") -> str:
+def _describe_robot_part(one: Change) -> str:
     """Return a robot parameter with its values in both logs: `dead time turning (70 -> 110 ms)`."""
     for key, before, after in zip(one.keys, one.first, one.second, strict=False):
         if before != after and not isinstance(before or after, str):
@@ -451,7 +421,7 @@ def _format_pair(key: str, before: Any, after: Any) -> str:
     return f"{' -> '.join(shown)}{unit}"
 
 
-def _write_robot_basis(found: "ExplainedDifference") -> list[str]:
+def _write_robot_basis(found: ExplainedDifference) -> list[str]:
     """Return the basis of the contributions of two robots' parts; empty for simulated runs."""
     sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
     said = [f"{side.name}: {side.note}." for side in sides if side.note]
@@ -470,6 +440,6 @@ def _write_robot_basis(found: "ExplainedDifference") -> list[str]:
     ]
 
 
-def _write_unknown(side: "Side") -> str:
+def _write_unknown(side: Side) -> str:
     names = join_words([NAMES[axis] for axis in AXES if axis in side.unknown])
     return f"{side.name} has no commands of the {names}, so the other robot's is taken for it."

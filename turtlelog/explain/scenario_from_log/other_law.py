@@ -5,13 +5,12 @@ every sample or is rejected; dead times, limits and queues come from poses, comm
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.errors import SimulationError
 from turtlelog.explain.scenario_from_log.driven_plant import WHITE
 from turtlelog.explain.scenario_from_log.identification import (
     DEAD_TIME,
@@ -24,20 +23,16 @@ from turtlelog.explain.scenario_from_log.identification import (
     miss,
     take_seconds,
 )
-from turtlelog.explain.scenario_from_log.loop_findings import (
+from turtlelog.explain.scenario_from_log.loop_settings import (
     describe_goal,
     describe_loop,
     describe_start,
+    read_hints,
 )
-from turtlelog.explain.scenario_from_log.loop_guesses import read_hints
 from turtlelog.explain.scenario_from_log.resimulation import (
-    CLOSE,
-    CLOSE_COMMAND,
-    Resimulation,
-    compare_samples,
-    count_equal,
-    find_end_s,
-    list_rows,
+    _NOT_DETERMINISTIC,
+    RecordedScenario,
+    check_recorded_scenario,
 )
 from turtlelog.explain.scenario_from_log.setting_search import Fits, drive_loop, search_loop
 from turtlelog.explain.scenario_from_log.trace import (
@@ -54,27 +49,11 @@ from turtlelog.measure.dead_time import LARGEST_TICKS, shows_lag
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.run.loops import PAUSE, RESERVED, ControlLoop
-from turtlelog.scenario import (
-    DEFAULT_LAW,
-    Scenario,
-    flatten_scenario,
-    resolve_scenario,
-    restore_scenario,
-)
-from turtlelog.simulate import simulate_run
-
-LONGEST_S: Final = 3600.0
-"""Longest run that is simulated again [s]: 225,000 ticks, about five seconds for each
-simulation."""
+from turtlelog.scenario import flatten_scenario
 
 _COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
 """Possible commands in a phase without loops, with the signal and reference of each."""
 
-
-_NOT_DETERMINISTIC: Final = (
-    "the recorded scenario reproduces every sample once, and not when it is simulated again:"
-    " its law is not deterministic, and nothing is claimed of it"
-)
 
 _TIME_IS_UP: Final = "max_duration"
 """Stop reason of a run that no rule of its law ended. Only the recording shows this reason."""
@@ -84,84 +63,8 @@ AROUND: Final = "a loop is identified from commands only around turtlesim"
 _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedScenario:
-    """Result of testing the recorded scenario of a run.
-
-    Attributes:
-        scenario: Scenario that ends with the log; None if the scenario does not reproduce every
-            sample.
-        run: Re-simulated run; None if the scenario was not simulated.
-        resimulation: Comparison of this run with the log; None if the scenario was not simulated.
-        reach: Agreement with the log, or the reason why the scenario was not simulated, in one
-            clause.
-    """
-
-    scenario: Scenario | None = None
-    run: Run | None = None
-    resimulation: Resimulation | None = None
-    reach: str
-
-
-def require_trust(run: Run, *, trust_law: bool) -> None:
-    """Refuse a run whose complete scenario has a law that is neither built in nor trusted.
-
-    Raises:
-        ScenarioError: If a trusted law cannot run, or the law is not trusted; the message contains
-            the law's name and how to trust it.
-    """
-    if run.scenario_is_complete and run.parameters.get("law.kind", DEFAULT_LAW) not in LAWS:
-        resolve_scenario(restore_scenario(run), trust_law=trust_law)
-
-
-def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> RecordedScenario:
-    """Simulate the recorded scenario of a run, and compare it with the log sample by sample.
-
-    Raises:
-        ScenarioError: If the law may not or cannot run.
-    """
-    scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
-    rows = list_rows(trace)
-    try:
-        count, _ = count_equal(scenario, rows, to_rounding=True)
-        if count < len(rows):
-            return RecordedScenario(reach=_describe_reach(trace, count))
-        if count > len(rows):
-            end_s = find_end_s(trace, scenario, len(rows))
-            scenario = replace(scenario, max_duration_s=end_s)
-        again = simulate_run(scenario)
-    except SimulationError as err:
-        return RecordedScenario(reach=f"the recorded scenario cannot be simulated again: {err}")
-    resimulation = compare_samples(trace, again)
-    error = max(astuple(resimulation.max_abs_error))
-    if error >= CLOSE or resimulation.max_command_error >= CLOSE_COMMAND:
-        return RecordedScenario(reach=_NOT_DETERMINISTIC)
-    rounding = " to rounding, not bit for bit" if error or resimulation.max_command_error else ""
-    return RecordedScenario(
-        scenario=scenario,
-        run=again,
-        resimulation=resimulation,
-        reach=f"the recorded scenario reproduces all {len(trace)} samples{rounding}",
-    )
-
-
-def _describe_reach(trace: Trace, equal: int) -> str:
-    row = int(np.searchsorted(trace.number, equal))
-    at_s = float(trace.time_ns[row] - trace.run.start_ns) / 1e9
-    return (
-        f"the recorded scenario reproduces the first {row:,} samples and departs at {at_s:.3f} s:"
-        " nothing is claimed of the law"
-    )
-
-
 def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
-    """Return facts about the loop around a law whose parameters cannot be identified.
-
-    Args:
-        run: Run with samples.
-        reason: Reason why the parameters cannot be identified, in one clause.
-        trust_law: Whether the recorded law may run.
-    """
+    """Return facts about the loop around a law whose parameters, for a reason, are unknown."""
     kind = str(run.parameters.get("law.kind", ""))
     trace = mark_breaks(trace_run(run))
     motion = space_out(trace)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from turtlelog.display import join_words
 from turtlelog.explain.attribute import divide_game
 from turtlelog.explain.attribution import SAME, Attribution, Contribution, Resolution
+from turtlelog.explain.contributions import ORDERS, sample_game
+from turtlelog.explain.explained_difference import ROBOT, Change, ExplainedDifference, Side
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
-from turtlelog.explain.shapley import ORDERS, sample_game
-from turtlelog.explain.two_runs.explained_difference import ROBOT, Change, ExplainedDifference, Side
-from turtlelog.explain.two_runs.robot_parts import (
+from turtlelog.explain.robot_parts import (
     COMMANDS,
     MOTIONS,
     NOISE,
@@ -73,9 +73,11 @@ def explain_robots(
     """
     runs = [_leave_controller(run) for run in (first, second)]
     left = [run is not given for run, given in zip(runs, (first, second), strict=True)]
+    logged = [measure_run(run, only=[metric])[metric] for run in runs]
+    notes = [_LAW_ACTS if is_left and not all(left) else "" for is_left in left]
     sides = [
-        _measure_side(run, metric, note=_LAW_ACTS if is_left and not all(left) else "")
-        for run, is_left in zip(runs, left, strict=True)
+        Side(name=run.name, as_logged=one.value, reason=one.reason, basis=ROBOT, note=note)
+        for run, one, note in zip(runs, logged, notes, strict=True)
     ]
     found = ExplainedDifference(
         metric=metric,
@@ -120,11 +122,6 @@ def _leave_controller(run: Run) -> Run:
         parameters=kept,
         scenario_is_complete=False,
     )
-
-
-def _measure_side(run: Run, metric: str, note: str) -> Side:
-    logged = measure_run(run, only=[metric])[metric]
-    return Side(name=run.name, as_logged=logged.value, reason=logged.reason, basis=ROBOT, note=note)
 
 
 def _list_idle(logs: Sequence[RobotLog], axes: Sequence[Axis], row: int) -> tuple[str, ...]:
@@ -233,10 +230,9 @@ def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
 
 
 def _complete(change: Change, share: Contribution) -> Change:
-    """Return a change with its contribution. The standard error is for a single sample.
+    """Return a change with its contribution, with the standard error of a single draw.
 
-    The standard error of a mean over samples would be too small by the root of the number of
-    samples.
+    That of the mean over draws would be too small by the root of their number.
     """
     error = (share.standard_error or 0.0) * math.sqrt(len(SEEDS))
     size = share.contribution or 0.0
@@ -260,9 +256,8 @@ _MIRRORED: Final = len(SEEDS) // 2
 class RobotGame(Game):
     """Simulations of one robot's model with recorded commands and some parts from the other log.
 
-    Each seed is a random sample of both robots' parameters within their intervals, and of the
-    noise. The measured run is the recording whose commands are used, with the model's poses at its
-    times.
+    Each seed draws both robots' parameters within their intervals, and the noise. The measured run
+    has the commands of a recording, and the model's poses at its times.
     """
 
     def __init__(
@@ -336,8 +331,7 @@ class RobotGame(Game):
         return [pair for pair in names.items() if getattr(poses, pair[0]) is not None]
 
     def _find_times(self, out: Coalition) -> Times:
-        base, timed = self._get(COMMANDS, out).run, self._get(TIMES, out).run
-        return _place_times(base, timed)
+        return _place_times(self._get(COMMANDS, out).run, self._get(TIMES, out).run)
 
     def _predict(self, axis: Axis, out: Coalition, seed: int | None) -> tuple[Values, Values]:
         """Return the distance or turn, and the rate, at each pose of the recording."""
@@ -382,8 +376,8 @@ def _draw_models(logs: Sequence[RobotLog], seed: int | None) -> list[dict[Axis, 
 def _place_times(base: Run, timed: Run) -> Times:
     """Return times for the poses of a recording [ns], taken from those of another recording.
 
-    The first commands of both recordings are at one time. Beyond the end of the other recording,
-    the recording keeps its own times. Half a period at either end is ignored.
+    The first commands of both are at one time. Beyond the end of the other recording, its times
+    repeat. Half a period at either end is ignored.
     """
     time_ns = timed.poses.time_ns
     if timed is base or len(time_ns) < 2:

@@ -16,34 +16,34 @@ from turtlelog.explain.attribution import (
     choose_metric,
     find_resolution,
 )
-from turtlelog.explain.causes import draws_random
-from turtlelog.explain.game import SEEDS, Play, Work, iterate_outcomes
-from turtlelog.explain.scenario_from_log.hypothesis import (
-    LONGEST_S,
-    check_recorded_scenario,
-    require_trust,
-)
-from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
-from turtlelog.explain.scenario_from_log.resimulation import find_departure
-from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
-from turtlelog.explain.shapley import ORDERS, sample_game
-from turtlelog.explain.starts import (
+from turtlelog.explain.causes import draws_random, find_changes, set_values
+from turtlelog.explain.contributions import (
+    ORDERS,
     find_steady_span,
     ranges_over,
+    sample_game,
     spread_starts,
     subtract_values,
     turn_start,
 )
-from turtlelog.explain.two_runs.explained_difference import (
+from turtlelog.explain.explained_difference import (
     SEED,
     Change,
     DifferenceRange,
     EffectShift,
     ExplainedDifference,
     Side,
+    find_departure,
 )
-from turtlelog.explain.two_runs.robot_difference import explain_robots, is_robot_log
-from turtlelog.explain.two_runs.run_changes import ChangeGame, find_changes, set_values
+from turtlelog.explain.game import SEEDS, ChangeGame, Play, Work, iterate_outcomes
+from turtlelog.explain.robot_difference import explain_robots, is_robot_log
+from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
+from turtlelog.explain.scenario_from_log.resimulation import (
+    LONGEST_S,
+    check_recorded_scenario,
+    require_trust,
+)
+from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
 from turtlelog.measure import Metric, describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run, require_run
@@ -64,7 +64,6 @@ _ROUNDING: Final = 1e-12
 
 _NAMES: Final = ("the first run", "the second run")
 """Names of runs that have equal names."""
-
 
 _NO_SAMPLES: Final = (
     "without controller samples no scenario is known (turtlelog identify shows how a robot follows"
@@ -260,12 +259,7 @@ def choose_common_metric(first: Run, second: Run) -> str:
 
 
 def _require_common_metric(first: Run, second: Run, metric: str) -> None:
-    """Require a metric that both runs have.
-
-    Raises:
-        ExplainError: If a run does not have the metric (the message contains the nearest names), or
-            if the units differ.
-    """
+    """Require a metric that both runs have, in the same unit."""
     for run in (first, second):
         known = list_metrics(run.declaration)
         if metric not in known:

@@ -66,14 +66,7 @@ _DRIVES: Final = ("run.speed_", "run.measured_speed_")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LogNoise:
-    """Noise of a robot, as its log shows it.
-
-    Attributes:
-        position_m: Noise of each position coordinate [m].
-        heading_rad: Noise of the heading [rad].
-        speed: Noise of the speed [m/s^0.5].
-        turn_rate: Noise of the turn rate [rad/s^0.5].
-    """
+    """Noise of a robot, as its log shows it; of the rates in m/s^0.5 and rad/s^0.5."""
 
     position_m: float = 0.0
     heading_rad: float = 0.0
@@ -83,13 +76,9 @@ class LogNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobotLog:
-    """A robot's log, its model, and the commands that drive it.
+    """A robot's log without controller samples, its model, its noise, and its commands.
 
-    Attributes:
-        run: Run without controller samples.
-        model: Result of `identify_robot`.
-        noise: Noise of poses and rates.
-        commands: Commands by axis, with a 0 where the robot stops by itself.
+    The commands of each axis have a 0 where the robot stops by itself.
     """
 
     run: Run

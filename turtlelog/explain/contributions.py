@@ -1,8 +1,16 @@
-"""Range of a value over starts within the turn of one sample, and over seeds."""
+"""The value of a game divided among its players, exactly or from a sample of orders.
+
+A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): the amount that a
+cause adds to the value, averaged over all orders of the causes. The amount that a set of causes
+adds only together is called its dividend (Harsanyi, 1963).
+"""
 
 import math
-from collections.abc import Mapping, Sequence
+import random
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
+from itertools import pairwise
 from statistics import fmean, stdev
 from typing import Final
 
@@ -18,11 +26,137 @@ from turtlelog.explain.attribution import (
     Together,
     find_sample_period_s,
 )
-from turtlelog.explain.game import Coalition, Game, Outcome, ScenarioGame, list_coalitions
-from turtlelog.explain.shapley import Worth, compute_contributions, compute_dividends
+from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, ScenarioGame, list_coalitions
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
+
+Worth = Mapping[Coalition, float]
+"""Value of every coalition."""
+
+
+def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, float]:
+    """Return the contribution of each cause.
+
+    The `math.fsum` of the contributions is the float `worth` of all causes minus that of none, to
+    the last bit. If contributions cancel, it may differ by a float step of the smallest
+    contribution.
+    """
+    exact = [_compute_share(worth, cause, causes) for cause in causes]
+    total = worth[frozenset(causes)] - worth[frozenset()]
+    return dict(zip(causes, _round_contributions(exact, total), strict=True))
+
+
+def compute_dividends(worth: Worth, causes: Sequence[str]) -> dict[tuple[str, ...], float]:
+    """Return the amount that each set of at least two causes adds beyond its subsets."""
+    exact: dict[Coalition, Fraction] = {}
+    for inside in list_coalitions(causes):
+        subsets = sum((exact[part] for part in exact if part < inside), Fraction())
+        exact[inside] = Fraction(worth[inside]) - subsets
+    return {
+        tuple(cause for cause in causes if cause in inside): float(dividend)
+        for inside, dividend in exact.items()
+        if len(inside) > 1
+    }
+
+
+def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
+    """Return the sets that contain no other set."""
+    found = list(coalitions)
+    return [inside for inside in found if not any(other < inside for other in found)]
+
+
+def _compute_share(worth: Worth, cause: str, causes: Sequence[str]) -> Fraction:
+    count = len(causes)
+    contribution = Fraction(0)
+    for others in list_coalitions([other for other in causes if other != cause]):
+        orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
+        adds = Fraction(worth[others | {cause}]) - Fraction(worth[others])
+        contribution += Fraction(orders, math.factorial(count)) * adds
+    return contribution
+
+
+def _round_contributions(exact: list[Fraction], total: float) -> list[float]:
+    """Return the contributions as floats whose exact sum rounds to the total.
+
+    The smallest nonzero contribution, whose float steps are finest, absorbs the rounding of the
+    others; in a tie between two floats, the next smallest does.
+    """
+    rounded = [float(one) for one in exact]
+    rows = sorted((row for row, one in enumerate(rounded) if one), key=lambda r: abs(exact[r]))
+    tried = [_absorb(rounded, row, total) for row in rows] or [rounded]
+    return next((found for found in tried if math.fsum(found) == total), tried[0])
+
+
+def _absorb(contributions: list[float], row: int, total: float) -> list[float]:
+    others = sum(
+        (Fraction(contribution) for at, contribution in enumerate(contributions) if at != row),
+        Fraction(),
+    )
+    return [
+        float(Fraction(total) - others) if at == row else s for at, s in enumerate(contributions)
+    ]
+
+
+_PAIRS: Final = 4 * len(SEEDS)
+"""Number of sampled orders, each used together with its reverse: about 6 s for the paper's runs
+with fourteen groups."""
+
+ORDERS: Final = 2 * _PAIRS
+"""Number of sampled orders."""
+
+
+def sample_game(found: Attribution, game: Game) -> Attribution:
+    """Return an attribution whose contributions are means over sampled orders of its causes.
+
+    Each order is paired with its reverse, which cancels the effect of the position in an order. If
+    the game is random, every seed has the same number of pairs, and the errors are over seeds.
+    """
+    orders = _list_orders(found.causes)
+    seeds = SEEDS if game.is_random else (None,)
+    added: dict[str, list[float]] = {name: [] for name in found.causes}
+    plays = [
+        (frozenset(order[place:]), seeds[row // 2 % len(seeds)])
+        for row, order in enumerate(orders)
+        for place in range(len(order) + 1)
+    ]
+    outcomes = game.play_each(plays)
+    if any(one.value is None for one in outcomes):
+        return replace(found, withheld="with some of the changes it has no value")
+    values = [one.value or 0.0 for one in outcomes]
+    width = len(found.causes) + 1
+    for row, order in enumerate(orders):
+        steps = pairwise(values[row * width : (row + 1) * width])
+        for name, (before, after) in zip(order, steps, strict=True):
+            added[name].append(after - before)
+    return replace(
+        found,
+        contributions=tuple(
+            Contribution(
+                cause=name,
+                contribution=fmean(sizes),
+                alone=game.take_out([name]).value,
+                meaning=game.causes[name].meaning,
+                standard_error=_find_order_error(sizes, len(seeds)),
+            )
+            for name, sizes in added.items()
+        ),
+    )
+
+
+def _list_orders(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the orders, the same ones at each call; each order is followed by its reverse."""
+    draw = random.Random(0)
+    drawn = (tuple(draw.sample(names, len(names))) for _ in range(_PAIRS))
+    return [order for one in drawn for order in (one, one[::-1])]
+
+
+def _find_order_error(sizes: Sequence[float], seeds: int) -> float:
+    parts = [fmean(pair) for pair in zip(sizes[::2], sizes[1::2], strict=True)]
+    if seeds > 1:  # all pairs of a seed contain its effect
+        parts = [fmean(parts[seed::seeds]) for seed in range(seeds)]
+    return _find_error(parts)
+
 
 _COUNT: Final = 17
 """Number of starts, a sixteenth of one sample's turn apart. Each start reaches the tolerance at
@@ -42,15 +176,7 @@ def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArra
     """Return angles of equally spaced starts, relative to the scenario's start [rad], shape (n,).
 
     The angles span the largest turn from one sample to the next, with the scenario's own start in
-    the middle.
-
-    Args:
-        scenario: Scenario with all causes.
-        built: Run of the scenario.
-        count: Number of starts, an odd number.
-
-    Returns:
-        The angles; empty if the robot does not turn.
+    the middle; `count` is odd. Empty if the robot does not turn in `built`, the scenario's run.
     """
     turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max(initial=0.0))
     within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
@@ -64,12 +190,9 @@ def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
 
 
 def find_steady_span(values: Sequence[float | None], added: float, resolution: float) -> float:
-    """Return the largest range of values that counts as steady.
+    """Return the largest range of values from each start that counts as steady.
 
-    Args:
-        values: Values from each start.
-        added: Total of the causes from the scenario's own start.
-        resolution: Largest change that is negligible.
+    `added` is the total of the causes from the scenario's own start, and `resolution` negligible.
     """
     if abs(added) > resolution:
         return _WIDE * abs(added)
@@ -102,12 +225,8 @@ def vary_start(
 ) -> StartRange | None:
     """Return the range of the value over starts within one sample's turn; None without a turn.
 
-    Args:
-        scenario: Scenario with all causes.
-        metric: Id of a metric that has a value.
-        added: Total of the causes.
-        resolution: Largest change that is negligible.
-        acting: Causes that change the value.
+    The metric has a value, to which the `acting` causes contribute `added` in total. A change
+    within `resolution` is negligible.
     """
     built = simulate_run(scenario)
     offsets_rad = spread_starts(scenario, built).tolist()
@@ -138,7 +257,8 @@ def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple
     """Return the lowest and highest part of each cause; empty unless all parts are positive."""
     parts = []
     for game in games:
-        found = {inside: game.play(inside, causes).value for inside in list_coalitions(causes)}
+        every = {*causes}
+        found = {one: game.take_out(every - one).value for one in list_coalitions(causes)}
         worth = {inside: value for inside, value in found.items() if value is not None}
         if len(worth) < len(found):
             return ()
@@ -165,8 +285,7 @@ _CENTRAL: Final = (0.025, 0.975)
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
     """Return the attribution with its contributions, or the reason for their absence.
 
-    A seed is used only if every combination has a value with this seed, because combinations are
-    compared by seed.
+    A seed is used only if every combination has a value with it: combinations are compared by seed.
     """
     names = found.causes
     coalitions = list_coalitions(names)

@@ -1,1 +1,0 @@
-"""Why a metric differs between two runs."""
