@@ -10,6 +10,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.identify.robots import write_bag
 from tests.log.ros2.bags import START_NS, Said, make_command, make_odometry, make_vector, write_mcap
 from tests.measure.driven import publish, respond
 from turtlelog.check.failure_report import describe_failure
@@ -51,6 +52,22 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def silent(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_robot(tmp_path_factory.mktemp("silent") / "silent.mcap", commands=False)
+
+
+def test_jumps_that_a_path_length_contains_are_told_beside_it(
+    call: Call, robot: Path, tmp_path: Path
+) -> None:
+    run = tl.read_run(robot)
+    xy_m = run.poses.xy_m + np.where(np.arange(len(run.poses)) < 50, 0.0, 0.3)[:, None]
+    leap = write_bag(replace(run, poses=replace(run.poses, xy_m=xy_m)), tmp_path / "leap.mcap")
+    told = "1 jump, 0.31 m ahead and 0.3 m to the left at 2.5 s"
+    answer = call("metrics", leap)
+    assert f"The path length counts as driven: {told}" in answer.flat
+    assert call("metrics", leap, "--json").json[0]["jumps"].startswith(told)
+    both = call("metrics", robot, leap, "--metric", "run.path_length").flat
+    assert f"The path length of leap counts as driven: {told}" in both
+    assert call("metrics", robot, "--json").json[0]["jumps"] is None
+    assert "jump" not in call("metrics", leap, "--metric", "run.duration").flat
 
 
 def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(

@@ -4,8 +4,10 @@ import pickle
 import pytest
 
 import turtlelog as tl
+from tests.measure.test_breaks import make_robot, move
 from turtlelog.compare.run_selection import list_usual_metrics
 from turtlelog.errors import CompareError
+from turtlelog.measure.breaks import find_jumps
 
 RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.scenario.PAPER_RUNS]
 SUMMARIES = [tl.summarise_run(run, file=f"{run.name}.mcap") for run in RUNS]
@@ -233,3 +235,16 @@ def test_an_effect_at_its_default_does_not_differ_from_none() -> None:
     off = tl.override_scenario(paper, {"sensing.delay_s": 0.0, "law.kp_linear": 3.0})
     summaries = [tl.summarise_run(tl.simulate_run(one)) for one in (paper, off)]
     assert "sensing" not in tl.tabulate_runs(summaries).title
+
+
+@pytest.mark.parametrize(("ahead_m", "is_told"), [(0.0195, False), (0.0205, True)])
+def test_jumps_that_change_the_printed_path_length_are_noted(
+    ahead_m: float, *, is_told: bool
+) -> None:
+    """Of 40 m, 20 mm are half of the third digit's step at most."""
+    run = move(make_robot(turn_rate=0.02, count=4001), 1000, ahead_m)
+    assert len(find_jumps(run)) == 1
+    summary = tl.summarise_run(run)
+    assert summary.notes.get("jumps", "").startswith("1 jump, 0.0305 m ahead") is is_told
+    turned = tl.summarise_run(move(make_robot(), 100, turned_rad=1.0))
+    assert "jumps" not in turned.notes

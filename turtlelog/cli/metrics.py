@@ -110,12 +110,14 @@ class MeasuredFile:
         file: Name of the file as given.
         name: Name of the run.
         ending: End of the run at its goal, in words; None without a goal.
+        jumps: Jumps of the poses that the path length counts as driven, in words; None without.
         metrics: Requested metrics. Default: all metrics.
     """
 
     file: str
     name: str
     ending: str | None
+    jumps: str | None
     metrics: list[dict[str, Any]]
 
 
@@ -126,6 +128,7 @@ def _build_answer(summary: "RunSummary") -> MeasuredFile:
         file=summary.file,
         name=summary.name,
         ending=None if end is None else end.describe(),
+        jumps=summary.notes.get("jumps"),
         metrics=describe_metrics(summary.metrics),
     )
 

@@ -1,7 +1,7 @@
 """Text of `turtlelog metrics`: the end of a run first, then its loops side by side."""
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -19,7 +19,9 @@ _MOST_COLUMNS: Final = 6
 """Largest number of runs, or metrics, side by side; more runs become rows."""
 
 _MOST_SAID: Final = 3
-"""Largest number of metrics with values in the first line."""
+"""Largest number of metrics with values in the first line, and of runs whose jumps are listed."""
+
+_PATH: Final = "run.path_length"
 
 _SILENT: Final = 1.5
 """Silence as a multiple of the usual time between samples."""
@@ -114,11 +116,11 @@ def print_chosen(
             for summary in summaries
         ]
         table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
+    table = replace(table, notes=(*table.notes, *notes, *_list_jumps(summaries, chosen)))
     if kind != "txt":
         print_tables([table], kind)
         return
-    head = _describe_chosen(summaries, chosen)
-    print_text(f"{head}\n{_format(replace(table, notes=(*table.notes, *notes)))}")
+    print_text(f"{_describe_chosen(summaries, chosen)}\n{_format(table)}")
 
 
 def _format(table: "Table") -> str:
@@ -189,7 +191,8 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
     else:
         said = []
         table = _tabulate_rest(summary, essential)
-    notes = [*said, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
+    jumps = _list_jumps([summary], summary.metrics)
+    notes = [*said, *jumps, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
     return "\n".join(
         [
             fill_lines([*head, *remarks, *_list_why(summary)]),
@@ -288,7 +291,7 @@ def _tabulate_loops(summary: "RunSummary", loops: Sequence[str]) -> "Table":
 
 def _describe_rest(summary: "RunSummary") -> list[str]:
     """Return sentences on a run that extend the first line."""
-    names = ("run.path_length", "run.cross_track_max", "run.speed_effort", "run.turn_rate_effort")
+    names = (_PATH, "run.cross_track_max", "run.speed_effort", "run.turn_rate_effort")
     said = [
         f"{_name_metric(name)} {_show(summary.metrics[name])}"
         for name in names
@@ -351,6 +354,18 @@ def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
         yield f"Measured rates are differences of poses{which}."
 
 
+def _list_jumps(summaries: "Sequence[RunSummary]", shown: Collection[str]) -> list[str]:
+    """Return sentences on path lengths that contain jumps of the poses."""
+    if _PATH not in shown:
+        return []
+    found = {one.name: one.notes["jumps"] for one in summaries if "jumps" in one.notes}
+    if len(summaries) == 1:
+        return [f"The path length counts as driven: {text}." for text in found.values()]
+    told = [f"The path length of {name} counts as driven: {text}." for name, text in found.items()]
+    more = len(told) - _MOST_SAID
+    return told if more < 1 else [*told[:_MOST_SAID], f"Path lengths of {more} more contain jumps."]
+
+
 def _format_runs(summaries: "Sequence[RunSummary]") -> str:
     """Return the range of the runs' ends, and a row for each run."""
     summaries, notes = tl.compare.shorten_names(tl.compare.order_by_gain(summaries))
@@ -358,7 +373,8 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
     reasons = tl.compare.list_reasons(
         {name: one.metrics[name] for name in shown if name in one.metrics} for one in summaries
     )
-    told = (*reasons, *notes, *_list_rates(summaries), *tl.compare.list_unlocks(summaries))
+    jumps, rates = _list_jumps(summaries, shown), _list_rates(summaries)
+    told = (*reasons, *notes, *jumps, *rates, *tl.compare.list_unlocks(summaries))
     table = replace(table, notes=told)
     count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
     return "\n".join(

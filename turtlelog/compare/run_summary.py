@@ -70,7 +70,7 @@ class RunSummary:
         parameters: Parameters by dotted key (`law.kp_linear`).
         metrics: Metrics by id.
         file: File from which the run was read; empty if unknown.
-        notes: Notes, as in `Run`.
+        notes: Notes, as in `Run`, and one on jumps that the path length contains.
         declaration: Declaration of the law, as in `Run`.
         lacks: Elements of `HOLDINGS` that the run lacks.
         conditions: Conditions that must agree before runs are ranked; None: unknown.
@@ -245,12 +245,27 @@ def summarise_measured(
         parameters=known if with_parameters else _take_gains(run, known),
         metrics=metrics,
         file=file,
-        notes=run.notes,
+        notes={**run.notes, **_describe_jumps(run, metrics)},
         declaration=run.declaration,
         lacks=list_lacks(run),
         conditions=find_conditions(run, known) if len(run.poses) else None,
         goal_end=find_goal_end(run),
     )
+
+
+_SHOWN: Final = 5e-4
+"""Share of a path length below which jumps do not change its three printed digits."""
+
+
+def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
+    """Return a note on the jumps of a robot's poses, if its path length contains them."""
+    path = metrics.get("run.path_length")
+    if path is None or path.value is None or run.poses.speed_m_s is not None:
+        return {}
+    from turtlelog.measure.breaks import describe_breaks, find_jumps  # only bags need these
+
+    moved_m = sum(jump.excess_m for jump in find_jumps(run))
+    return {} if moved_m < _SHOWN * path.value else {"jumps": describe_breaks(run)["jumps"]}
 
 
 def _take_gains(run: Run, known: Mapping[str, Parameter]) -> Mapping[str, Parameter]:

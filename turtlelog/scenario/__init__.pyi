@@ -25,9 +25,11 @@ from .overrides import (
     replay_commands as replay_commands,
     unwrap_number as unwrap_number,
 )
-from .scenario_file import (
+from .presets import (
     PAPER_RUNS as PAPER_RUNS,
     PRESETS as PRESETS,
+)
+from .scenario_file import (
     format_scenario as format_scenario,
     get_preset as get_preset,
     iterate_paper_runs as iterate_paper_runs,
