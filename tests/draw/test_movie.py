@@ -12,7 +12,7 @@ from PIL import Image
 
 from tests.fresh_process import run_command
 from turtlelog import Run, read_run
-from turtlelog.charts.time_axes import locate_run
+from turtlelog.charts.plotted_curves import locate_run
 from turtlelog.draw import write_movie
 from turtlelog.draw.figures.page import label_runs
 from turtlelog.draw.movie import movie_file

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from turtlelog.charts.curves import Curve, read_command, read_curve, read_distance_to_reference
-from turtlelog.charts.tracked_path import read_along_error
+from turtlelog.charts.plane_scene import read_along_error
 from turtlelog.measure import MeasureSettings, Metric, find_dead_time, find_signal
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.response import Response, find_loop_samples, find_response

@@ -28,9 +28,9 @@ from turtlelog.charts.curves import (
     select_curve_rows,
 )
 from turtlelog.charts.ideal_curves import compute_ideals
+from turtlelog.charts.plane_scene import read_along_error
 from turtlelog.charts.plotted_curves import Column, CurveEntry, TimePlot, find_state_unit
 from turtlelog.charts.robot_curves import part_curve, read_measured
-from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS
 

@@ -24,7 +24,7 @@ from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import SUPPOSED_DASH
-from turtlelog.charts.time_axes import label_time
+from turtlelog.charts.plotted_curves import label_time
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import (
     REFERENCE,

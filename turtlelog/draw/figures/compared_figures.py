@@ -18,8 +18,7 @@ from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.compare.trajectory_errors import Values
 from turtlelog.draw.figures.attribution_figure import draw_waterfall
-from turtlelog.draw.figures.figure_curves import draw_thinned
-from turtlelog.draw.figures.legend import add_legend
+from turtlelog.draw.figures.figure_curves import add_legend, draw_thinned
 from turtlelog.draw.figures.page import (
     MEASURED,
     MODELLED,

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import UNSTABLE, to_hex
-from turtlelog.draw.figures.metric_panels import (
+from turtlelog.draw.figures.page import STROKES, choose_colors, label_runs
+from turtlelog.draw.figures.strip_figure import (
     MetricValues,
     measure_for_figure,
     set_ticks_at,
     set_value_scale,
 )
-from turtlelog.draw.figures.page import STROKES, choose_colors, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run

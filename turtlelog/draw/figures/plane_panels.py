@@ -28,24 +28,22 @@ from turtlelog.charts.plane_scene import (
     LEAST_SHOWN_M,
     MEDIAN_LABEL,
     OUTLINE_LABEL,
+    WorstPlace,
     find_gain_ends,
     find_origin,
+    find_worst_place,
     has_grey_paths,
+    has_own_way,
     label_coordinate,
+    label_worst_place,
     list_goals,
+    list_paths,
     list_starts,
+    outline_path,
+    read_way_to_reference,
     tell_still,
 )
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path, tell_gap
-from turtlelog.charts.tracked_path import (
-    WorstPlace,
-    find_worst_place,
-    has_own_way,
-    label_worst_place,
-    list_paths,
-    outline_path,
-    read_way_to_reference,
-)
 from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
 from turtlelog.draw.figures.page import AIM, REFERENCE, SENSED, color_runs, label_runs, style_runs
 from turtlelog.draw.figures.placed_words import WORDS_POINTS

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve, read_applied, read_command
+from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
-from turtlelog.charts.time_axes import label_time
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned

@@ -23,8 +23,8 @@ from turtlelog.draw.figures.figure_curves import (
     draw_poles,
     find_gains,
     list_paper_poles,
+    name_some,
 )
-from turtlelog.draw.figures.legend import name_some
 from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant

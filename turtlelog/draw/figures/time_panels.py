@@ -27,6 +27,8 @@ from turtlelog.charts.plotted_curves import (
     Scale,
     TimePlot,
     choose_kinds,
+    find_range,
+    label_time,
     leaves_out,
     list_own,
     list_plot_levels,
@@ -34,7 +36,6 @@ from turtlelog.charts.plotted_curves import (
     take_magnitude,
 )
 from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
-from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
 from turtlelog.draw.figures.page import (

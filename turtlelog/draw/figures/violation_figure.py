@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.palette import LIMIT_DASH
-from turtlelog.charts.time_axes import label_time
+from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned

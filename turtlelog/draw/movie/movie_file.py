@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.charts.curves import Values
-from turtlelog.charts.time_axes import TIMELINE, find_phase_zeros
+from turtlelog.charts.plotted_curves import TIMELINE, find_phase_zeros
 from turtlelog.compare import order_by_gain
 from turtlelog.draw.movie.picture import Picture, draw_pictures
 from turtlelog.draw.output_files import replace_file

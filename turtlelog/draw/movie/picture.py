@@ -29,21 +29,24 @@ from turtlelog.charts.plane_scene import (
     find_origin,
     label_coordinate,
     list_goals,
+    list_paths,
     list_starts,
     move_near,
+    outline_path,
 )
 from turtlelog.charts.plotted_curves import (
     COMPARED,
+    TIMELINE,
     choose_kinds,
+    find_range,
     has_own,
     list_own,
     list_plot_levels,
     list_plotted,
+    locate_run,
 )
 from turtlelog.charts.robot_curves import part_path
-from turtlelog.charts.time_axes import TIMELINE, find_range, locate_run
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
-from turtlelog.charts.tracked_path import list_paths, outline_path
 from turtlelog.draw.figures.page import LOOKS, choose_run_lines, label_runs, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
 from turtlelog.run import Run

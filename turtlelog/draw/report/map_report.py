@@ -9,7 +9,7 @@ import numpy as np
 
 from turtlelog.compare import Column, Table
 from turtlelog.display import describe_count, show_angle
-from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep
+from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
 from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report.report_file import hash_file
 from turtlelog.draw.report.sections import show, wrap_provenance, write_page, write_table
@@ -62,7 +62,7 @@ def _list_figures(view: SweptView) -> Iterator[tuple[MapKind, str]]:
 
 
 def _write_figure(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, title: str) -> str:
-    picture = b64encode(draw_sweep(view, limits, "svg", kind=kind)).decode()
+    picture = b64encode(draw_sweep_svg(view, limits, kind)).decode()
     image = f'<img alt="{show(title)}" src="data:image/svg+xml;base64,{picture}">'
     return f"<section><h2>{show(title)}</h2><figure>{image}</figure></section>"
 

@@ -13,7 +13,7 @@ from turtlelog.charts.characteristics import (
 )
 from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
-from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin
+from turtlelog.draw.report.drawing import RING, Drawn, Plots, make_figure, store, thin
 from turtlelog.libraries import load_library
 
 MOST_MARKED: Final = 4

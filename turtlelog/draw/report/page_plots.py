@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts.captions import describe_plot
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
@@ -19,20 +18,29 @@ from turtlelog.charts.plotted_curves import (
     PlottedCurve,
     TimePlot,
     choose_kinds,
+    find_range,
     group_states,
     has_own,
+    label_time,
     leaves_out,
     list_own,
     list_plot_levels,
     list_plotted,
 )
 from turtlelog.charts.robot_curves import list_seen_gaps
-from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
-from turtlelog.draw.report.drawn import MOST_POINTS, RING, Drawn, Plots, make_figure, thin
+from turtlelog.draw.report.drawing import (
+    MOST_POINTS,
+    RING,
+    Drawn,
+    Plots,
+    describe_plot,
+    draw_planes,
+    make_figure,
+    thin,
+)
 from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
-from turtlelog.draw.report.planes import draw_planes
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run

@@ -28,7 +28,7 @@ from turtlelog.compare.run_selection import describe_runs
 from turtlelog.display import describe_count, join_words
 from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.output_files import replace_file, write_policy_tag
-from turtlelog.draw.report.drawn import Drawn, Plots
+from turtlelog.draw.report.drawing import Drawn, Plots
 from turtlelog.draw.report.page_plots import Violation, draw_plots
 from turtlelog.draw.report.sections import (
     CheckLine,

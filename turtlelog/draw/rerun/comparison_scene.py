@@ -28,6 +28,7 @@ from turtlelog.draw.documents import document_runs
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.content import (
     Content,
+    choose_phase_rows,
     describe_content,
     find_heading_close_up,
     find_ranges,
@@ -53,7 +54,6 @@ from turtlelog.draw.rerun.timelines import (
     build_compared_timelines,
     read_span,
 )
-from turtlelog.draw.rerun.views import choose_phase_rows
 from turtlelog.draw.rerun.world import (
     LETTERING,
     SMALL_LETTERING,

@@ -11,7 +11,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import Color
-from turtlelog.charts.time_axes import TIMELINE, locate_run
+from turtlelog.charts.plotted_curves import TIMELINE, locate_run
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plane import MOST_SEGMENTS, Look, draw_trail, draw_turtle

@@ -6,13 +6,10 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from turtlelog.charts.plotted_curves import Column, StateGroup
-from turtlelog.charts.time_axes import TIMELINE
+from turtlelog.charts.plotted_curves import TIMELINE, Column, StateGroup
 from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.content import Content
-from turtlelog.draw.rerun.explanation_pictures import view_picture, view_waterfall
-from turtlelog.draw.rerun.legends import view_legend, view_scale
-from turtlelog.draw.rerun.views import (
+from turtlelog.draw.rerun.content import (
+    Content,
     view_document,
     view_events,
     view_goal,
@@ -22,6 +19,8 @@ from turtlelog.draw.rerun.views import (
     view_speed,
     view_worst,
 )
+from turtlelog.draw.rerun.explanation_pictures import view_picture, view_waterfall
+from turtlelog.draw.rerun.legends import view_legend, view_scale
 
 Corners = Mapping[str, rrb.Corner2D]
 

@@ -9,7 +9,7 @@ import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.charts.curves import choose_rows
-from turtlelog.charts.time_axes import TIMELINE, WALL_TIMELINE, find_phase_zeros
+from turtlelog.charts.plotted_curves import TIMELINE, WALL_TIMELINE, find_phase_zeros
 from turtlelog.compare import name_runs
 from turtlelog.display import join_words, parse_utc
 from turtlelog.draw.rerun.entities import TICKS, join_path

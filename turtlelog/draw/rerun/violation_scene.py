@@ -14,7 +14,7 @@ from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Curve
-from turtlelog.charts.time_axes import TIMELINE
+from turtlelog.charts.plotted_curves import TIMELINE
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities

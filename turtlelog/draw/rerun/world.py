@@ -22,13 +22,16 @@ from turtlelog.charts.palette import Color
 from turtlelog.charts.plane_scene import (
     MEDIAN_LABEL,
     OUTLINE_LABEL,
+    WorstPlace,
     find_gain_ends,
     is_in_world,
+    label_worst_place,
     list_goals,
+    list_paths,
     list_places,
     list_starts,
+    outline_path,
 )
-from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.timelines import Timelines, Values, build_index
