@@ -158,12 +158,7 @@ def list_characteristics(
 
     For each loop, these are the metrics of the step on the controlled signal; for a moving
     reference, the largest error. The longest saturation is marked on the command. The final error
-    of a heading is also included.
-
-    Args:
-        run: The run.
-        metrics: Metrics from `measure_run`.
-        settings: Settings with which the metrics were measured.
+    of a heading is also included. `settings` are those with which `measure_run` gave the metrics.
     """
     curves: dict[str, Curve | None] = {}
     responses: dict[str, Response | None] = {}

@@ -292,22 +292,17 @@ def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
 
 
 def choose_rows(
-    values: NDArray[np.float64],
+    values: Values,
     most: int = MOST_POINTS,
     *,
     always: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int64] | None:
-    """Return the rows of a curve to draw; None if all rows are few enough.
+    """Return the rows of a curve to draw, about `most`; None if all rows are few enough.
 
-    The rows are split into equal segments. In each segment, the first row and the rows of the
-    minimum and maximum of every column are kept. The very last row is kept too. NaN is neither a
-    minimum nor a maximum. The first NaN of a segment is kept too, so that no line is drawn across a
-    gap.
-
-    Args:
-        values: Values, shape (n,) or (n, columns).
-        most: Approximate number of rows to keep.
-        always: Rows that are kept in addition.
+    The rows of the values, shape (n,) or (n, columns), are split into equal segments. In each
+    segment, the first row and the rows of the minimum and maximum of every column are kept, and
+    also the very last row and the rows in `always`. NaN is neither a minimum nor a maximum. The
+    first NaN of a segment is kept too, so that no line is drawn across a gap.
     """
     columns = values.reshape(len(values), -1)
     if len(columns) <= most:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import Label, Lettering, format_length
-from turtlelog.charts.curves import Curve, list_loops
+from turtlelog.charts.curves import Curve, Values, list_loops
 from turtlelog.charts.many_runs import group_by_gain
 from turtlelog.charts.robot_curves import is_turtlesim
 from turtlelog.measure import find_signal
@@ -17,8 +17,6 @@ from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 from turtlelog.run.paths import Path
-
-Values = NDArray[np.float64]
 
 
 def list_starts(runs: Sequence[Run]) -> Values:
@@ -79,11 +77,8 @@ def find_origin(runs: Sequence[Run]) -> tuple[float, float]:
 def move_near(runs: Sequence[Run]) -> tuple[list[Run], str]:
     """Return runs with coordinates relative to `find_origin`, and text on this offset.
 
-    Pictures with 32-bit floats resolve half a metre at coordinates of five million.
-
-    Returns:
-        The runs, and text such as `x from 448,262 m, y from 5,411,933 m`, which is empty if all
-        runs are near.
+    Pictures with 32-bit floats resolve half a metre at coordinates of five million. The text, such
+    as `x from 448,262 m, y from 5,411,933 m`, is empty if all runs are near.
     """
     origin_m = find_origin(runs)
     if origin_m == (0.0, 0.0):

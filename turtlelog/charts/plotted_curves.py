@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from turtlelog.charts.curves import Command, Curve, Level
+from turtlelog.charts.curves import Command, Curve, Level, Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import FEW
 from turtlelog.run import Run
@@ -235,7 +234,7 @@ class StateGroup:
         """Return a state with its unit."""
         return _add_unit(name, self.units[self.names.index(name)])
 
-    def can_share(self, names: Sequence[str], columns: Sequence[NDArray[np.float64]]) -> bool:
+    def can_share(self, names: Sequence[str], columns: Sequence[Values]) -> bool:
         """Return whether some of the states can share a plot, by their units and values."""
         units = {self.units[self.names.index(name)] for name in names}
         return len(units) <= 1 and are_comparable(columns)
@@ -277,7 +276,7 @@ def find_state_unit(name: str, declarations: Iterable[Declaration]) -> str:
     return units.pop() if len(units) == 1 else ""
 
 
-def are_comparable(columns: Sequence[NDArray[np.float64]]) -> bool:
+def are_comparable(columns: Sequence[Values]) -> bool:
     """Return whether curves can share a plot: few curves, none of which looks like zero."""
     if len(columns) > _MOST_TOGETHER:
         return False
@@ -298,8 +297,6 @@ def _belongs(state: str, loop: ControlLoop) -> bool:
     gains = [key.rpartition(".")[2].split("_") for key in keys if key is not None]
     return any(len(gain) > 1 and gain[-1] == words[-1] for gain in gains)
 
-
-Values = NDArray[np.float64]
 
 HEADROOM: Final = 1.25
 """End of a command's range, as a multiple of its most extreme value."""
@@ -332,9 +329,7 @@ def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float
     """Return the range of a plot that includes curves and level lines, with a margin.
 
     For commands, the range ends slightly beyond their extremes, whether these are limits or not.
-
-    Returns:
-        None if no value is known.
+    The result is None if no value is known.
     """
     known = [values[np.isfinite(values)] for values in curves]
     spans = [(float(values.min()), float(values.max())) for values in known if len(values)]
@@ -352,11 +347,8 @@ def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float
 def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
     """Return the time from which all curves stay within 1 % of a height of their last values [s].
 
-    A robot may move in a gap, so the rest of a curve begins after its gaps.
-
-    Args:
-        curves: Times [s] and values of each curve.
-        height: Height of the plot, in the unit of the values.
+    Each curve has its times [s] and values. A robot may move in a gap, so the rest of a curve
+    begins after its gaps.
     """
     ends_s = [0.0]
     for time_s, values in curves:
@@ -406,12 +398,8 @@ def find_phase_zeros(run: Run) -> dict[str, int]:
 def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     """Return the poses of a run on a timeline: x and y [m], shape (n, 2), and heading [rad].
 
-    Poses are linearly interpolated. Before the first and after the last pose, the robot is at rest.
-
-    Args:
-        run: Run with at least one pose.
-        zero_ns: Zero of the timeline, in the run's time [ns].
-        time_s: Times [s], shape (n,).
+    Poses are linearly interpolated at times [s], shape (n,), from a zero in the run's own time
+    [ns]. Before the first and after the last pose, the robot is at rest.
     """
     own_s = (run.poses.time_ns - zero_ns) / 1e9
     heading_rad = np.unwrap(run.poses.heading_rad)

@@ -2,10 +2,9 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,7 +20,7 @@ from turtlelog.charts.attribution_steps import (
     list_attribution_steps,
 )
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
-from turtlelog.charts.curves import find_unit, list_levels, read_curve
+from turtlelog.charts.curves import Values, find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import SUPPOSED_DASH
 from turtlelog.charts.plotted_curves import label_time
@@ -31,6 +30,7 @@ from turtlelog.draw.figures.page import (
     SIDE_BY_SIDE_INCH,
     STROKES,
     choose_lines,
+    fix_style,
     label_runs,
     to_rgb,
 )
@@ -48,8 +48,6 @@ from turtlelog.explain import (
 from turtlelog.run import Run
 from turtlelog.run.loops import SIGNAL_WORDS
 
-Values = NDArray[np.float64]
-
 _WORDS_POINTS: Final = 7.0
 _BAR: Final = 0.62
 """Height of a bar, as a share of its row."""
@@ -65,13 +63,9 @@ _NOTE_LETTERS: Final = 42
 
 _MINUS: Final = "\N{MINUS SIGN}"
 
-_GHOST: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.55", "linestyle": STROKES[SUPPOSED_DASH], "linewidth": 1.3, "zorder": 1.9}
-)
-_RING: Final[Mapping[str, Any]] = MappingProxyType(
-    {"fill": False, "color": "0.78", "linewidth": 0.5, "linestyle": (0, (4, 2)), "zorder": 1.2}
-)
-_CONNECTOR: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.5", "linewidth": 0.6})
+_GHOST: Final = fix_style(color="0.55", linestyle=STROKES[SUPPOSED_DASH], linewidth=1.3, zorder=1.9)
+_RING: Final = fix_style(fill=False, color="0.78", linewidth=0.5, linestyle=(0, (4, 2)), zorder=1.2)
+_CONNECTOR: Final = fix_style(color="0.5", linewidth=0.6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,12 +91,7 @@ def explain_for_figure(
     metric: str | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> Explained:
-    """Explain one run, as `turtlelog explain` does.
-
-    Args:
-        runs: Sequence of one run.
-        metric: Id of the metric. Default: the choice of `explain`.
-        report: Function that is called with the numbers of simulations done and in total.
+    """Explain one run, as `turtlelog explain` does; `report` gets the numbers of simulations.
 
     Raises:
         ShowError: If there is not exactly one run, or the run has no contributions. The message
@@ -140,12 +129,9 @@ def _tell(found: Attribution) -> str:
 def draw_attribution(
     figure: Figure, runs: Sequence[Run], *, explained: Explained | None = None
 ) -> None:
-    """Draw the waterfall of a run's metric, with the run and its ghost.
+    """Draw the waterfall of one run's metric, with the run and its ghost.
 
-    Args:
-        figure: Figure to draw on.
-        runs: Sequence of one run.
-        explained: Result of `explain_for_figure`, which is called if this is None.
+    The explanation is by default that of `explain_for_figure`.
     """
     told = explained or explain_for_figure(runs)
     waterfall = draw_up_attribution(told.found)
@@ -170,13 +156,7 @@ def draw_attribution(
 
 
 def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
-    """Draw the bars of a waterfall, each with its text.
-
-    Args:
-        axes: Axes to draw on.
-        waterfall: Waterfall to draw.
-        room_inch: Width for the bars and their text [inch].
-    """
+    """Draw the bars of a waterfall with their text; `room_inch` is the width for both [inch]."""
     steps, factor = waterfall.steps, waterfall.scale.factor
     starts = np.array([step.start for step in steps]) * factor
     ends = np.array([step.end for step in steps]) * factor

@@ -18,7 +18,14 @@ from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 from numpy.typing import NDArray
 
-from turtlelog.charts.curves import BEARING_NOW, MOST_POINTS, REFERENCE as AIMED, Curve, choose_rows
+from turtlelog.charts.curves import (
+    BEARING_NOW,
+    MOST_POINTS,
+    REFERENCE as AIMED,
+    Curve,
+    Values,
+    choose_rows,
+)
 from turtlelog.charts.many_runs import find_color_scale
 from turtlelog.charts.palette import FEW, LOOP_DASHES
 from turtlelog.draw.figures.page import (
@@ -39,8 +46,6 @@ from turtlelog.theory import (
     compute_settling_time,
     find_plant_final_value,
 )
-
-Values = NDArray[np.float64]
 
 _MOST_SWINGS: Final = 8.0
 """Largest path of a curve up and down, relative to its height. Along a longer path, the marks would

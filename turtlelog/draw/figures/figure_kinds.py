@@ -86,12 +86,9 @@ def _draw_track(axes: Axes, runs: Sequence[Run]) -> None:
 def list_state_panels(
     runs: Sequence[Run], *, of_commands: bool = False, most: int = MOST_STATES
 ) -> tuple[Panel, ...]:
-    """Return panels for nonzero states: for a single run, one panel per group.
+    """Return panels for nonzero states, at most `most`; for a single run, one panel per group.
 
-    Args:
-        runs: Runs to draw.
-        of_commands: Whether to include only states that belong to a command.
-        most: Largest number of panels.
+    If `of_commands` is true, only states that belong to a command are included.
     """
     found = [run for run in runs if has_states(run)]
     panels = []
@@ -295,12 +292,7 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
 
 
 def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
-    """Return one line on the figures whose curves have no characteristics, if any.
-
-    Args:
-        runs: Runs to draw.
-        names: Names of the figures.
-    """
+    """Return one line on the named figures whose curves have no characteristics, if any."""
     found = [list_characteristics(run, measure_run(run)) for run in runs]
     lacking = [name for name in names if not _is_marked(name, runs, found)]
     expected = "a curve with characteristics"

@@ -3,18 +3,17 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import UNSTABLE, to_hex
-from turtlelog.draw.figures.page import STROKES, choose_colors, label_runs
+from turtlelog.draw.figures.page import STROKES, choose_colors, fix_style, label_runs
 from turtlelog.draw.figures.strip_figure import (
     MetricValues,
     measure_for_figure,
@@ -33,8 +32,6 @@ from turtlelog.theory import (
     find_stable_gains,
 )
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
-
-Values = NDArray[np.float64]
 
 _MOST_LINES: Final = 3
 """Largest number of dead times with a line each. More dead times become a band from the smallest to
@@ -62,21 +59,11 @@ would be narrower are stacked."""
 
 _ROW_INCH: Final = 1.45
 
-_OVERSHOOT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#b07000", "linewidth": 0.9, "linestyle": STROKES["dashed"]}
-)
-_UNSTABLE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": to_hex(UNSTABLE), "linewidth": 1.0}
-)
-_BEYOND: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": to_hex(UNSTABLE), "alpha": 0.09, "linewidth": 0.0, "zorder": 0.6}
-)
-_OVERSHOOTING: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#e69f00", "alpha": 0.10, "linewidth": 0.0, "zorder": 0.5}
-)
-_THEORY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.35", "linewidth": 0.9, "linestyle": STROKES["dotted"], "zorder": 1.8}
-)
+_OVERSHOOT: Final = fix_style(color="#b07000", linewidth=0.9, linestyle=STROKES["dashed"])
+_UNSTABLE: Final = fix_style(color=to_hex(UNSTABLE), linewidth=1.0)
+_BEYOND: Final = fix_style(color=to_hex(UNSTABLE), alpha=0.09, linewidth=0.0, zorder=0.6)
+_OVERSHOOTING: Final = fix_style(color="#e69f00", alpha=0.10, linewidth=0.0, zorder=0.5)
+_THEORY: Final = fix_style(color="0.35", linewidth=0.9, linestyle=STROKES["dotted"], zorder=1.8)
 _LIMITED: Final = {**_THEORY, "linestyle": STROKES["dashed"]}
 _SAMPLED: Final = {**_THEORY, "linestyle": "-", "linewidth": 0.6}
 
@@ -86,11 +73,8 @@ def draw_gains(
 ) -> None:
     """Draw metrics against the gain of each loop, with theory's limits.
 
-    Args:
-        figure: Figure to draw on.
-        runs: Runs; runs without a known gain are left out.
-        metrics: Ids, patterns, or names of metrics of any loop. Default: overshoot, settling time
-            and final position error.
+    The metrics are ids, patterns, or names of metrics of any loop; by default overshoot, settling
+    time and final position error. Runs without a known gain are left out.
 
     Raises:
         ShowError: If no gain is known, or no run has a value.

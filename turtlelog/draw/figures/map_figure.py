@@ -15,13 +15,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_shades, to_hex
-from turtlelog.draw.figures.page import STROKES, to_rgb
+from turtlelog.draw.figures.page import STROKES, fix_style, to_rgb
 from turtlelog.sweep.gain_borders import ColumnLimits, LoopLimits, choose_limits
 from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
 from turtlelog.sweep.table.swept_views import SweptView, fill_cells
-
-Values = NDArray[np.float64]
 
 _MOST_VECTORS: Final = 2_500
 """Largest number of cells stored as shapes in a PDF or SVG, 100 bytes each. More cells become
@@ -85,17 +84,10 @@ def draw_map_panel(
     limits: Sequence[LoopLimits],
     reasons: Mapping[str, tuple[str, str]],
 ) -> dict[str, Any]:
-    """Draw a metric over the two axes of a view.
+    """Draw a metric over the two axes of a view, and return the legend entries with their styles.
 
-    Args:
-        axes: Axes to draw on.
-        view: View with two axes.
-        metric: One of the view's metrics.
-        limits: Limits from theory, as from `find_loop_limits`.
-        reasons: Text and hatch for each reason for a missing value, as from `group_reasons`.
-
-    Returns:
-        Legend entries with their styles.
+    The limits are from `find_loop_limits`, the text and hatch for each reason for a missing value
+    from `group_reasons`.
     """
     if view.results.is_sampled:
         named = _draw_points(axes, view, metric)
@@ -305,7 +297,7 @@ _SHADES: Final = 256
 _HATCHES: Final = ("", "////", "....", "xxxx")
 """Hatches for the reasons of missing values. The last hatch is for all other reasons."""
 
-_VALUELESS: Final[Mapping[str, Any]] = MappingProxyType({"facecolor": "0.93", "edgecolor": "0.6"})
+_VALUELESS: Final = fix_style(facecolor="0.93", edgecolor="0.6")
 
 
 def build_scale(values: Values) -> ColorScale:

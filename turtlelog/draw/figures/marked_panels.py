@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from turtlelog.charts.characteristics import (
     Characteristic,
@@ -20,30 +19,20 @@ from turtlelog.charts.characteristics import (
 from turtlelog.charts.curves import Curve, read_curve
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.plotted_curves import find_rest
-from turtlelog.draw.figures.page import Page, label_runs, style_runs
+from turtlelog.draw.figures.page import Page, fix_style, label_runs, style_runs
 from turtlelog.draw.figures.placed_words import GUIDE_ORDER, Table, Word, write_words
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 
-Values = NDArray[np.float64]
-
 MOST_WORDED: Final = 4
 """Largest number of runs with guides and a table of values. With more runs, text gives only the
 extremes, because a table would cover the curves."""
 
-_GUIDE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linestyle": (0, (1, 1.6)), "linewidth": 0.7, "zorder": GUIDE_ORDER}
-)
-_PAUSE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"facecolor": "0.90", "edgecolor": "none", "zorder": 0.4}
-)
-_DEAD: Final[Mapping[str, Any]] = MappingProxyType(
-    {"facecolor": "#f2d9c4", "edgecolor": "none", "zorder": 0.4}
-)
-_BAND: Final[Mapping[str, Any]] = MappingProxyType(
-    {"facecolor": "0.93", "edgecolor": "none", "zorder": 0.45}
-)
+_GUIDE: Final = fix_style(linestyle=(0, (1, 1.6)), linewidth=0.7, zorder=GUIDE_ORDER)
+_PAUSE: Final = fix_style(facecolor="0.90", edgecolor="none", zorder=0.4)
+_DEAD: Final = fix_style(facecolor="#f2d9c4", edgecolor="none", zorder=0.4)
+_BAND: Final = fix_style(facecolor="0.93", edgecolor="none", zorder=0.45)
 
 _ROOM: Final = 0.04
 """Margin before and after a phase to which an axis is cut, as a share of the phase."""
@@ -99,12 +88,9 @@ class _Marked:
 
 
 def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
-    """Mark characteristics in the panels of controlled signals.
+    """Mark characteristics in the panels of controlled signals, which have the signal's name.
 
-    Args:
-        figure: Figure with its legend. Panels to be marked have the name of their signal.
-        runs: Runs in the order of the figure.
-        is_cut: Whether the time axes of the figure are already cut.
+    The figure has its legend, and runs in this order. `is_cut` says whether its time axes are cut.
     """
     panels = [axes for axes in list_time_axes(figure) if axes.get_label()]
     if not panels:
@@ -366,7 +352,7 @@ _AFTER_REST: Final = 0.15
 
 
 def require_window(runs: Sequence[Run], page: Page) -> None:
-    """Refuse a time window in which no run has data.
+    """Raise an error for a time window in which no run has data.
 
     Raises:
         ShowError: With the available times.

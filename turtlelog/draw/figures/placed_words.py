@@ -10,9 +10,8 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
-from numpy.typing import NDArray
 
-Values = NDArray[np.float64]
+from turtlelog.charts.curves import Values
 
 GUIDE_ORDER: Final = 1.6
 """Drawing order of guide lines: below all curves."""
@@ -56,14 +55,10 @@ Table = Sequence[tuple[str, Any]]
 
 
 def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ()) -> None:
-    """Write text near dots where it covers least.
+    """Write text for dots and spans of a panel at its final place, where it covers least.
 
-    Text that would cover much is left out; its dot remains.
-
-    Args:
-        axes: Panel at its final place in the figure.
-        words: Texts for dots and spans of the panel.
-        tables: Tables; the first table that covers no curve is written, or else the last.
+    Text that would cover much is left out; its dot remains. The first table that covers no curve is
+    written, or else the last.
     """
     place, to_panel = _survey(axes)
     low, high = sorted(axes.get_xlim())

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import (
     CloseUp,
@@ -22,7 +20,7 @@ from turtlelog.charts.close_up import (
     list_ring_labels,
     name_ends,
 )
-from turtlelog.charts.curves import REFERENCE as AIMED
+from turtlelog.charts.curves import REFERENCE as AIMED, Values
 from turtlelog.charts.many_runs import MANY, cut_alike, find_restless
 from turtlelog.charts.plane_scene import (
     LEAST_SHOWN_M,
@@ -45,23 +43,24 @@ from turtlelog.charts.plane_scene import (
 )
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path, tell_gap
 from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
-from turtlelog.draw.figures.page import AIM, REFERENCE, SENSED, color_runs, label_runs, style_runs
+from turtlelog.draw.figures.page import (
+    AIM,
+    REFERENCE,
+    SENSED,
+    color_runs,
+    fix_style,
+    label_runs,
+    style_runs,
+)
 from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.run import Run
 
-Values = NDArray[np.float64]
+_RING: Final = fix_style(color="0.75", linewidth=0.5, zorder=1.2)
 
-
-_RING: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
-)
-
-_OF_MANY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.8", "linewidth": 0.4, "zorder": 1.6}
-)
+_OF_MANY: Final = fix_style(color="0.8", linewidth=0.4, zorder=1.6)
 """Style of the paths of very many runs; only their ends have colours."""
 
-_RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder": 1.7})
+_RESTLESS: Final = fix_style(alpha=0.45, zorder=1.7)
 """Style of runs that never come to rest, if others do."""
 
 _MOST_TICKS: Final = 5
@@ -175,13 +174,7 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
 def stress_window(
     figure: Figure, runs: Sequence[Run], window_s: tuple[float, float] | None
 ) -> None:
-    """Emphasise the parts of paths within a time window, and fade the rest.
-
-    Args:
-        figure: Figure without its legend.
-        runs: Runs in the order of the figure.
-        window_s: Start and end, from each run's first sample [s]. None: all.
-    """
+    """Emphasise the parts of paths in a time window [s], and fade the rest; None: no window."""
     if window_s is None:
         return
     planes = [axes for axes in figure.axes if axes.get_label() == _PLANE]
@@ -300,14 +293,12 @@ def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> 
     axes.set_ylim(center[1] - half, center[1] + half)
 
 
-_PATH: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.8", "linewidth": 3.0, "zorder": 1.1, "solid_joinstyle": "miter", "label": "path"}
+_PATH: Final = fix_style(
+    color="0.8", linewidth=3.0, zorder=1.1, solid_joinstyle="miter", label="path"
 )
 """Style of a tracked path: a broad band on which the driven path is visible."""
 
-_WAY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.35", "linewidth": 0.5, "zorder": 2.2, "solid_capstyle": "butt"}
-)
+_WAY: Final = fix_style(color="0.35", linewidth=0.5, zorder=2.2, solid_capstyle="butt")
 
 _MOST_WAYS: Final = 60
 """Largest number of deviation lines: two per centimetre of a path around half a page. More lines

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -15,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
 from turtlelog.draw.figures.figure_curves import (
@@ -25,7 +25,7 @@ from turtlelog.draw.figures.figure_curves import (
     list_paper_poles,
     name_some,
 )
-from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, label_runs
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, fix_style, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -81,7 +81,7 @@ _LINE_SHARE: Final = 0.45
 _ROOM_INCH: Final = 0.42
 """Height of the text above and below a plane [inch]."""
 
-_MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "linestyle": ":"})
+_MIRRORED: Final = fix_style(linewidth=0.5, linestyle=":")
 
 _MOST_SAMPLES: Final = 20_000
 """Largest number of samples of a step response: more than a page resolves."""
@@ -373,7 +373,7 @@ def _tell_step(found: PidLoop) -> str:
     return f"{overshoot}, settles in {found.settling_time_s:.3g} s"
 
 
-def _list_frequencies(found: PidLoop) -> NDArray[np.float64]:
+def _list_frequencies(found: PidLoop) -> Values:
     """Return frequencies [rad/s] around the crossover, up to pi / T."""
     highest = math.pi / found.period_s
     crossover = found.gains.kp * found.process.gain
@@ -383,12 +383,12 @@ def _list_frequencies(found: PidLoop) -> NDArray[np.float64]:
     return np.geomspace(lowest, highest, _POINTS)
 
 
-def _respond(model: LoopModel, frequencies: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _respond(model: LoopModel, frequencies: Values) -> NDArray[np.complex128]:
     gains, settings = model.require()
     return compute_open_loop(gains, frequencies, **settings)
 
 
-def _unwrap_degrees(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _unwrap_degrees(values: NDArray[np.complex128]) -> Values:
     """Return a phase [deg] that begins between -360 and 0 deg."""
     turned = np.degrees(np.unwrap(np.angle(values)))
     return np.asarray(turned - 360.0 * np.ceil(turned[0] / 360.0))
@@ -421,8 +421,8 @@ def _mark_margins(
     size: Axes,
     phase: Axes,
     curve: _LoopCurve,
-    frequencies: NDArray[np.float64],
-    turned: NDArray[np.float64],
+    frequencies: Values,
+    turned: Values,
 ) -> None:
     """Mark the phase margin from -180 deg upward, and the gain margin from 0 dB downward."""
     margins, looks = curve.found.margins, curve.looks
@@ -483,7 +483,7 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
 
 
-def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cut_where_far(values: Values) -> Values:
     """Return a response, cut where it leaves the axes, as unstable responses do."""
     beyond = np.abs(values - 1.0) > _FAR
     if not beyond.any():

@@ -2,26 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
-from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import find_gain_unit
 from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
-from turtlelog.draw.figures.page import choose_colors
+from turtlelog.draw.figures.page import choose_colors, fix_style
 from turtlelog.draw.figures.placed_words import measure_text_mm
 from turtlelog.errors import ShowError
 from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
 from turtlelog.run import Parameter, Run
-
-Values = NDArray[np.float64]
 
 _MOST_GROUPS: Final = 12
 """Largest number of groups side by side; in a column, each group has 6 mm."""
@@ -45,14 +42,12 @@ _NARROW_INCH: Final = 2.3
 _SIDE_INCH: Final = 0.65
 """Width of a panel for the numbers and the two lines next to its axis [inch]."""
 
-_BOX: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "showfliers": False,
-        "patch_artist": True,
-        "medianprops": {"color": "black", "linewidth": 1.2},
-        "whiskerprops": {"linewidth": 0.7, "color": "0.35"},
-        "capprops": {"linewidth": 0.7, "color": "0.35"},
-    }
+_BOX: Final = fix_style(
+    showfliers=False,
+    patch_artist=True,
+    medianprops={"color": "black", "linewidth": 1.2},
+    whiskerprops={"linewidth": 0.7, "color": "0.35"},
+    capprops={"linewidth": 0.7, "color": "0.35"},
 )
 _NONE: Final = to_hex(UNSTABLE)
 
@@ -178,11 +173,7 @@ def draw_strips(
 ) -> None:
     """Draw a panel for each metric: runs of each group as points, with a box if there are many.
 
-    Args:
-        figure: Figure to draw on.
-        runs: Runs, which are grouped by gain, or by other differences.
-        metrics: Ids, patterns, or names of metrics of any loop. Default: overshoot, settling time
-            and final position error.
+    The metrics are as in `measure_for_figure`.
 
     Raises:
         ShowError: If there are too many groups, or no run has a value.
@@ -323,11 +314,8 @@ def measure_for_figure(
 ) -> list[MetricValues]:
     """Return metrics for which at least one run has a value.
 
-    Args:
-        figure: Name of the figure, for errors.
-        runs: Runs to measure.
-        names: Ids, patterns, or names of metrics of any loop (`overshoot`). Default: the usual
-            metrics.
+    The names are ids, patterns, or names of metrics of any loop (`overshoot`); by default the usual
+    metrics.
 
     Raises:
         ShowError: If no run has a value of any metric. The message has the first reason.

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_run_colors, to_hex
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import count_legend_columns
@@ -309,8 +309,6 @@ def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitiv
     )
     axes.set_xlabel(f"rank correlation, {found.rows} rows{share}", fontsize=7.0)
 
-
-Values = NDArray[np.float64]
 
 _MOST_LINES: Final = 12
 """Largest number of values of a second key with a line each; neighbouring colours remain

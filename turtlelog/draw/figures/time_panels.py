@@ -45,6 +45,7 @@ from turtlelog.draw.figures.page import (
     STROKES,
     break_label,
     choose_lines,
+    fix_style,
     label_runs,
     style_runs,
     to_rgb,
@@ -78,34 +79,21 @@ _LEVELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
 _GRID: Final = {"color": "0.8", "linewidth": 0.5}
 """Style of the zero line in a panel of commands or states."""
 
-_COMMANDED: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linewidth": 0.5, "zorder": 1.8, "marker": "", "label": "commanded"}
-)
+_COMMANDED: Final = fix_style(linewidth=0.5, zorder=1.8, marker="", label="commanded")
 """Style of commands next to measured rates of the same run, in the colour of the run."""
 
-_LOST: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "linestyle": "",
-        "marker": "|",
-        "markersize": 3.5,
-        "markeredgewidth": 0.4,
-        "zorder": 1.7,
-        "label": "dropped",
-    }
+_LOST: Final = fix_style(
+    linestyle="", marker="|", markersize=3.5, markeredgewidth=0.4, zorder=1.7, label="dropped"
 )
 """Style of poses that the controller does not receive: strokes at the lower edge."""
 
-_OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linestyle": "", "marker": "v", "markersize": 4.0, "clip_on": False, "label": "outlier"}
+_OUTLIER: Final = fix_style(
+    linestyle="", marker="v", markersize=4.0, clip_on=False, label="outlier"
 )
 
-_GAP: Final[Mapping[str, Any]] = MappingProxyType(
-    {"facecolor": "0.95", "edgecolor": "0.8", "hatch": "////", "linewidth": 0.0, "zorder": 0.45}
-)
+_GAP: Final = fix_style(facecolor="0.95", edgecolor="0.8", hatch="////", linewidth=0.0, zorder=0.45)
 
-_DIMMED: Final[Mapping[str, Any]] = MappingProxyType(
-    {"alpha": 0.35, "linewidth": 0.6, "zorder": 1.4}
-)
+_DIMMED: Final = fix_style(alpha=0.35, linewidth=0.6, zorder=1.4)
 """Style of a run that never settles, below runs that settle."""
 
 

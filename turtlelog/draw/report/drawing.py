@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.close_up import CloseUp, format_length
-from turtlelog.charts.curves import choose_rows
+from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.palette import Color, choose_turtle_size, to_hex
 from turtlelog.charts.plane_scene import (
     MEDIAN_LABEL,
@@ -272,12 +272,10 @@ _MOST_NAMED: Final = 6
 """Largest number of runs that are described one by one; with more, a listener forgets the first."""
 
 
-def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
-    """Return a description of a plot over time: start, end and range of each curve.
+def describe_plot(title: str, curves: Sequence[tuple[str, Values]]) -> str:
+    """Return a description of a plot over time: start, end and range of each run's curve.
 
-    Args:
-        title: Title of the plot, with the unit of its values.
-        curves: Name and values of each run, shape (n,). Values that are not finite are gaps.
+    The title contains the unit of the values; values that are not finite are gaps.
     """
     finite = [(name, values[np.isfinite(values)]) for name, values in curves]
     known = [(name, values) for name, values in finite if len(values)]
@@ -293,7 +291,7 @@ def describe_plot(title: str, curves: Sequence[tuple[str, NDArray[np.float64]]])
     )
 
 
-def _describe_values(values: NDArray[np.float64]) -> str:
+def _describe_values(values: Values) -> str:
     return (
         f"from {_write(values[0])} to {_write(values[-1])},"
         f" between {_write(values.min())} and {_write(values.max())}"
@@ -304,13 +302,8 @@ def _write(value: float) -> str:
     return f"{value + 0.0:.4g}"  # + 0.0: no negative zero
 
 
-def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) -> str:
-    """Return a description of a plane: start and end of each run.
-
-    Args:
-        title: Title of the plane.
-        ends: Name of each run, with its poses [m], shape (n, 2).
-    """
+def describe_plane(title: str, ends: Sequence[tuple[str, Values]]) -> str:
+    """Return a description of a plane: start and end of each run with its poses [m]."""
     if len(ends) > _MOST_NAMED:
         return f"{title}: the paths of {describe_count(len(ends), 'run')} in the plane."
     said = [
@@ -320,5 +313,5 @@ def describe_plane(title: str, ends: Sequence[tuple[str, NDArray[np.float64]]]) 
     return f"{title}. {'; '.join(said)}."
 
 
-def _write_place(xy_m: NDArray[np.float64]) -> str:
+def _write_place(xy_m: Values) -> str:
     return f"({xy_m[0]:.4g}, {xy_m[1]:.4g})"

@@ -107,10 +107,7 @@ def draw_plots(
 ) -> Plots:
     """Return the plane, the close-up of the goal, if any, and the plots over time.
 
-    Args:
-        drawn: Runs first, then ghosts.
-        metrics: Metrics of the runs.
-        violations: Failures of checks.
+    `drawn` are the runs, whose metrics these are, and then the ghosts.
     """
     plots = Plots(points=max(_LEAST_POINTS, min(MOST_POINTS, _MOST_OF_ALL // len(drawn))))
     plots.config = {

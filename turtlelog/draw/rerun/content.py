@@ -11,7 +11,7 @@ from rerun.blueprint.archetypes import VisibleTimeRanges
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
-from turtlelog.charts.curves import find_end_of_turn
+from turtlelog.charts.curves import Values, find_end_of_turn
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.plane_scene import MANY_PATHS, WorstPlace, find_worst_place
 from turtlelog.charts.plotted_curves import (
@@ -234,7 +234,7 @@ def find_corners(
     """Return Rerun's name of the emptiest corner of each plot."""
     first_ns = min((int(curves.time_ns[0]) for curves in series), default=0)
     last_ns = max((int(curves.time_ns[-1]) for curves in series), default=1)
-    rows: dict[str, list[NDArray[np.float64]]] = {}
+    rows: dict[str, list[Values]] = {}
     for curves in series:
         if curves.plot in ranges:
             low, high = ranges[curves.plot]
@@ -246,7 +246,7 @@ def find_corners(
 
 
 def find_emptiest_corner(
-    time_ns: NDArray[np.int64], values: NDArray[np.float64], limits: tuple[float, float]
+    time_ns: NDArray[np.int64], values: Values, limits: tuple[float, float]
 ) -> str:
     """Return the emptiest corner of a plot with given limits, for one curve."""
     low, high = limits
@@ -255,7 +255,7 @@ def find_emptiest_corner(
     return _find_emptiest(places[np.isfinite(values)])
 
 
-def _find_emptiest(places: NDArray[np.float64]) -> str:
+def _find_emptiest(places: Values) -> str:
     """Return the corner with the fewest points, from (0, 0) at the lower left to (1, 1)."""
     is_right, is_left = places[:, 0] > 1.0 - _LEGEND_WIDTH, places[:, 0] < _LEGEND_WIDTH
     is_high = (places[:, 1] > 1.0 - _LEGEND_HEIGHT) & (places[:, 1] <= 1.0)
@@ -290,7 +290,7 @@ def find_ranges(
 ) -> dict[str, tuple[float, float]]:
     """Return ranges of plots that contain all measured values, with a margin."""
     levels = {reference.plot: reference.levels for reference in references}
-    measured: dict[str, list[NDArray[np.float64]]] = {}
+    measured: dict[str, list[Values]] = {}
     for curves in (curves for run in series for curves in run if curves.is_measured):
         measured.setdefault(curves.plot, []).append(curves.values)
     found = {plot: find_range(values, levels.get(plot, ())) for plot, values in measured.items()}

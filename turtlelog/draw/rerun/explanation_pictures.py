@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import AttributionStep, StepScale, Waterfall
 from turtlelog.charts.close_up import CloseUp
+from turtlelog.charts.curves import Values
 from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
@@ -48,13 +48,7 @@ _LETTERS: Final = 100
 def draw_waterfall_picture(
     stream: rr.RecordingStream, waterfall: Waterfall, more: Sequence[str] = ()
 ) -> None:
-    """Draw the bars from top to bottom over an axis.
-
-    Args:
-        stream: The recording.
-        waterfall: Waterfall to draw.
-        more: Lines below its notes.
-    """
+    """Draw the bars from top to bottom over an axis, with `more` lines below the notes."""
     steps, scale, notes = waterfall.steps, waterfall.scale, (*waterfall.notes, *more)
     names_end = max(_measure_words(step.name) for step in steps)
     (low, high), width = waterfall.span, _find_scale(waterfall, names_end)
@@ -217,7 +211,6 @@ _DOT_RADIUS: Final = 1.6
 _RECORDED_RADIUS: Final = 4.0
 
 _Words = tuple[float, float, str, Color]
-Values = NDArray[np.float64]
 
 
 def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:

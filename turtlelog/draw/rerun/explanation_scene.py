@@ -321,9 +321,7 @@ def _name_steps(found: Attribution) -> str:
 def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]) -> tuple[str, ...]:
     """Return text on the values of ghosts, which no bar shows if several causes act together.
 
-    Args:
-        found: The attribution.
-        ghosts: Metrics of the drawn what-ifs, by the causes that each what-if lacks.
+    `ghosts` are the metrics of the drawn what-ifs, by the causes that each what-if lacks.
     """
     acting = [share.cause for share in choose_acting_contributions(found)]
     if len(acting) < 2:

@@ -9,6 +9,7 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
+from turtlelog.charts.curves import Values
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import Color
 from turtlelog.charts.plotted_curves import TIMELINE, locate_run
@@ -16,7 +17,7 @@ from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plane import MOST_SEGMENTS, Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.plots import Series
-from turtlelog.draw.rerun.timelines import RunStream, Timelines, Values, build_index
+from turtlelog.draw.rerun.timelines import RunStream, Timelines, build_index
 from turtlelog.draw.rerun.world import Bounds
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle
@@ -92,10 +93,7 @@ def find_ideal_poses(run: Run) -> PoseColumns | None:
 
     Each ideal loop begins together with the run's loop, like the ideal response in the plots;
     nothing is clipped. Theory gives a pose if one loop turns the robot, and another loop then
-    drives it along its track.
-
-    Returns:
-        None: If theory does not know both loops, or the loops act together.
+    drives it along its track. Otherwise the result is None.
     """
     turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
     line = run.goal_line

@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.characteristics import SIGNS
-from turtlelog.charts.curves import Level
+from turtlelog.charts.curves import Level, Values
 from turtlelog.charts.many_runs import GainScale
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
@@ -138,7 +137,7 @@ def choose_names(count: int) -> tuple[int, ...]:
     return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
 
 
-def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
+def arrange_names(names: Sequence[str]) -> Values:
     """Return places in a grid, y downward, shape (n, 2). The longest name sets the column width."""
     longest = max(len(name) for name in names)
     columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import Color
 from turtlelog.charts.robot_curves import label_error
 from turtlelog.charts.time_plots import TIME_PLOTS
@@ -167,7 +167,7 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
     stream.log(f"{_PLANE}/begins", starts, static=True)
 
 
-def _flip(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _flip(xy_m: Values) -> Values:
     return np.asarray(xy_m * np.array([1.0, -1.0]))
 
 
@@ -175,7 +175,7 @@ def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) ->
     _, factor = SHOWN_UNITS[band.quantity]
     time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
     index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
-    curves: list[tuple[str, NDArray[np.float64] | None, Color]] = [
+    curves: list[tuple[str, Values | None, Color]] = [
         ("recorded", band.recorded, palette.MEASURED),
         ("least simulated", band.low, palette.REFERENCE),
         ("largest simulated", band.high, palette.REFERENCE),

@@ -10,6 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.charts import palette
+from turtlelog.charts.curves import Values
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import HEADROOM, TIMELINE
 from turtlelog.draw.documents import document_run
@@ -45,7 +46,6 @@ from turtlelog.draw.rerun.rrd_file import (
 )
 from turtlelog.draw.rerun.timelines import (
     RunStream,
-    Values,
     add_thinning,
     build_run_timelines,
     read_span,
@@ -286,11 +286,9 @@ class GrowingStream(rr.RecordingStream):
         self.is_due, self._is_last = True, False
 
     def begin_round(self, rows: int, *, is_last: bool = False) -> None:
-        """Start a new round of drawing.
+        """Start a new round of drawing a run that has this number of rows.
 
-        Args:
-            rows: Present number of rows of the run.
-            is_last: Whether this is the final round, in which all changeable data are sent.
+        In the last round, all changeable data are sent.
         """
         self._seen.clear()
         self._is_last = is_last

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import (
@@ -18,6 +17,7 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import Color
 from turtlelog.charts.plane_scene import (
     MEDIAN_LABEL,
@@ -34,7 +34,7 @@ from turtlelog.charts.plane_scene import (
 )
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.timelines import Timelines, Values, build_index
+from turtlelog.draw.rerun.timelines import Timelines, build_index
 from turtlelog.log.ros2.bag_maps import UNKNOWN, OccupancyMap
 from turtlelog.log.ros2.bag_scans import CELL_M, Surroundings
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
@@ -134,13 +134,7 @@ def draw_close_up(
 ) -> None:
     """Draw the end of each run in its colour, with its distance from the goal.
 
-    Args:
-        stream: The recording.
-        close_up: Close-up with its ends and their names.
-        run: One of the runs, whose start gives the direction of arrival.
-        prefixes: Entity prefix of each run.
-        colors: Colour of each run.
-        lettering: Size of text in the view.
+    The start of `run`, one of the runs, gives the direction of arrival.
     """
     for end in close_up.ends:
         dot = rr.Points2D(
@@ -224,7 +218,7 @@ def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None
 def _draw_marks(
     stream: rr.RecordingStream,
     entity: str,
-    points: NDArray[np.float64],
+    points: Values,
     color: Color,
 ) -> None:
     radius = rr.Radius.ui_points(_MARKER_RADIUS)
@@ -233,8 +227,8 @@ def _draw_marks(
 
 def _draw_names(
     stream: rr.RecordingStream,
-    start: NDArray[np.float64],
-    goal: NDArray[np.float64],
+    start: Values,
+    goal: Values,
     half_size_m: float,
 ) -> None:
     """Name start and goal, each on the side away from the path."""
@@ -273,7 +267,7 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
         stream.log(join_path(entities.TOLERANCE), boxes, static=True)
 
 
-def _square(low: NDArray[np.float64], high: NDArray[np.float64], margin: float) -> Bounds:
+def _square(low: Values, high: Values, margin: float) -> Bounds:
     x_m, y_m = (low + high) / 2.0
     size_m = max(float((high - low).max()), 0.1)
     return Bounds(center_xy_m=(float(x_m), float(y_m)), half_size_m=size_m * (0.5 + margin))

@@ -3,9 +3,8 @@
 Static content is drawn once; for each picture, moving content is drawn over a copy of it.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -47,12 +46,12 @@ from turtlelog.charts.plotted_curves import (
 )
 from turtlelog.charts.robot_curves import part_path
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
-from turtlelog.draw.figures.page import LOOKS, choose_run_lines, label_runs, use_looks
+from turtlelog.draw.figures.page import LOOKS, choose_run_lines, fix_style, label_runs, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
 from turtlelog.run import Run
 
 if TYPE_CHECKING:
-    from turtlelog.draw.movie.movie_file import Film
+    from turtlelog.draw.movie_file import Film
 
 Picture = NDArray[np.uint8]
 """Pixels of a picture, shape (height, width, 3): red, green and blue."""
@@ -80,9 +79,7 @@ _TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
 _FAINT: Final = 0.22
 """Opacity of the path that is not driven yet."""
 
-_BESIDE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.5", "linewidth": 1.2, "linestyle": ":", "zorder": 1.5}
-)
+_BESIDE: Final = fix_style(color="0.5", linewidth=1.2, linestyle=":", zorder=1.5)
 """Style of ideal responses and references."""
 
 _TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)])
