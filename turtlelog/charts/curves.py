@@ -251,15 +251,15 @@ def list_aims(run: Run, signal: str) -> list[Curve]:
     return [aim for aim in found if aim is not None and np.isfinite(aim.values).any()]
 
 
-def read_distance_to_reference(run: Run) -> Values | None:
+def read_distance_to_reference(run: Run) -> Curve | None:
     """Return the distance to a recorded reference at each sample [m], the signal of such a loop."""
-    xy_m = run.samples.reference_xy_m
+    samples, xy_m = run.samples, run.samples.reference_xy_m
     if xy_m is None or not any(
         loop.moves and loop.signal == "distance" for loop in run.declaration.loops
     ):
         return None
-    away_m = xy_m - run.poses.xy_m[run.samples.pose_sequence]
-    return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
+    away_m = xy_m - run.poses.xy_m[samples.pose_sequence]
+    return Curve(start_ns=run.start_ns, time_ns=samples.time_ns, values=np.hypot(*away_m.T))
 
 
 def find_end_of_turn(run: Run) -> int | None:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from types import MappingProxyType
 from typing import Final
 
 from matplotlib.figure import Figure
@@ -26,7 +25,6 @@ SAMPLES: Final = "the controller's samples"
 POSES: Final = "poses"
 GOAL: Final = "a goal"
 PYTHON_CONTROL: Final = "python-control"
-_STATES: Final = "states of its law that are not always 0"
 
 
 _ROW_HEIGHT: Final = 0.25
@@ -151,26 +149,6 @@ class FigureKind:
         return fit_line(f"<FigureKind: {self.title}>")
 
 
-def _lack_command(run: Run, command: Command) -> str:
-    """Return why an axis cannot be drawn: there is no command, or no motion for it."""
-    found = has_own(run, TIME_PLOTS[command])
-    return "" if found else f"{command.replace('_', ' ')} commands"
-
-
-def _lack_wanted(run: Run, command: Command) -> str:
-    is_held = len(run.samples) > 0 and read_curve(run, f"wanted_{command}") is not None
-    return _lack("what the law wanted before clipping", is_held=is_held)
-
-
-def _lack(words: str, *, is_held: bool) -> str:
-    return "" if is_held else words
-
-
-def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
-    """Return the missing data for figures that need samples."""
-    return _lack(words, is_held=is_held) if len(run.samples) else SAMPLES
-
-
 def has_states(run: Run) -> bool:
     """Return whether a run has states of its law that are not always 0."""
     return run.samples.states is not None and bool(run.samples.states.any())
@@ -189,7 +167,7 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
         return ""
     loops = [loop for run in runs for loop in run.declaration.loops]
     has_others = any(loop.gain and not loop.is_proportional for loop in loops)
-    return _PROPORTIONAL if has_others else "the law's gain"
+    return _PROPORTIONAL if has_others else _GAIN
 
 
 def _find_lack_of_locus(run: Run) -> str:
@@ -204,52 +182,62 @@ def _find_lack_of_locus(run: Run) -> str:
     return unknown if lack == _PROPORTIONAL or not unknown else lack
 
 
+_GAIN: Final = "the law's gain"
 _PROPORTIONAL: Final = "a proportional loop"
 
 OF_THEORY: Final = ("gain", "integrator", "locus")
 """Data that theory provides without a run."""
 
-_LACKS: Final[Mapping[str, Callable[[Run], str]]] = MappingProxyType(
-    {
-        "theory": lambda run: find_lack_of_theory([run]),
-        "gain": lambda run: find_lack_of_gain([run]),
-        "locus": lambda run: _find_lack_of_locus(run),
-        "integrator": lambda run: (
-            find_lack_of_gain([run])
-            or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)
-        ),
-        "known_gain": lambda run: _lack("the law's gain", is_held=_has_gain(run)),
-        "commands": lambda run: (
-            _lack(POSES, is_held=len(run.poses) > 0)
-            or _lack("commands", is_held=not lacks_commands(run))
-        ),
-        "samples": lambda run: _lack(SAMPLES, is_held=len(run.samples) > 0),
-        "poses": lambda run: _lack(POSES, is_held=len(run.poses) > 0),
-        "goal": lambda run: (
-            _lack(POSES, is_held=len(run.poses) > 0)
-            or _lack(GOAL, is_held=run.goal_xy_m is not None)
-        ),
-        "heading_error": lambda run: _lack_samples(
-            run, "a heading to aim at", is_held=read_curve(run, "heading_error") is not None
-        ),
-        "track": lambda run: _lack_samples(
-            run, GOAL, is_held=run.goal_line is not None or run.path is not None
-        ),
-        "along_error": lambda run: (
-            _lack("a path that its law tracks", is_held=run.path is not None)
-            or _lack("a path with a speed", is_held=read_along_error(run) is not None)
-        ),
-        "path": lambda run: _lack("a path that its law tracks", is_held=run.path is not None),
-        "states": lambda run: _lack(_STATES, is_held=has_states(run)),
-        "world_velocity": lambda run: _lack_samples(
-            run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
-        ),
-        "speed": lambda run: _lack_command(run, "speed"),
-        "turn_rate": lambda run: _lack_command(run, "turn_rate"),
-        "wanted_speed": lambda run: _lack_wanted(run, "speed"),
-        "wanted_turn_rate": lambda run: _lack_wanted(run, "turn_rate"),
-    }
-)
+
+def _has(words: str, has: Callable[[Run], bool], *, first: str = "") -> Callable[[Run], str]:
+    """Return a function from a run to these words if it lacks the data, after those of a need."""
+    return lambda run: (first and _LACKS[first](run)) or ("" if has(run) else words)
+
+
+def _has_curve(words: str, signal: str) -> Callable[[Run], str]:
+    return _has(words, lambda run: read_curve(run, signal) is not None, first="samples")
+
+
+def _has_command(command: Command) -> Callable[[Run], str]:
+    words = f"{command.replace('_', ' ')} commands"
+    return _has(words, lambda run: has_own(run, TIME_PLOTS[command]))
+
+
+def _has_wanted(command: Command) -> Callable[[Run], str]:
+    signal = f"wanted_{command}"
+    return _has(
+        "what the law wanted before clipping",
+        lambda run: len(run.samples) > 0 and read_curve(run, signal) is not None,
+    )
+
+
+_LACKS: Final[Mapping[str, Callable[[Run], str]]] = {
+    "theory": lambda run: find_lack_of_theory([run]),
+    "gain": lambda run: find_lack_of_gain([run]),
+    "locus": _find_lack_of_locus,
+    "integrator": _has(
+        "a plant that is 1/s", lambda run: find_plant(run).name != LAGGED, first="gain"
+    ),
+    "known_gain": _has(_GAIN, _has_gain),
+    "commands": _has("commands", lambda run: not lacks_commands(run), first="poses"),
+    "samples": _has(SAMPLES, lambda run: len(run.samples) > 0),
+    "poses": _has(POSES, lambda run: len(run.poses) > 0),
+    "goal": _has(GOAL, lambda run: run.goal_xy_m is not None, first="poses"),
+    "heading_error": _has_curve("a heading to aim at", "heading_error"),
+    "track": _has(
+        GOAL, lambda run: run.goal_line is not None or run.path is not None, first="samples"
+    ),
+    "along_error": _has(
+        "a path with a speed", lambda run: read_along_error(run) is not None, first="path"
+    ),
+    "path": _has("a path that its law tracks", lambda run: run.path is not None),
+    "states": _has("states of its law that are not always 0", has_states),
+    "world_velocity": _has_curve("gain times error", "world_velocity_x"),
+    "speed": _has_command("speed"),
+    "turn_rate": _has_command("turn_rate"),
+    "wanted_speed": _has_wanted("speed"),
+    "wanted_turn_rate": _has_wanted("turn_rate"),
+}
 """Functions from a run to the data that it lacks, by need; empty if nothing is missing."""
 
 

@@ -61,6 +61,7 @@ from turtlelog.draw.rerun.world import (
     draw_ends,
     draw_world,
     draw_worst_place,
+    write_words,
 )
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
@@ -263,12 +264,8 @@ def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tup
     )
 
 
-def _draw_overlay(
-    stream: rr.RecordingStream,
-    overlay: _Overlay,
-    content: Content,
-) -> list[RunStream]:
-    """Draw all runs and their common parts; return a stream for each run."""
+def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
+    """Draw all runs and their common parts."""
     draw_world(stream, overlay.runs)
     span = read_span(overlay.runs, overlay.timelines)
     draw_references(stream, overlay.references, span)
@@ -278,7 +275,6 @@ def _draw_overlay(
         draw_legend(stream, overlay.names, overlay.colors)
     if len(overlay.runs) > MANY:
         _show_ends(stream, overlay, content)
-    streams = []
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
         look = Look(color=overlay.colors[number], size=choose_turtle_size(len(overlay.runs)))
@@ -290,7 +286,6 @@ def _draw_overlay(
         list_events(run_stream, run, overlay.names[number])
         for curves in overlay.series[number]:
             draw_series(run_stream, curves)
-        streams.append(run_stream)
     if content.goal is not None:
         draw_close_up(
             stream,
@@ -302,7 +297,6 @@ def _draw_overlay(
         )
     if content.worst is not None:
         draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
-    return streams
 
 
 def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
@@ -324,14 +318,11 @@ def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) 
     furthest = furthest[:_MOST_EXTREMES]
     if not furthest:
         return
-    labels = rr.Points2D(
-        [overlay.runs[number].poses.xy_m[-1] for number in furthest],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[overlay.colors[number] for number in furthest],
-        labels=[overlay.name_run(number) for number in furthest],
-        show_labels=True,
+    places = [overlay.runs[number].poses.xy_m[-1] for number in furthest]
+    names = [overlay.name_run(number) for number in furthest]
+    write_words(
+        stream, entities.EXTREMES, places, names, [overlay.colors[number] for number in furthest]
     )
-    stream.log(join_path(entities.EXTREMES), labels, static=True)
 
 
 def _miss(run: Run) -> float:

@@ -18,7 +18,7 @@ from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plane import MOST_SEGMENTS, Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.timelines import RunStream, Timelines, build_index
-from turtlelog.draw.rerun.world import Bounds
+from turtlelog.draw.rerun.world import Bounds, draw_strips, write_words
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle
 
@@ -221,28 +221,12 @@ def draw_key(
         (middle + len(name) * _KEY_LETTER / 2.0, y + _KEY_UP)
         for (name, _), y in zip(rows, ys, strict=True)
     ]
-    center = np.array(bounds.center_xy_m)
-    stream.log(
-        join_path(entities.KEY),
-        rr.LineStrips2D(
-            [center + half_m * np.array(sample) for sample in samples],
-            radii=rr.Radius.ui_points(2.5),
-            colors=[color for _, color in rows],
-        ),
-        static=True,
-    )
-    stream.log(
-        join_path(entities.KEY_NAMES),
-        rr.Points2D(
-            center + half_m * np.array(words),
-            radii=rr.Radius.ui_points(0.0),
-            # In a small window samples are hidden.
-            colors=[color for _, color in rows],
-            labels=[name for name, _ in rows],
-            show_labels=True,
-        ),
-        static=True,
-    )
+    center, colors = np.array(bounds.center_xy_m), [color for _, color in rows]
+    lines = [center + half_m * np.array(sample) for sample in samples]
+    draw_strips(stream, entities.KEY, lines, colors, 2.5)
+    # In a small window samples are hidden, so that the names have their colours.
+    names = [name for name, _ in rows]
+    write_words(stream, entities.KEY_NAMES, center + half_m * np.array(words), names, colors)
 
 
 def _follow(run: Run, ghost: Ghost) -> Values:

@@ -19,7 +19,7 @@ from turtlelog.draw.rerun.content import (
     view_speed,
     view_worst,
 )
-from turtlelog.draw.rerun.explanation_pictures import view_picture, view_waterfall
+from turtlelog.draw.rerun.explanation_pictures import view_picture
 from turtlelog.draw.rerun.legends import view_legend, view_scale
 
 Corners = Mapping[str, rrb.Corner2D]
@@ -39,18 +39,10 @@ def _list_column(column: Column) -> tuple[tuple[str, ...], ...]:
 _COLUMNS: Final = (_list_column("turning"), _list_column("moving"))
 
 _EXPLAINED: Final = (
+    ((entities.GAP_MM, entities.GAP_M), (entities.HEADING_ERROR, entities.HEADING)),
     (
-        (entities.GAP_MM, entities.GAP_M),
-        tuple(map(entities.name_plot, ("heading_error", "heading"))),
-    ),
-    (
-        tuple(
-            map(
-                entities.name_plot,
-                ("cross_track", "distance", "along_track_error", "along_track", "x"),
-            )
-        ),
-        tuple(map(entities.name_plot, ("speed", "turn_rate"))),
+        ("cross_track", "distance", "along_track_error", entities.ALONG_TRACK, entities.POSITION),
+        (entities.SPEED, entities.TURN_RATE),
     ),
 )
 
@@ -165,7 +157,7 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run with ghosts: the planes, the attribution, and a few plots."""
     left = _list_planes_of(content)
-    tabs = [view_waterfall(content.steps_title or "")]
+    tabs = [view_picture(content.steps_title or "", entities.STEPS)]
     tabs += [] if content.luck_title is None else [view_picture(content.luck_title, entities.LUCK)]
     tabs += map(view_document, content.documents)
     right: list[rrb.View | rrb.Container] = [

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
@@ -17,6 +17,7 @@ from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.marks import Mark, name_marks
 from turtlelog.draw.rerun.plots import LevelLines, Series
+from turtlelog.draw.rerun.world import draw_points, write_words
 
 _SCALE_WIDTH: Final = 12.0
 """Width of the colour bar of many runs, in multiples of its height."""
@@ -81,15 +82,9 @@ def view_scale(title: str) -> rrb.View:
 def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
     """Draw the names of runs in their colours."""
     chosen = choose_names(len(names))
-    shown = [names[number] for number in chosen]
-    points = rr.Points2D(
-        arrange_names(shown),
-        radii=rr.Radius.ui_points(_LEGEND_RADIUS),
-        colors=[colors[number] for number in chosen],
-        labels=shown,
-        show_labels=True,
-    )
-    stream.log(join_path(entities.LEGEND), points, static=True)
+    shown, hues = [names[number] for number in chosen], [colors[number] for number in chosen]
+    looks: dict[str, Any] = {"labels": shown, "show_labels": True}
+    draw_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
 
 
 def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Color]) -> None:
@@ -107,14 +102,9 @@ def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Co
     )
     stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
     ticks = scale.list_ticks(_SCALE_LABELS)
-    labels = rr.Points2D(
-        [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[colors[round(place)] for place, _ in ticks],
-        labels=[value for _, value in ticks],
-        show_labels=True,
-    )
-    stream.log(join_path(entities.LEGEND, "values"), labels, static=True)
+    places = [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks]
+    hues = [colors[round(place)] for place, _ in ticks]
+    write_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
 
 
 def title_scale(scale: GainScale) -> str:

@@ -56,7 +56,9 @@ _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"
 _COMMANDED_WIDTH: Final = 3.0
 """Width of commands, so that commands are visible on the noise of measured rates [points]."""
 
-_MARKERS: Final[Mapping[CurveKind, Literal["circle", "cross"]]] = MappingProxyType(
+Marker = Literal["circle", "cross", "diamond", "up", "down"]
+
+_MARKERS: Final[Mapping[CurveKind, Marker]] = MappingProxyType(
     {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}
 )
 
@@ -88,7 +90,7 @@ class Series:
     holds: bool = False
     is_main: bool = True
     is_measured: bool = True
-    marker: Literal["circle", "cross"] | None = None
+    marker: Marker | None = None
 
     @property
     def plot(self) -> str:

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
+from numpy.typing import ArrayLike
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import (
@@ -114,9 +115,9 @@ def draw_world(
         stream.log(join_path(entities.BORDER), border, static=True)
     _draw_tracked_paths(stream, runs)
     starts, goals = list_starts(runs), list_goals(runs)
-    _draw_marks(stream, entities.START, starts, palette.START)
+    draw_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
     if len(goals):
-        _draw_marks(stream, entities.GOAL, goals, palette.GOAL)
+        draw_points(stream, entities.GOAL, goals, [palette.GOAL], _MARKER_RADIUS)
         _draw_tolerances(stream, runs)
     if len(starts) == 1 and len(goals) == 1:
         half_m = half_size_m or find_plane_bounds(runs).half_size_m
@@ -137,92 +138,55 @@ def draw_close_up(
     The start of `run`, one of the runs, gives the direction of arrival.
     """
     for end in close_up.ends:
-        dot = rr.Points2D(
-            [end.xy_m],
-            radii=rr.Radius.ui_points(_END_RADIUS),
-            colors=[colors[end.run]],
-            labels=[f"ends {format_length(end.miss_m)} from the goal"],
-            show_labels=False,
+        told = f"ends {format_length(end.miss_m)} from the goal"
+        entity, color = f"{prefixes[end.run]}/{entities.END}", colors[end.run]
+        draw_points(
+            stream, entity, [end.xy_m], [color], _END_RADIUS, labels=[told], show_labels=False
         )
-        stream.log(join_path(prefixes[end.run], entities.END), dot, static=True)
     misses = list_miss_labels(close_up, lettering)
     rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
     up_m = _ABOVE * LETTERING.line * close_up.half_m
     lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
     hues = [_choose_color(line, colors) for line in lines]
-    _write_words(stream, entities.MISSES, up_m, lines, hues)
-    _write_words(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
-    strips = rr.LineStrips2D(
-        close_up.list_rings(),
-        radii=rr.Radius.ui_points(_RING_RADIUS),
-        colors=[_RING],
-    )
-    stream.log(join_path(entities.RINGS), strips, static=True)
+    _write_labels(stream, entities.MISSES, up_m, lines, hues)
+    _write_labels(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
+    draw_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
 
 
 def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[Color]) -> None:
     """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
-    dots = rr.Points2D(
-        [run.poses.xy_m[-1] for run in runs], radii=rr.Radius.ui_points(_ENDS_RADIUS), colors=colors
-    )
-    stream.log(join_path(entities.ENDS), dots, static=True)
+    ends_m = [run.poses.xy_m[-1] for run in runs]
+    draw_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
     groups = find_gain_ends(runs)
     if not groups:
         return
     hues = [colors[group.middle_run] for group in groups]
     names = [f"Kp {group.gain:.3g}: " for group in groups]
-    outlines = rr.LineStrips2D(
-        [group.around_xy_m for group in groups],
-        radii=rr.Radius.ui_points(_OUTLINE_RADIUS),
-        colors=hues,
-        labels=[f"{name}{OUTLINE_LABEL}" for name in names],
-        show_labels=False,
-        draw_order=_ABOVE_ENDS,
-    )
-    stream.log(join_path(entities.OUTLINES), outlines, static=True)
-    medians = rr.Points2D(
-        [group.median_xy_m for group in groups],
-        radii=rr.Radius.ui_points(_MEDIAN_RADIUS),
-        colors=hues,
-        labels=[f"{name}{MEDIAN_LABEL}" for name in names],
-        show_labels=False,
-        draw_order=_ABOVE_ENDS,
-    )
-    stream.log(join_path(entities.MEDIANS), medians, static=True)
+    looks: dict[str, Any] = {"show_labels": False, "draw_order": _ABOVE_ENDS}
+    looks["labels"] = [f"{name}{OUTLINE_LABEL}" for name in names]
+    outlines = [group.around_xy_m for group in groups]
+    draw_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
+    looks["labels"] = [f"{name}{MEDIAN_LABEL}" for name in names]
+    medians = [group.median_xy_m for group in groups]
+    draw_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
 
 
 def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
-    way = rr.LineStrips2D(
-        [[worst.path_xy_m, worst.xy_m]], radii=rr.Radius.ui_points(_WORST_RADIUS), colors=[color]
-    )
-    stream.log(join_path(entities.WORST), way, static=True)
+    way = [worst.path_xy_m, worst.xy_m]
+    draw_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
     up_m = _ABOVE * LETTERING.line * worst.half_m
     label = label_worst_place(worst, LETTERING)
-    _write_words(stream, entities.WORST_NAME, up_m, [label], [color])
+    _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
 
 
 def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
     """Draw the paths that laws track as broad lines below the driven paths."""
     paths = list_paths(runs)
     if paths:
-        strips = rr.LineStrips2D(
-            [outline_path(path) for path in paths],
-            radii=rr.Radius.ui_points(_TRACKED_RADIUS),
-            colors=[palette.TRACKED] * len(paths),
-            draw_order=_BELOW_TRACES,
-        )
-        stream.log(join_path(entities.TRACKED_PATH), strips, static=True)
-
-
-def _draw_marks(
-    stream: rr.RecordingStream,
-    entity: str,
-    points: Values,
-    color: Color,
-) -> None:
-    radius = rr.Radius.ui_points(_MARKER_RADIUS)
-    stream.log(join_path(entity), rr.Points2D(points, radii=radius, colors=[color]), static=True)
+        strips, colors = [outline_path(path) for path in paths], [palette.TRACKED] * len(paths)
+        look = {"draw_order": _BELOW_TRACES}
+        draw_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
 
 
 def _draw_names(
@@ -235,17 +199,12 @@ def _draw_names(
     (start_x_m, start_y_m), (goal_x_m, goal_y_m) = start, goal
     aside_m = half_size_m if goal_x_m <= start_x_m else -half_size_m
     up_m = _NAME_UP * half_size_m
-    names = rr.Points2D(
-        [
-            (start_x_m + _START_ASIDE * aside_m, start_y_m + up_m),
-            (goal_x_m - _GOAL_ASIDE * aside_m, goal_y_m + up_m),
-        ],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[palette.START, palette.GOAL],
-        labels=["start", "goal"],
-        show_labels=True,
-    )
-    stream.log(join_path(entities.NAMES), names, static=True)
+    places = [
+        (start_x_m + _START_ASIDE * aside_m, start_y_m + up_m),
+        (goal_x_m - _GOAL_ASIDE * aside_m, goal_y_m + up_m),
+    ]
+    colors = [palette.START, palette.GOAL]
+    write_words(stream, entities.NAMES, places, ["start", "goal"], colors)
 
 
 def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
@@ -291,21 +250,52 @@ def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
     return colors[label.runs[0]] if len(label.runs) == 1 else palette.START
 
 
-def _write_words(
+def _write_labels(
     stream: rr.RecordingStream,
     entity: str,
     up_m: float,
     labels: Sequence[Label],
     colors: Sequence[Color],
 ) -> None:
-    words = rr.Points2D(
-        [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels],
-        radii=rr.Radius.ui_points(0.0),
-        colors=colors,
-        labels=[label.text for label in labels],
-        show_labels=True,
-    )
-    stream.log(join_path(entity), words, static=True)
+    places = [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels]
+    write_words(stream, entity, places, [label.text for label in labels], colors)
+
+
+def write_words(
+    stream: rr.RecordingStream,
+    entity: str,
+    places: ArrayLike,
+    texts: Sequence[str],
+    colors: Sequence[Color],
+) -> None:
+    """Write each text at its place, as the label of a point without a radius."""
+    draw_points(stream, entity, places, colors, 0.0, labels=texts, show_labels=True)
+
+
+def draw_points(
+    stream: rr.RecordingStream,
+    entity: str,
+    places: ArrayLike,
+    colors: Sequence[Color],
+    radius: float,
+    **more: Any,
+) -> None:
+    """Draw static points with a radius [points]."""
+    points = rr.Points2D(places, radii=rr.Radius.ui_points(radius), colors=colors, **more)
+    stream.log(join_path(entity), points, static=True)
+
+
+def draw_strips(
+    stream: rr.RecordingStream,
+    entity: str,
+    strips: Sequence[ArrayLike],
+    colors: Sequence[Color],
+    radius: float,
+    **more: Any,
+) -> None:
+    """Draw static lines with a radius [points]."""
+    lines = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(radius), colors=colors, **more)
+    stream.log(join_path(entity), lines, static=True)
 
 
 _MAP_ORDER: Final = 5.0  # tracked paths have 15, traces 20
