@@ -63,8 +63,7 @@ class Content:
         references: Plots that have level lines.
         lines: Entity paths of vertical lines, shown in every plot.
         legends: Plots with a legend. None: the plots with several curves.
-        highest_speed_m_s: Speed of the brightest colour in the trace by speed; None without this
-            trace.
+        highest_speed_m_s: Speed of the brightest colour of the trace by speed; None: no trace.
         steps_title: Title of the attribution; None without an attribution.
         luck_title: Title of the picture of values from other starts; None without this picture.
         starts: Text on other ends in the close-up of the goal, for the title of the close-up.
@@ -93,8 +92,7 @@ class Content:
         equal: Text on runs with equal rows, drawn as one curve; empty without them.
         is_small: Whether the window is too small for legends, phases and documents.
         scale_title: Title of the colour bar of many runs; None without a bar.
-        scale_span: Text on the range of the bar, for views without room for it; empty without a
-            bar.
+        scale_span: Text on the range of the bar, for views without room for it.
         end_s: End of the plots [s]. None: the plots show everything.
         length_s: Duration of the longest run [s], if the plots end earlier.
         restless: Note that names the runs that never come to rest; their commands are not shown.
@@ -189,10 +187,7 @@ def describe_content(
         states=states,
         idle=_find_idle(series),
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
-        ranges={
-            **find_ranges(series, references),
-            **close_ups,
-        },
+        ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
         timelines=_list_timelines(runs),
         notes={**_note_gaps(runs, series), **_count_outliers(series)},
@@ -261,10 +256,9 @@ def _find_emptiest(places: Values) -> str:
     is_high = (places[:, 1] > 1.0 - _LEGEND_HEIGHT) & (places[:, 1] <= 1.0)
     is_low = (places[:, 1] < _LEGEND_HEIGHT) & (places[:, 1] >= 0.0)
     counts = {
-        "RightTop": int((is_right & is_high).sum()),
-        "RightBottom": int((is_right & is_low).sum()),
-        "LeftTop": int((is_left & is_high).sum()),
-        "LeftBottom": int((is_left & is_low).sum()),
+        f"{side}{end}": int((across & up).sum())
+        for side, across in (("Right", is_right), ("Left", is_left))
+        for end, up in (("Top", is_high), ("Bottom", is_low))
     }
     return min(counts, key=lambda corner: counts[corner])
 
@@ -320,6 +314,12 @@ _MOST_PHASE_ROWS: Final = 4
 """Largest number of phase rows for more than seven runs; plots keep the larger part."""
 
 
+_ARROWS: Final = (
+    *(entities.ARROW, entities.BODY, entities.COMMAND, entities.ERROR),
+    entities.REFERENCE_POSE,
+)
+
+
 def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
     """Return the view of the plane, with arrows if the title has room for their names."""
     told = content.equal or content.origin or content.arrows
@@ -328,26 +328,16 @@ def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
     hidden = [entities.SPEED_PATH]
     if content.arrows and (content.is_small or not with_arrows):
         hidden, told = [*hidden, entities.ERROR, entities.COMMAND], ""
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[*_list_planes(content), *_hide(hidden, content)],
-        name=f"Plane ({told})" if told else "Plane",
-        background=palette.GROUND,
-        overrides=_show_trails(content),
-        visual_bounds=_turn_bounds(content.plane),
-    )
+    contents = [*_list_planes(content), *_hide(hidden, content)]
+    title = f"Plane ({told})" if told else "Plane"
+    return _view_bounds(title, contents, content.plane, overrides=_show_trails(content))
 
 
 def view_speed(content: Content, highest_m_s: float) -> rrb.View:
     """Return the view of the plane with paths coloured by speed."""
     hidden = _hide([entities.PATH, entities.TRAIL, entities.ERROR, entities.NAMES], content)
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[*_list_planes(content), *hidden],
-        name=f"By speed, 0 to {highest_m_s:.3g} m/s",
-        background=palette.GROUND,
-        visual_bounds=_turn_bounds(content.plane),
-    )
+    title = f"By speed, 0 to {highest_m_s:.3g} m/s"
+    return _view_bounds(title, [*_list_planes(content), *hidden], content.plane)
 
 
 def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
@@ -365,23 +355,35 @@ def view_worst(content: Content, worst: WorstPlace) -> rrb.View:
 
 
 def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
-    arrows = (
-        entities.ARROW,
-        entities.BODY,
-        entities.COMMAND,
-        entities.ERROR,
-        entities.REFERENCE_POSE,
-    )
     hidden = [entities.NAMES, entities.SPEED_PATH, entities.GAP]
     prefixes = (*content.prefixes, *content.ghosts)
-    hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in arrows]
+    hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in _ARROWS]
+    contents = [*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)]
+    return _view_bounds(name, contents, bounds, overrides=_show_trails(content))
+
+
+def _view_bounds(name: str, contents: Sequence[str], bounds: Bounds, **more: Any) -> rrb.View:
+    """Return a view of a square of the plane. The view's own coordinates have y downward."""
+    (x_m, y_m), half_m = bounds.center_xy_m, bounds.half_size_m
+    ranges = (x_m - half_m, x_m + half_m), (-y_m - half_m, -y_m + half_m)
+    return view_picture(name, contents, *ranges, **more)
+
+
+def view_picture(
+    name: str,
+    contents: Sequence[str],
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
+    **more: Any,
+) -> rrb.View:
+    """Return the view of a picture in its own coordinates, on dark ground."""
     return rrb.Spatial2DView(
         origin="/",
-        contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
+        contents=contents,
         name=name,
         background=palette.GROUND,
-        overrides=_show_trails(content),
-        visual_bounds=_turn_bounds(bounds),
+        visual_bounds=rrb.VisualBounds2D(x_range=x_range, y_range=y_range),
+        **more,
     )
 
 
@@ -397,13 +399,25 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: st
         title += f", {content.notes[plot]}"
     if content.restless and plot in entities.RESTLESS:
         title += f", without {content.restless}"
+    title = title.replace(" [", ", close up [") if plot in content.close_ups else title
+    shown = rrb.PlotLegend(legend, visible=legend is not None and has_names)
+    return view_curves(title, contents, limits, shown)
+
+
+def view_curves(
+    name: str,
+    contents: Sequence[str],
+    limits: tuple[float, float] | None,
+    legend: rrb.PlotLegend,
+) -> rrb.View:
+    """Return a view of curves on the common time axis, with limits of the values if known."""
     return rrb.TimeSeriesView(
         origin="/",
         contents=contents,
-        name=title.replace(" [", ", close up [") if plot in content.close_ups else title,
+        name=name,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
-        plot_legend=rrb.PlotLegend(legend, visible=legend is not None and has_names),
+        plot_legend=legend,
     )
 
 
@@ -475,11 +489,3 @@ def _hide(paths: Sequence[str], content: Content) -> list[str]:
     """Return the exclusions of a view of the whole plane: some paths, and the close-up."""
     ends = [join_path(prefix, entities.END) for prefix in content.prefixes]
     return [f"- {join_path(path)}/**" for path in (*paths, entities.CLOSE_UP, *ends)]
-
-
-def _turn_bounds(bounds: Bounds) -> rrb.VisualBounds2D:
-    """Return bounds in the view's own coordinates, with y downward."""
-    (x_m, y_m), half_m = bounds.center_xy_m, bounds.half_size_m
-    return rrb.VisualBounds2D(
-        x_range=(x_m - half_m, x_m + half_m), y_range=(-y_m - half_m, -y_m + half_m)
-    )

@@ -15,6 +15,7 @@ from turtlelog.charts.curves import Values
 from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.world import draw_points, draw_strips, write_words
 
@@ -104,15 +105,10 @@ def _list_prose(lines: Sequence[str]) -> list[_Words]:
     ]
 
 
-def view_picture(title: str, entity: str) -> rrb.View:
-    """Return the view of a picture in the units of this picture."""
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=f"{join_path(entity)}/**",
-        name=title,
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT + _FOOT)),
-    )
+def view_explained(title: str, entity: str) -> rrb.View:
+    """Return the view of the steps, of the reason why there are none, or of chance."""
+    contents = [f"{join_path(entity)}/**"]
+    return view_picture(title, contents, (0.0, _WIDTH), (0.0, _HEIGHT + _FOOT))
 
 
 def choose_ticks(ends: Sequence[float], scale: StepScale) -> list[float]:

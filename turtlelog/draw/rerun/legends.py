@@ -14,6 +14,7 @@ from turtlelog.charts.curves import Level, Values
 from turtlelog.charts.many_runs import GainScale
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.marks import Mark, name_marks
 from turtlelog.draw.rerun.plots import LevelLines, Series
@@ -55,28 +56,15 @@ def view_legend(names: Sequence[str]) -> rrb.View:
     """Return a view with the names of many runs, each in the colour of its run."""
     shown = [names[number] for number in choose_names(len(names))]
     last_row = float(arrange_names(shown)[-1, 1])
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[join_path(entities.LEGEND)],
-        name="Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs",
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(0.0, _LEGEND_WIDTH), y_range=(-0.5, last_row + 1.0)
-        ),
-    )
+    title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
+    ranges = (0.0, _LEGEND_WIDTH), (-0.5, last_row + 1.0)
+    return view_picture(title, [join_path(entities.LEGEND)], *ranges)
 
 
 def view_scale(title: str) -> rrb.View:
     """Return a view of the colour bar of many runs."""
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[f"{join_path(entities.LEGEND)}/**"],
-        name=title,
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(-0.3, _SCALE_WIDTH + 0.3), y_range=(-0.5, _SCALE_DEPTH)
-        ),
-    )
+    contents = [f"{join_path(entities.LEGEND)}/**"]
+    return view_picture(title, contents, (-0.3, _SCALE_WIDTH + 0.3), (-0.5, _SCALE_DEPTH))
 
 
 def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:

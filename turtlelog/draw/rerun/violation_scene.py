@@ -18,6 +18,7 @@ from turtlelog.charts.plotted_curves import TIMELINE
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.content import view_curves
 from turtlelog.draw.rerun.entities import VIOLATION, join_path
 from turtlelog.draw.rerun.layout import LEGEND_TITLE, build_run_layout, build_violation_layout
 from turtlelog.draw.rerun.plots import Series, draw_series
@@ -121,14 +122,9 @@ def _view_signal(violated: ViolatedSignal) -> rrb.View:
     shown = f"{shown}, {outside} outside" if outside else shown
     title = f"{violated.title}{', close up' if part.note else ''}: {shown}"
     title = f"{title}; violates {violated.expected or violated.check}"
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=[f"{join_path(entities.VIOLATED)}/**"],
-        name=shorten(title, _LONGEST_TITLE, placeholder="..."),
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=rrb.ScalarAxis(range=(part.low, part.high)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+    title = shorten(title, _LONGEST_TITLE, placeholder="...")
+    contents = [f"{join_path(entities.VIOLATED)}/**"]
+    return view_curves(title, contents, (part.low, part.high), rrb.PlotLegend(visible=False))
 
 
 def _write_legend(violated: ViolatedSignal) -> str:

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 import rerun as rr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import (
@@ -276,7 +276,7 @@ def draw_points(
     stream: rr.RecordingStream,
     entity: str,
     places: ArrayLike,
-    colors: Sequence[Color],
+    colors: Sequence[Color] | NDArray[np.uint32],
     radius: float,
     **more: Any,
 ) -> None:
@@ -289,7 +289,7 @@ def draw_strips(
     stream: rr.RecordingStream,
     entity: str,
     strips: Sequence[ArrayLike],
-    colors: Sequence[Color],
+    colors: Sequence[Color] | NDArray[np.uint32],
     radius: float,
     **more: Any,
 ) -> None:
