@@ -28,15 +28,7 @@ from turtlelog.charts.curves import (
 )
 from turtlelog.charts.many_runs import find_color_scale
 from turtlelog.charts.palette import FEW, LOOP_DASHES
-from turtlelog.draw.figures.page import (
-    IDEAL_ENDS,
-    REFERENCE,
-    STROKES,
-    choose_lines,
-    choose_run_lines,
-    color_runs,
-    label_runs,
-)
+from turtlelog.draw.figures import page
 from turtlelog.run import Run
 from turtlelog.theory import (
     PLANT_INPUTS,
@@ -129,7 +121,7 @@ def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: 
     """Draw the response of the plant 1/s to an impulse, a step and a ramp."""
     time_s = np.linspace(0.0, _LAST_S, 201)
     for axes, kind in zip(figure.subplots(1, 3), PLANT_INPUTS, strict=True):
-        axes.plot(time_s, compute_plant_response(kind, time_s), **choose_lines(1)[0])
+        axes.plot(time_s, compute_plant_response(kind, time_s), **page.choose_lines(1)[0])
         end = "unbounded" if find_plant_final_value(kind).value is None else "bounded"
         axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
     figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
@@ -141,9 +133,11 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     last_s = 1.25 * compute_settling_time(min(gains))
     time_s = np.linspace(0.0, last_s, 601)
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
-    axes.axhline(1.0, **REFERENCE)
+    axes.axhline(1.0, **page.REFERENCE)
     names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
-    styled = _style_gains(runs) if runs else dict(zip(gains, choose_lines(len(gains)), strict=True))
+    styled = (
+        _style_gains(runs) if runs else dict(zip(gains, page.choose_lines(len(gains)), strict=True))
+    )
     for gain, name in zip(gains, names, strict=True):
         looks = styled[gain]
         values = compute_closed_loop_response(gain, time_s)
@@ -158,9 +152,9 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
 def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
     """Return the style of each gain: the colour of its first run, and dashes for others."""
     styled: dict[float, Mapping[str, Any]] = {}
-    for run, looks in zip(runs, choose_run_lines(runs), strict=True):
+    for run, looks in zip(runs, page.choose_run_lines(runs), strict=True):
         for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
-            styled.setdefault(gain, {**looks, "linestyle": STROKES[dash]})
+            styled.setdefault(gain, {**looks, "linestyle": page.STROKES[dash]})
     return styled
 
 
@@ -179,7 +173,7 @@ def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
 
 def list_paper_poles() -> list[Pole]:
     """Return the poles of the ideal loops for the gains of the paper."""
-    styled = zip(PAPER_GAINS, choose_lines(len(PAPER_GAINS)), strict=True)
+    styled = zip(PAPER_GAINS, page.choose_lines(len(PAPER_GAINS)), strict=True)
     return [
         Pole(values=compute_root_locus([kp]), looks=looks, label=f"Kp = {kp:g}")
         for kp, looks in styled
@@ -212,7 +206,7 @@ def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
 _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
 
-_OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, AIMED, BEARING_NOW})
+_OF_ALL_RUNS: Final = frozenset({"ideal", page.IDEAL_ENDS, AIMED, BEARING_NOW})
 """Labels of lines that have each run's colour, and are therefore colourless in a legend."""
 
 _ALIKE: Final = (
@@ -315,12 +309,12 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     Returns:
         Labels in the bar, which the legend need not repeat.
     """
-    names = label_runs(runs)
+    names = page.label_runs(runs)
     drawn = [axes for axes in figure.axes if _names_all(axes.get_legend_handles_labels()[1], names)]
     if len(runs) <= len(FEW) or not drawn:
         return frozenset()
     count = len(runs)
-    colors = ListedColormap(color_runs(runs))
+    colors = ListedColormap(page.color_runs(runs))
     norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _BAR_INCH)

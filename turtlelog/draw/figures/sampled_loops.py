@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
-from turtlelog.draw.figures.figure_curves import (
-    Pole,
-    draw_ideal_locus,
-    draw_poles,
-    find_gains,
-    list_paper_poles,
-    name_some,
-)
+from turtlelog.draw.figures import figure_curves
 from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, fix_style, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
@@ -233,7 +226,7 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     curves = _style_loops(runs)
     names = _name_poles(runs, curves)
     ideal = _list_ideal_poles(runs, names)
-    draw = [partial(draw_ideal_locus, poles=ideal)] if ideal else []
+    draw = [partial(figure_curves.draw_ideal_locus, poles=ideal)] if ideal else []
     draw += [partial(_draw_locus, group=group, names=names) for group in _group_loci(curves)]
     if len(draw) > _MOST_LOCI:
         note = f"the first {_MOST_LOCI} of {len(draw)} loci, by dead time"
@@ -264,16 +257,16 @@ def _set_height(figure: Figure, rows: float, columns: int) -> None:
 def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
     """Return the gains of proportional loops on a plant 1/s; without runs, the paper's gains."""
     ideal = [run for run in runs if find_plant(run).name != LAGGED]
-    return find_gains(ideal) if ideal or not runs else ()
+    return figure_curves.find_gains(ideal) if ideal or not runs else ()
 
 
-def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[Pole]:
+def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[figure_curves.Pole]:
     """Return the poles of ideal loops, in the colours of their runs."""
     if not runs:
-        return list_paper_poles()
+        return figure_curves.list_paper_poles()
     styled = zip(runs, names.values(), choose_run_lines(runs), strict=True)
     return [
-        Pole(values=np.array([-kp]), looks=looks, label=name)
+        figure_curves.Pole(values=np.array([-kp]), looks=looks, label=name)
         for run, name, looks in styled
         for kp in find_ideal_gains([run])
     ]
@@ -343,7 +336,7 @@ def _name_loops(
     """Return the legend text of each loop; for many runs, only the dashes of each loop."""
     labels = [curve.label(tell) for curve in curves]
     if not any(curve.is_many for curve in curves):
-        return name_some(axes, labels)
+        return figure_curves.name_some(axes, labels)
     for curve in {curve.layer: curve for curve in curves}.values():
         axes.plot([], [], **{**curve.looks, "color": "0.35"}, label=curve.model.loop.name)
     return list(labels)
@@ -473,10 +466,10 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
     marked = [
-        Pole(values=curve.found.poles, looks=curve.run_looks, label=names[curve.run])
+        figure_curves.Pole(values=curve.found.poles, looks=curve.run_looks, label=names[curve.run])
         for curve in group
     ]
-    draw_poles(axes, marked)
+    figure_curves.draw_poles(axes, marked)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
     axes.set_title(f"{first.model.loop.name}\ndead time {dead_time}")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")

@@ -17,20 +17,8 @@ from matplotlib.ticker import MaxNLocator
 from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_run_colors, to_hex
 from turtlelog.display import describe_count
+from turtlelog.draw.figures import map_figure
 from turtlelog.draw.figures.figure_curves import count_legend_columns
-from turtlelog.draw.figures.map_figure import (
-    DECADES,
-    LIMITS,
-    VERDICT_WORDS,
-    draw_map_panel,
-    group_reasons,
-    is_logarithmic,
-    label_metric,
-    list_branches,
-    mark_places,
-    name_limit,
-    scale_values,
-)
 from turtlelog.draw.figures.page import REFERENCE, Page, choose_colors, to_rgb, use_looks
 from turtlelog.draw.figures.writing import (
     ShownFigure,
@@ -163,7 +151,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
     figure = ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
-    reasons = group_reasons(metrics)
+    reasons = map_figure.group_reasons(metrics)
     for number, axes in enumerate(grid.flat):
         if number >= len(metrics):
             axes.set_axis_off()
@@ -172,7 +160,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
         elif kind == "curves":
             named |= draw_curves(axes, view, metrics[number], limits)
         else:
-            named |= draw_map_panel(axes, view, metrics[number], limits, reasons)
+            named |= map_figure.draw_map_panel(axes, view, metrics[number], limits, reasons)
     if kind == "tornado":
         words = [_METHODS[view.results.is_sampled], *filter(None, [found[0].held])]
         _write_below(figure, words)
@@ -238,7 +226,7 @@ _HEIGHT: Final = 0.62
 def _draw_tornado(axes: Axes, found: Sensitivities) -> None:
     """Draw a bar for each key: the metric's range over the key, or the rank correlation of both."""
     keys = found.keys[:_MOST_KEYS]
-    title = label_metric(found.metric) if found.chance is None else found.metric.name
+    title = map_figure.label_metric(found.metric) if found.chance is None else found.metric.name
     axes.set_title(title, loc="right")  # long names of keys leave no room on both sides
     axes.grid(visible=False, axis="y")
     axes.set_yticks(range(len(keys)), labels=[_name(one) for one in keys])
@@ -343,7 +331,7 @@ def draw_curves(
     found = choose_limits([one for one in limits if one.gain is along], metric)
     cells = fill_cells(view, metric)
     parts = [
-        scale_values(metric, one if along is view.x else one.T)
+        map_figure.scale_values(metric, one if along is view.x else one.T)
         for one in (cells.values, cells.least, cells.most)
     ]
     valueless = np.zeros(view.shape, dtype=bool)
@@ -439,7 +427,7 @@ def _draw_sample(
     """Draw a dot for each row, because random rows do not share values of another key."""
     (color,) = choose_colors(1)
     numbers = along.numbers[along.places[view.rows]]
-    values = scale_values(metric, metric.values[view.rows])
+    values = map_figure.scale_values(metric, metric.values[view.rows])
     known = np.isfinite(values)
     size = 2.6 if len(values) <= _MOST_DOTS else 1.2
     axes.plot(numbers[known], values[known], "o", color=color, markersize=size, mew=0.0)
@@ -459,15 +447,15 @@ def _draw_limits(
     column = found.columns[place if len(found.columns) > 1 else 0]
     low, high = float(along.numbers[0]), float(along.numbers[-1])
     named: dict[str, Any] = {}
-    for name, looks in LIMITS.items():
-        for branch in list_branches([column], name):
+    for name, looks in map_figure.LIMITS.items():
+        for branch in map_figure.list_branches([column], name):
             at = float(branch[0])
             if not low <= at <= high:
                 continue
             own = {**looks, **({} if color is None else {"color": color})}
             axes.axvline(at, **own, zorder=1.5)
             grey = {} if color is None else {"color": "0.4"}
-            named[name_limit(found, metric, name)] = Line2D([], [], **{**looks, **grey})
+            named[map_figure.name_limit(found, metric, name)] = Line2D([], [], **{**looks, **grey})
             if color is None:
                 text = axes.text(at, 1.01, f"{at:.4g}", fontsize=6.2, color=looks["color"])
                 text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
@@ -475,14 +463,16 @@ def _draw_limits(
 
 
 def _set_axes(axes: Axes, along: SweptAxis, metric: SweptMetric, values: Values) -> None:
-    if is_logarithmic(along):
+    if map_figure.is_logarithmic(along):
         axes.set_xscale("log")
-    axes.set(xlabel=along.label, ylabel=label_metric(metric))
-    mark_places(axes, "x", along)
+    axes.set(xlabel=along.label, ylabel=map_figure.label_metric(metric))
+    map_figure.mark_places(axes, "x", along)
     known = values[np.isfinite(values)]
     if metric.is_verdict:
-        axes.set_yticks([0.0, 1.0], labels=[VERDICT_WORDS[0], VERDICT_WORDS[2]])
+        axes.set_yticks(
+            [0.0, 1.0], labels=[map_figure.VERDICT_WORDS[0], map_figure.VERDICT_WORDS[2]]
+        )
         axes.set_ylim(-0.15, 1.2)
-    elif len(known) and known.min() > 0.0 and known.max() / known.min() >= DECADES:
+    elif len(known) and known.min() > 0.0 and known.max() / known.min() >= map_figure.DECADES:
         axes.set_yscale("log")
     axes.margins(x=0.03)

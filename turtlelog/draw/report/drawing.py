@@ -7,19 +7,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts import plane_scene
 from turtlelog.charts.close_up import CloseUp, format_length
 from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.palette import Color, choose_turtle_size, to_hex
-from turtlelog.charts.plane_scene import (
-    MEDIAN_LABEL,
-    OUTLINE_LABEL,
-    find_gain_ends,
-    has_grey_paths,
-    is_in_world,
-    list_goals,
-    list_paths,
-    outline_path,
-)
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.charts.robot_curves import find_break_rows, part_path
 from turtlelog.display import describe_count
@@ -144,7 +135,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             poses_of[key].append(values)
     poses_of["color"] = [to_hex(one.color) for one in drawn]
     poses_of["dash"] = ["dashed" if one.is_ghost else "solid" for one in drawn]
-    is_grey = has_grey_paths([one.run for one in drawn])
+    is_grey = plane_scene.has_grey_paths([one.run for one in drawn])
     poses_of["way"] = [RING] * len(drawn) if is_grey else poses_of["color"]
     ways = models.ColumnDataSource(data=poses_of)
     plots.config["ways"] = ways.id
@@ -185,7 +176,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
 
 
 def _measure_size(drawn: Sequence[Drawn]) -> float:
-    if is_in_world([one.run for one in drawn]):
+    if plane_scene.is_in_world([one.run for one in drawn]):
         return WORLD_SIZE_M
     places = np.concatenate([one.run.poses.xy_m for one in drawn])
     return max(float(np.ptp(places, axis=0).max()), 0.1)
@@ -194,17 +185,17 @@ def _measure_size(drawn: Sequence[Drawn]) -> float:
 def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> list[Any]:
     """Draw the static parts; return the artists that the view must contain."""
     still = []
-    if shown is None and is_in_world([one.run for one in drawn]):
+    if shown is None and plane_scene.is_in_world([one.run for one in drawn]):
         still.append(
             figure.quad(
                 left=[0.0], right=[WORLD_SIZE_M], bottom=[0.0], top=[WORLD_SIZE_M],
                 fill_alpha=0.0, line_color=RING,
             )
         )  # fmt: skip
-    for path in list_paths([one.run for one in drawn]):
-        x_m, y_m = outline_path(path).T
+    for path in plane_scene.list_paths([one.run for one in drawn]):
+        x_m, y_m = plane_scene.outline_path(path).T
         figure.line(store(x_m), store(y_m), color=RING, alpha=0.5, line_width=5)
-    goals = list_goals([one.run for one in drawn])
+    goals = plane_scene.list_goals([one.run for one in drawn])
     if len(goals):
         cross = figure.scatter(*goals.T, marker="cross", size=16, color=RING, line_width=2.5)
         still += [] if shown else [cross]
@@ -235,12 +226,17 @@ def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
     colors = [to_hex(one.color) for one in drawn]
     x_m, y_m = np.array([one.run.poses.xy_m[-1] for one in drawn]).T
     figure.scatter(x_m, y_m, size=5, color=colors)
-    for group in find_gain_ends([one.run for one in drawn]):
+    for group in plane_scene.find_gain_ends([one.run for one in drawn]):
         color = colors[group.middle_run]
-        figure.line(*group.around_xy_m.T, color=color, line_width=1.5, legend_label=OUTLINE_LABEL)
+        figure.line(
+            *group.around_xy_m.T,
+            color=color,
+            line_width=1.5,
+            legend_label=plane_scene.OUTLINE_LABEL,
+        )
         figure.scatter(
             *group.median_xy_m.reshape(2, 1), marker="diamond", size=13, line_color="white",
-            fill_color=color, legend_label=MEDIAN_LABEL,
+            fill_color=color, legend_label=plane_scene.MEDIAN_LABEL,
         )  # fmt: skip
 
 

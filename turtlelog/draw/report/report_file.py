@@ -31,22 +31,9 @@ from turtlelog.display import describe_count, show_angle
 from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
 from turtlelog.draw.output_files import replace_file, write_policy_tag
+from turtlelog.draw.report import sections
 from turtlelog.draw.report.drawing import Drawn, Plots
 from turtlelog.draw.report.page_plots import Violation, draw_plots
-from turtlelog.draw.report.sections import (
-    CheckLine,
-    conclude_cause,
-    conclude_checks,
-    conclude_runs,
-    show,
-    sort_checks,
-    wrap_provenance,
-    write_attribution,
-    write_checks,
-    write_page,
-    write_provenance,
-    write_table,
-)
 from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution
 from turtlelog.files.urls import make_path
@@ -103,7 +90,7 @@ def write_report(
     *,
     sources: Sequence[str | Path] = (),
     explanation: Explanation | None = None,
-    checks: Sequence[CheckLine] = (),
+    checks: Sequence[sections.CheckLine] = (),
     command: str = "",
 ) -> None:
     """Write a report on runs as one HTML file, in the order of their gains.
@@ -143,7 +130,7 @@ def write_report(
             run=names.index(line.run) if line.run in names else None,
             signal=line.signal,
         )
-        for line in sort_checks(checks)
+        for line in sections.sort_checks(checks)
         if line.verdict == "FAIL"
     ]
     plots = draw_plots(drawn, metrics, violations)
@@ -152,14 +139,14 @@ def write_report(
     if explanation is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
         body += _write_explanation(name, explanation)
-    body += write_checks(checks) if checks else ""
+    body += sections.write_checks(checks) if checks else ""
     body += _write_tables(runs, names, metrics)
     keyed = [(file_of[id(run)], hash_file(file_of[id(run)])) for run in runs]
     versions = [
         f"turtlelog {__version__}", f"Bokeh {load_library('bokeh').__version__}",
         f"Python {platform.python_version()}",
     ]  # fmt: skip
-    body += write_provenance(runs, names, keyed, versions, command)
+    body += sections.write_provenance(runs, names, keyed, versions, command)
     if plots.thinned:
         body += (
             f'<p class="note">{describe_count(plots.thinned, "curve")} drawn with about'
@@ -194,22 +181,24 @@ def _write_conclusion(
     names: Sequence[str],
     metrics: Sequence[Mapping[str, Metric]],
     explanation: Explanation | None,
-    checks: Sequence[CheckLine],
+    checks: Sequence[sections.CheckLine],
 ) -> str:
-    sentences = conclude_runs(runs, names, metrics)
-    sentences.append(conclude_checks([(line.run, line.check, line.verdict) for line in checks]))
+    sentences = sections.conclude_runs(runs, names, metrics)
+    sentences.append(
+        sections.conclude_checks([(line.run, line.check, line.verdict) for line in checks])
+    )
     if explanation is not None and explanation.attribution is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
-        sentences.append(conclude_cause(name, explanation.attribution))
-    found = "".join(f"<p>{show(text)}</p>" for text in filter(None, sentences))
+        sentences.append(sections.conclude_cause(name, explanation.attribution))
+    found = "".join(f"<p>{sections.show(text)}</p>" for text in filter(None, sentences))
     return f'<section id="conclusion">{found}</section>' if found else ""
 
 
 def _write_explanation(name: str, explanation: Explanation) -> str:
     if explanation.attribution is not None:
-        return write_attribution(name, explanation.attribution)
+        return sections.write_attribution(name, explanation.attribution)
     text = f"{name} is not explained: {explanation.note}"
-    return f'<section id="cause"><p class="note">{show(text)}</p></section>'
+    return f'<section id="cause"><p class="note">{sections.show(text)}</p></section>'
 
 
 def _write_stage(plots: Plots, count: int, origin: str) -> str:
@@ -217,12 +206,12 @@ def _write_stage(plots: Plots, count: int, origin: str) -> str:
     toggles = "".join(
         f'<label><input type="checkbox" checked data-run="{number}">'
         f'<span class="{"swatch ghost" if run["ghost"] else "swatch"}"'
-        f' style="--ink:{run["color"]}"></span><span>{show(run["name"])}</span></label>'
+        f' style="--ink:{run["color"]}"></span><span>{sections.show(run["name"])}</span></label>'
         for number, run in enumerate(plots.config["runs"])
     )
     places = {
         place: f'<div class="plot" id="{place}" role="figure"'
-        f' aria-label="{show(plots.alternatives[place])}"></div>'
+        f' aria-label="{sections.show(plots.alternatives[place])}"></div>'
         for place in plots.roots
     }
     planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
@@ -255,12 +244,12 @@ def _write_tables(
 ) -> str:
     pairs = zip(runs, metrics, strict=True)
     summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
-    body = write_table(tabulate_runs(summaries))
+    body = sections.write_table(tabulate_runs(summaries))
     if len(runs) <= _MOST_COLUMNS:
         essentials = choose_essentials(runs, metrics)
         declarations = [run.declaration for run in runs]
         table = tabulate_measured(names, essentials, declarations=declarations)
-        body += f"<details><summary>Metrics</summary>{write_table(table)}</details>"
+        body += f"<details><summary>Metrics</summary>{sections.write_table(table)}</details>"
     return f'<section id="tables"><h2>Side by side</h2>{body}</section>'
 
 
@@ -296,7 +285,7 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
 <script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
 <script>{code}</script>"""
     policy = write_policy_tag(library, code)
-    return write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
+    return sections.write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
 
 
 def _end_no_script(code: str) -> str:
@@ -330,11 +319,11 @@ def write_map_report(
                 _write_sweep_figure(view, limits, kind, title)
                 for kind, title in _list_sweep_figures(view)
             ),
-            write_table(_tabulate_sweep(view)),
+            sections.write_table(_tabulate_sweep(view)),
             _write_origin(view, command),
         )
     )
-    text = write_page(
+    text = sections.write_page(
         Path(view.results.path).name,
         "plot",
         f"<main>\n{body}</main>",
@@ -358,8 +347,8 @@ def _write_sweep_figure(
     view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, title: str
 ) -> str:
     picture = b64encode(draw_sweep_svg(view, limits, kind)).decode()
-    image = f'<img alt="{show(title)}" src="data:image/svg+xml;base64,{picture}">'
-    return f"<section><h2>{show(title)}</h2><figure>{image}</figure></section>"
+    image = f'<img alt="{sections.show(title)}" src="data:image/svg+xml;base64,{picture}">'
+    return f"<section><h2>{sections.show(title)}</h2><figure>{image}</figure></section>"
 
 
 def _conclude_sweep(view: SweptView, limits: Sequence[LoopLimits]) -> str:
@@ -371,8 +360,8 @@ def _conclude_sweep(view: SweptView, limits: Sequence[LoopLimits]) -> str:
         if borders is not None:
             sentences.append(f"{metric.name}: {tell_borders(borders)}.")
     notes = [*view.notes, *(note for one in limits for note in one.notes)]
-    parts = "".join(f"<p>{show(text)}</p>" for text in sentences)
-    parts += "".join(f'<p class="note">{show(text)}.</p>' for text in notes)
+    parts = "".join(f"<p>{sections.show(text)}</p>" for text in sentences)
+    parts += "".join(f'<p class="note">{sections.show(text)}.</p>' for text in notes)
     return f'<section id="conclusion">{parts}</section>'
 
 
@@ -404,5 +393,5 @@ def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | Non
 def _write_origin(view: SweptView, command: str) -> str:
     file = str(view.results.path)
     versions = f"turtlelog {__version__}, Python {platform.python_version()}"
-    digest = f"<p>{show(file)}: sha256 <code>{hash_file(file)}</code></p>"
-    return wrap_provenance(versions, command, digest)
+    digest = f"<p>{sections.show(file)}: sha256 <code>{hash_file(file)}</code></p>"
+    return sections.wrap_provenance(versions, command, digest)

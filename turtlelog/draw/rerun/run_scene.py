@@ -14,7 +14,7 @@ from turtlelog.charts.curves import Values
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import HEADROOM, TIMELINE
 from turtlelog.draw.documents import document_run
-from turtlelog.draw.rerun import entities, plane
+from turtlelog.draw.rerun import entities, plane, plots, rrd_file, world
 from turtlelog.draw.rerun.content import Content, describe_content, find_corners, find_largest_shown
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
@@ -30,32 +30,11 @@ from turtlelog.draw.rerun.marks import (
     list_responses,
 )
 from turtlelog.draw.rerun.plane import Look, draw_turtle
-from turtlelog.draw.rerun.plots import (
-    LevelLines,
-    Series,
-    draw_references,
-    draw_series,
-    list_references,
-    list_series,
-)
-from turtlelog.draw.rerun.rrd_file import (
-    draw_documents,
-    open_recording,
-    send_run_properties,
-    strict_mode,
-)
 from turtlelog.draw.rerun.timelines import (
     RunStream,
     add_thinning,
     build_run_timelines,
     read_span,
-)
-from turtlelog.draw.rerun.world import (
-    draw_close_up,
-    draw_surroundings,
-    draw_world,
-    draw_worst_place,
-    widen_plane,
 )
 from turtlelog.log.ros2.bag_scans import Surroundings
 from turtlelog.measure import Metric, measure_run
@@ -89,7 +68,9 @@ def write_run_rrd(
     """
     require_run(run)
     scene = build_run_scene(run, documents, size, surroundings)
-    with open_recording(path, name=run.name, layout=build_run_layout(scene.content)) as stream:
+    with rrd_file.open_recording(
+        path, name=run.name, layout=build_run_layout(scene.content)
+    ) as stream:
         scene.draw(stream)
 
 
@@ -103,7 +84,7 @@ class RunScene(NamedTuple):
     def draw(self, stream: rr.RecordingStream) -> None:
         """Draw everything."""
         draw_single(stream, self.single, self.content)
-        draw_documents(stream, self.documents)
+        rrd_file.draw_documents(stream, self.documents)
 
 
 def build_run_scene(
@@ -119,7 +100,7 @@ def build_run_scene(
     documents = add_thinning(documents, [run])
     content = replace(single.describe(documents), is_small=is_small(size))
     if surroundings is not None:
-        plane_bounds = widen_plane(content.plane, surroundings, single.shift_m)
+        plane_bounds = world.widen_plane(content.plane, surroundings, single.shift_m)
         content = replace(content, plane=plane_bounds)
     return RunScene(single, content, documents)
 
@@ -146,8 +127,8 @@ class Single:
     run: Run
     origin: str
     metrics: Mapping[str, Metric]
-    series: tuple[Series, ...]
-    references: tuple[LevelLines, ...]
+    series: tuple[plots.Series, ...]
+    references: tuple[plots.LevelLines, ...]
     marks: tuple[Mark, ...]
     names: Mapping[str, str]
     legends: frozenset[str]
@@ -183,10 +164,10 @@ def build_single(run: Run) -> Single:
     """Return a measured run with its curves and marks, named for short legends."""
     metrics, first_m = measure_run(run), run.poses.xy_m[0]
     (run,), origin = move_near([run])
-    measured = list_series(run)
+    measured = plots.list_series(run)
     named = name_legends(
         (*measured, *list_responses(run, metrics)),
-        list_references([run]),
+        plots.list_references([run]),
         list_marks(run, measured, metrics),
     )
     return Single(
@@ -207,10 +188,10 @@ def build_single(run: Run) -> Single:
 def draw_single(stream: rr.RecordingStream, single: Single, content: Content) -> None:
     """Draw the run with everything except its documents."""
     run, timelines = single.run, build_run_timelines(single.run)
-    send_run_properties(stream, run, single.metrics)
-    draw_world(stream, [run])
+    rrd_file.send_run_properties(stream, run, single.metrics)
+    world.draw_world(stream, [run])
     if single.surroundings is not None:
-        draw_surroundings(stream, single.surroundings, timelines, single.shift_m)
+        world.draw_surroundings(stream, single.surroundings, timelines, single.shift_m)
     run_stream = RunStream(stream, "", timelines)
     plane.draw_driven(run_stream, run)
     plane.draw_reference_path(run_stream, run)
@@ -225,15 +206,15 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     plane.draw_reference_pose(run_stream, run, content.plane.half_size_m)
     plane.draw_arrows(run_stream, run)
     if content.goal is not None:
-        draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
+        world.draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
     if content.worst is not None:
-        draw_worst_place(stream, content.worst, palette.MAIN)
+        world.draw_worst_place(stream, content.worst, palette.MAIN)
     draw_phases(run_stream, run)
     if run.events:
         _draw_events(run_stream, single, content)
-    draw_references(stream, single.references, read_span([run], [timelines]))
+    plots.draw_references(stream, single.references, read_span([run], [timelines]))
     for curves in single.series:
-        draw_series(run_stream, curves)
+        plots.draw_series(run_stream, curves)
     draw_marks(run_stream, single.marks)
 
 
@@ -354,7 +335,7 @@ class LiveScene:
             ConnectionError: If the viewer accepts no more data.
         """
         if len(run.poses) > 1:
-            with strict_mode():
+            with rrd_file.strict_mode():
                 self._draw(run)
 
     def finish(self, run: Run) -> None:
@@ -364,7 +345,7 @@ class LiveScene:
             ConnectionError: If the viewer accepts no more data.
         """
         scene = build_run_scene(run, size=self._size)
-        with strict_mode():
+        with rrd_file.strict_mode():
             self._stream.begin_round(len(run.poses), is_last=True)
             self._arrange(run, scene.content)
             scene.draw(self._stream)
@@ -373,8 +354,8 @@ class LiveScene:
     def _draw(self, run: Run) -> None:
         stream, timelines = self._stream, build_run_timelines(run)
         # Theory is drawn at the end, when the segment of each loop is known.
-        listed = [one for one in list_series(run) if not one.entity.endswith("/ideal")]
-        named = name_legends(listed, list_references([run]))
+        listed = [one for one in plots.list_series(run) if not one.entity.endswith("/ideal")]
+        named = name_legends(listed, plots.list_references([run]))
         series, references = named.series, named.references
         run_stream = RunStream(stream, "", timelines)
         stream.begin_round(len(run.poses))
@@ -384,12 +365,12 @@ class LiveScene:
             content = replace(content, is_small=is_small(self._size))
             self._shown, self._half_size_m = shown, content.plane.half_size_m
             self._arrange(run, _open_up(content, references))
-            draw_world(stream, [run])
+            world.draw_world(stream, [run])
         if stream.is_due:
             plane.draw_driven(run_stream, run, is_growing=True)
             plane.draw_reference_path(run_stream, run)
             plane.draw_sensed(run_stream, run)
-            draw_references(stream, references, read_span([run], [timelines]))
+            plots.draw_references(stream, references, read_span([run], [timelines]))
         draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), self._half_size_m)
         plane.draw_reference_pose(run_stream, run, self._half_size_m)
         plane.draw_arrows(run_stream, run)
@@ -398,7 +379,7 @@ class LiveScene:
             plane.draw_event_places(run_stream, run)
             list_events(run_stream, run)
         for curves in series:
-            draw_series(run_stream, curves)
+            plots.draw_series(run_stream, curves)
         _flush(stream)
 
     def _arrange(self, run: Run, content: Content) -> None:
@@ -428,7 +409,7 @@ class _Part:
         return self.array
 
 
-def _open_up(content: Content, references: Sequence[LevelLines]) -> Content:
+def _open_up(content: Content, references: Sequence[plots.LevelLines]) -> Content:
     """Return the content of a growing run: events may follow, and there is no close-up yet."""
     limits = {
         reference.plot: HEADROOM * max(level.value for level in reference.levels)

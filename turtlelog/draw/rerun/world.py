@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.charts import palette
+from turtlelog.charts import palette, plane_scene
 from turtlelog.charts.close_up import (
     CloseUp,
     Label,
@@ -20,19 +20,6 @@ from turtlelog.charts.close_up import (
 )
 from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import Color
-from turtlelog.charts.plane_scene import (
-    MEDIAN_LABEL,
-    OUTLINE_LABEL,
-    WorstPlace,
-    find_gain_ends,
-    is_in_world,
-    label_worst_place,
-    list_goals,
-    list_paths,
-    list_places,
-    list_starts,
-    outline_path,
-)
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.timelines import Timelines, build_index
@@ -85,14 +72,14 @@ class Bounds:
 
 def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
     """Return the world's bounds, or the bounds of paths and goals that leave the world."""
-    if is_in_world(runs):
+    if plane_scene.is_in_world(runs):
         return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
     return find_way_bounds(runs)
 
 
 def find_way_bounds(runs: Sequence[Run]) -> Bounds:
     """Return the bounds of paths and goals."""
-    points = np.concatenate([*map(list_places, runs), list_goals(runs)])
+    points = np.concatenate([*map(plane_scene.list_places, runs), plane_scene.list_goals(runs)])
     return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
 
 
@@ -104,7 +91,7 @@ def draw_world(
     `half_size_m` is half the size of the plane, if it differs from the world's.
     """
     stream.log(join_path(entities.PLANE), UPWARD, static=True)
-    if is_in_world(runs):
+    if plane_scene.is_in_world(runs):
         half = WORLD_SIZE_M / 2.0
         border = rr.Boxes2D(
             centers=[(half, half)],
@@ -114,7 +101,7 @@ def draw_world(
         )
         stream.log(join_path(entities.BORDER), border, static=True)
     _draw_tracked_paths(stream, runs)
-    starts, goals = list_starts(runs), list_goals(runs)
+    starts, goals = plane_scene.list_starts(runs), plane_scene.list_goals(runs)
     draw_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
     if len(goals):
         draw_points(stream, entities.GOAL, goals, [palette.GOAL], _MARKER_RADIUS)
@@ -157,34 +144,39 @@ def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[
     """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
     ends_m = [run.poses.xy_m[-1] for run in runs]
     draw_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
-    groups = find_gain_ends(runs)
+    groups = plane_scene.find_gain_ends(runs)
     if not groups:
         return
     hues = [colors[group.middle_run] for group in groups]
     names = [f"Kp {group.gain:.3g}: " for group in groups]
     looks: dict[str, Any] = {"show_labels": False, "draw_order": _ABOVE_ENDS}
-    looks["labels"] = [f"{name}{OUTLINE_LABEL}" for name in names]
+    looks["labels"] = [f"{name}{plane_scene.OUTLINE_LABEL}" for name in names]
     outlines = [group.around_xy_m for group in groups]
     draw_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
-    looks["labels"] = [f"{name}{MEDIAN_LABEL}" for name in names]
+    looks["labels"] = [f"{name}{plane_scene.MEDIAN_LABEL}" for name in names]
     medians = [group.median_xy_m for group in groups]
     draw_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
 
 
-def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
+def draw_worst_place(
+    stream: rr.RecordingStream, worst: plane_scene.WorstPlace, color: Color
+) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
     way = [worst.path_xy_m, worst.xy_m]
     draw_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
     up_m = _ABOVE * LETTERING.line * worst.half_m
-    label = label_worst_place(worst, LETTERING)
+    label = plane_scene.label_worst_place(worst, LETTERING)
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
 
 
 def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
     """Draw the paths that laws track as broad lines below the driven paths."""
-    paths = list_paths(runs)
+    paths = plane_scene.list_paths(runs)
     if paths:
-        strips, colors = [outline_path(path) for path in paths], [palette.TRACKED] * len(paths)
+        strips, colors = (
+            [plane_scene.outline_path(path) for path in paths],
+            [palette.TRACKED] * len(paths),
+        )
         look = {"draw_order": _BELOW_TRACES}
         draw_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
 
