@@ -11,7 +11,7 @@ from tests.draw.rerun.rrds import read_static
 from turtlelog.charts.palette import choose_run_colors
 from turtlelog.charts.plane_scene import MANY_PATHS, find_gain_ends, outline_points
 from turtlelog.draw.figures.page import color_runs
-from turtlelog.draw.report.drawn import Drawn
+from turtlelog.draw.report.drawing import Drawn
 from turtlelog.draw.report.page_plots import draw_plots
 
 KP2, KP10 = (tl.simulate_run(tl.load_scenario(f"paper-kp{kp}")) for kp in (2, 10))

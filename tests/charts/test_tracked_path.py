@@ -8,7 +8,7 @@ import pytest
 
 import turtlelog as tl
 from tests.draw.laws import SQUARE, simulate_law, simulate_tracker, simulate_untimed
-from turtlelog.charts.tracked_path import (
+from turtlelog.charts.plane_scene import (
     ON_PATH_M,
     find_worst_place,
     has_own_way,

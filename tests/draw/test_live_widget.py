@@ -71,7 +71,9 @@ def test_the_page_gets_the_run_bit_by_bit_while_the_cell_runs(
 def test_a_page_that_opens_late_gets_the_whole_run_then(tmp_path: Path) -> None:
     """Starts a kernel of its own: 4 s."""
     with start_notebook(is_open=False) as notebook:
-        notebook.run_cell("from turtlelog.draw.rerun import widgets\nwidgets._READY_S = 0.1")
+        notebook.run_cell(
+            "from turtlelog.draw.rerun import live_viewer\nlive_viewer._READY_S = 0.1"
+        )
         cell = notebook.run_cell(CELL.replace("realtime=True", "realtime=False"))
         assert (cell.error, cell.sent) == ("", [])
         assert "Timed out" in cell.printed

@@ -12,12 +12,11 @@ from PIL import Image
 
 from tests.fresh_process import run_command
 from turtlelog import Run, read_run
-from turtlelog.charts.time_axes import locate_run
-from turtlelog.draw import write_movie
+from turtlelog.charts.plotted_curves import locate_run
+from turtlelog.draw import movie_file, write_movie
 from turtlelog.draw.figures.page import label_runs
-from turtlelog.draw.movie import movie_file
-from turtlelog.draw.movie.movie_file import plan_film
-from turtlelog.draw.movie.picture import _set_stage, draw_pictures
+from turtlelog.draw.movie_file import plan_film
+from turtlelog.draw.movie_picture import _set_stage, draw_pictures
 from turtlelog.errors import ShowError
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
@@ -44,7 +43,7 @@ def test_a_film_lasts_from_the_first_pose_to_the_last_and_then_stands_still(
 def test_a_film_that_nobody_told_a_length_is_real_time_where_that_can_be_watched(
     runs: tuple[Run, ...], duration_s: float, whole_s: float
 ) -> None:
-    from turtlelog.draw.movie.movie_file import _choose_length
+    from turtlelog.draw.movie_file import _choose_length
 
     assert _choose_length(duration_s) == pytest.approx(whole_s)
 

@@ -48,7 +48,7 @@ SPREAD = """        "spread": TimePlot(
 
 DRAW = """
 import turtlelog as tl
-from turtlelog.draw.report.drawn import Drawn
+from turtlelog.draw.report.drawing import Drawn
 from turtlelog.draw.report.page_plots import draw_plots
 from turtlelog.draw.rerun.run_scene import build_single
 

@@ -15,7 +15,7 @@ from tests.draw.rerun.rrds import read_static, simulate_preset
 from tests.draw.robots import make_robot
 from tests.draw.test_effects_shown import simulate
 from turtlelog.charts.palette import IDEAL, Color, choose_curve_color, choose_run_colors, to_hex
-from turtlelog.draw.report.drawn import Drawn
+from turtlelog.draw.report.drawing import Drawn
 from turtlelog.draw.report.page_plots import draw_plots
 from turtlelog.draw.rerun.legends import _LINE_LETTERS
 from turtlelog.draw.rerun.run_scene import build_single

@@ -137,10 +137,7 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
 
     Between these two is a step for each cause that changes the value, the largest contribution
     first. A difference between log and re-simulation, or between one seed and the mean over seeds,
-    is a separate step.
-
-    Returns:
-        The steps; empty if the contributions are withheld. The attribution contains the reason.
+    is a separate step. If the contributions are withheld, there are no steps.
     """
     left = found.without_all
     total = found.resimulated if found.as_logged is None else found.as_logged
@@ -278,10 +275,8 @@ def draw_up_difference(found: ExplainedDifference) -> Waterfall:
 def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, ...]:
     """Return the steps from the value of the first run to that of the second.
 
-    Between these two is a step for each change with its contribution, the largest first.
-
-    Returns:
-        The steps; empty if the contributions are withheld. The answer contains the reason.
+    Between these two is a step for each change with its contribution, the largest first. If the
+    contributions are withheld, there are no steps.
     """
     first, second = found.first.resimulated, found.second.resimulated
     if not found.contributions or first is None or second is None:

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 from turtlelog.charts.curves import Curve, read_command, read_curve, read_distance_to_reference
-from turtlelog.charts.tracked_path import read_along_error
+from turtlelog.charts.plane_scene import read_along_error
 from turtlelog.measure import MeasureSettings, Metric, find_dead_time, find_signal
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.response import Response, find_loop_samples, find_response
@@ -131,9 +132,8 @@ def list_mark_texts(mark: Characteristic, others: Iterable[Characteristic]) -> l
     return [*peaks, *([mark.text] if mark.value >= 0.0 else [])]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Place:
-    """Position of a metric on a curve."""
+class _Place(NamedTuple):
+    """A metric, the signal of the curve on which it is marked, and the word of its label."""
 
     metric: str
     signal: str
@@ -146,8 +146,8 @@ class _Place:
 
 
 _OF_RUN: Final = (
-    _Place(metric="run.time_to_goal", signal="distance", word="near the goal"),
-    _Place(metric="final.position_error", signal="distance", word="at the end"),
+    _Place("run.time_to_goal", "distance", "near the goal"),
+    _Place("final.position_error", "distance", "at the end"),
 )
 
 
@@ -158,29 +158,16 @@ def list_characteristics(
 
     For each loop, these are the metrics of the step on the controlled signal; for a moving
     reference, the largest error. The longest saturation is marked on the command. The final error
-    of a heading is also included.
-
-    Args:
-        run: The run.
-        metrics: Metrics from `measure_run`.
-        settings: Settings with which the metrics were measured.
+    of a heading is also included. `settings` are those with which `measure_run` gave the metrics.
     """
-    curves: dict[str, Curve | None] = {}
-    responses: dict[str, Response | None] = {}
+    read = cache(partial(read_marked_curve, run))
+    respond = cache(partial(_find_response, run, settings=settings or MeasureSettings()))
     found = []
-    for place in _list_places(run.declaration):
+    for place in (*_list_of_loops(run.declaration), *_OF_RUN):
         metric = metrics.get(place.metric)
-        if metric is None or metric.value is None:
-            continue
-        if place.signal not in curves:
-            curves[place.signal] = read_marked_curve(run, place.signal)
-        if place.loop is not None and place.loop.name not in responses:
-            responses[place.loop.name] = _find_response(run, place.loop, settings)
-        response = None if place.loop is None else responses[place.loop.name]
-        mark = _place(run, place, metric, curves[place.signal], response)
-        if mark is not None:
-            found.append(mark)
-    return (*found, *_list_pauses(run))
+        if metric is not None and metric.value is not None:
+            found.append(_place(run, place, metric, read(place.signal), respond(place.loop)))
+    return (*(mark for mark in found if mark is not None), *_list_pauses(run))
 
 
 def read_marked_curve(run: Run, signal: str) -> Curve | None:
@@ -193,19 +180,15 @@ def read_marked_curve(run: Run, signal: str) -> Curve | None:
         return read_command(run, "speed" if signal == "speed" else "turn_rate")
     if signal == ALONG_ERROR:
         return read_along_error(run)
-    if signal != TO_REFERENCE:
-        return read_curve(run, signal)
-    values = read_distance_to_reference(run)
-    if values is None:
-        return None
-    return Curve(start_ns=run.start_ns, time_ns=run.samples.time_ns, values=values)
+    return read_distance_to_reference(run) if signal == TO_REFERENCE else read_curve(run, signal)
 
 
 def _find_response(
-    run: Run, loop: ControlLoop, settings: MeasureSettings | None
+    run: Run, loop: ControlLoop | None, *, settings: MeasureSettings
 ) -> Response | None:
-    signal = find_signal(run, loop.signal)
-    found = find_response(run, loop, signal, settings or MeasureSettings())
+    if loop is None:
+        return None
+    found = find_response(run, loop, find_signal(run, loop.signal), settings)
     return None if isinstance(found, Missing) else found
 
 
@@ -277,10 +260,7 @@ def _add_step(mark: Characteristic, response: Response) -> Characteristic:
 def _list_pauses(run: Run) -> Iterator[Characteristic]:
     for span in run.find_phase_spans():
         if span.phase == PAUSE:
-            start_s, end_s = (
-                (span.start_ns - run.start_ns) / 1e9,
-                (span.end_ns - run.start_ns) / 1e9,
-            )
+            start_s, end_s = ((ns - run.start_ns) / 1e9 for ns in (span.start_ns, span.end_ns))
             yield Characteristic(
                 signal="",
                 metric="run.pause",
@@ -293,14 +273,14 @@ def _list_pauses(run: Run) -> Iterator[Characteristic]:
             )
 
 
-def _list_places(declaration: Declaration) -> tuple[_Place, ...]:
-    found = [place for loop in declaration.loops for place in _list_of_loop(declaration, loop)]
-    return (*found, *_OF_RUN)
+def _list_of_loops(declaration: Declaration) -> Iterator[_Place]:
+    for loop in declaration.loops:
+        yield from _list_of_loop(declaration, loop)
 
 
 def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_Place]:
     def mark(metric: str, signal: str, word: str) -> _Place:
-        return _Place(metric=f"{loop.name}.{metric}", signal=signal, word=word, loop=loop)
+        return _Place(f"{loop.name}.{metric}", signal, word, loop)
 
     controlled = _name_controlled(loop)
     alike = [other for other in declaration.loops if other.signal == loop.signal]

@@ -6,8 +6,9 @@ from itertools import pairwise, product
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from turtlelog.charts.curves import Values
 from turtlelog.run import Run
 
 ARRIVED_M: Final = 1.0
@@ -88,7 +89,7 @@ class CloseUp:
     ends: tuple[End, ...]
     outside: int
 
-    def list_rings(self) -> list[NDArray[np.float64]]:
+    def list_rings(self) -> list[Values]:
         """Return the rings as lines [m], each of shape (n, 2)."""
         turns_rad = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS)
         circle = np.column_stack([np.cos(turns_rad), np.sin(turns_rad)])

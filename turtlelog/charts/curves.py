@@ -251,15 +251,15 @@ def list_aims(run: Run, signal: str) -> list[Curve]:
     return [aim for aim in found if aim is not None and np.isfinite(aim.values).any()]
 
 
-def read_distance_to_reference(run: Run) -> Values | None:
+def read_distance_to_reference(run: Run) -> Curve | None:
     """Return the distance to a recorded reference at each sample [m], the signal of such a loop."""
-    xy_m = run.samples.reference_xy_m
+    samples, xy_m = run.samples, run.samples.reference_xy_m
     if xy_m is None or not any(
         loop.moves and loop.signal == "distance" for loop in run.declaration.loops
     ):
         return None
-    away_m = xy_m - run.poses.xy_m[run.samples.pose_sequence]
-    return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
+    away_m = xy_m - run.poses.xy_m[samples.pose_sequence]
+    return Curve(start_ns=run.start_ns, time_ns=samples.time_ns, values=np.hypot(*away_m.T))
 
 
 def find_end_of_turn(run: Run) -> int | None:
@@ -292,22 +292,17 @@ def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
 
 
 def choose_rows(
-    values: NDArray[np.float64],
+    values: Values,
     most: int = MOST_POINTS,
     *,
     always: NDArray[np.int64] | None = None,
 ) -> NDArray[np.int64] | None:
-    """Return the rows of a curve to draw; None if all rows are few enough.
+    """Return the rows of a curve to draw, about `most`; None if all rows are few enough.
 
-    The rows are split into equal segments. In each segment, the first row and the rows of the
-    minimum and maximum of every column are kept. The very last row is kept too. NaN is neither a
-    minimum nor a maximum. The first NaN of a segment is kept too, so that no line is drawn across a
-    gap.
-
-    Args:
-        values: Values, shape (n,) or (n, columns).
-        most: Approximate number of rows to keep.
-        always: Rows that are kept in addition.
+    The rows of the values, shape (n,) or (n, columns), are split into equal segments. In each
+    segment, the first row and the rows of the minimum and maximum of every column are kept, and
+    also the very last row and the rows in `always`. NaN is neither a minimum nor a maximum. The
+    first NaN of a segment is kept too, so that no line is drawn across a gap.
     """
     columns = values.reshape(len(values), -1)
     if len(columns) <= most:

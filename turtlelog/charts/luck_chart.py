@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import choose_rings, format_length
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import describe_count, join_words
 from turtlelog.explain import Luck, LuckCurve
-
-Values = NDArray[np.float64]
 
 _DIGITS: Final = 2
 """Number of digits of a value in text; neighbouring starts differ in the third digit."""
@@ -160,10 +159,7 @@ def spread_labels(
 ) -> list[float]:
     """Return positions of labels near their values without overlap, in the order of the values.
 
-    Args:
-        values: Preferred positions.
-        height: Height of a label.
-        limits: Limits of the positions, as far as there is room.
+    `height` is that of a label; the positions are within the limits as far as there is room.
     """
     order = sorted(range(len(values)), key=lambda row: values[row])
     # Overlapping labels are placed around the mean of their values.
@@ -202,11 +198,7 @@ def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
 def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
     """Return two values with enough digits to distinguish them; if they are equal, one value.
 
-    Args:
-        low: Smallest value.
-        high: Largest value.
-        unit: Unit of the metric.
-        told: Value to write instead, with the same number of digits.
+    The value `told` is written instead, with the same number of digits.
     """
     factor, name = _choose_unit([np.array([low, high])], unit)
     for digits in range(_DIGITS, _MOST_DIGITS + 1):

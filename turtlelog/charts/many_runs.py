@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.charts.curves import is_limit
+from turtlelog.charts.curves import Values, is_limit
 from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.compare import name_runs
 from turtlelog.compare.run_selection import has_one_gain, list_differing
@@ -142,7 +142,7 @@ def _is_restless(run: Run) -> bool:
     return max(swings) > _MOST_SWINGS
 
 
-def _count_swings(values: "np.typing.NDArray[np.float64]") -> int:
+def _count_swings(values: Values) -> int:
     signs = np.sign(values[values != 0.0])
     return int(np.count_nonzero(np.diff(signs)))
 

@@ -292,13 +292,9 @@ right, and others. Discs, squares and crosses mark places and values."""
 
 
 def choose_curve_color(kind: "CurveKind", run: Color, *, is_alone: bool) -> Color:
-    """Return the colour of a curve.
+    """Return the colour of a curve; `run` is the colour of its run.
 
-    Args:
-        kind: Kind of the curve.
-        run: Colour of the curve's run.
-        is_alone: Whether the picture has no other run. Among several runs, measured values have the
-            colour of their run.
+    If the picture has other runs, measured values have the colour of their run.
     """
     if kind in ("measured", "outlier"):
         return MEASURED if is_alone else run

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.curves import Command, Curve, read_curve, select_curve_rows
+from turtlelog.charts.curves import Command, Curve, Values, read_curve, select_curve_rows
 from turtlelog.compare.robot_comparison import SHOWN_UNITS, Quantity
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
@@ -17,8 +17,6 @@ from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay.recorded_motion import find_breaks, read_motion
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS
-
-Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

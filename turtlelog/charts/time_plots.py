@@ -3,7 +3,7 @@
 Figures, Rerun, reports and movies draw these plots.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -28,9 +28,9 @@ from turtlelog.charts.curves import (
     select_curve_rows,
 )
 from turtlelog.charts.ideal_curves import compute_ideals
-from turtlelog.charts.plotted_curves import Column, CurveEntry, TimePlot, find_state_unit
+from turtlelog.charts.plane_scene import read_along_error
+from turtlelog.charts.plotted_curves import Column, CurveEntry, CurveKind, TimePlot, find_state_unit
 from turtlelog.charts.robot_curves import part_curve, read_measured
-from turtlelog.charts.tracked_path import read_along_error
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS
 
@@ -65,12 +65,6 @@ def _read_signal(run: Run, signal: str) -> Iterator[Curve]:
     curve = read_curve(run, signal)
     if curve is not None:
         yield part_curve(run, curve)
-
-
-def _read_away(run: Run) -> Iterator[Curve]:
-    values = read_distance_to_reference(run)
-    if values is not None:
-        yield Curve(start_ns=run.start_ns, time_ns=run.samples.time_ns, values=values)
 
 
 def _read_lost(run: Run, signal: str) -> Iterator[Curve]:
@@ -114,42 +108,35 @@ def _signal(signal: str, label: str) -> CurveEntry:
     )
 
 
-def _around(signal: str) -> tuple[CurveEntry, ...]:
-    """Return the curves behind a signal: the moving reference, and the ideal loop."""
-    return (
-        CurveEntry(kind="aim", name="reference", read=partial(list_aims, signal=signal)),
-        _ideal(signal),
-    )
+def _add(
+    kind: CurveKind, name: str, read: Callable[[Run], Iterable[Curve]], label: str | None = None
+) -> CurveEntry:
+    """Return a curve with a name, which is also its label by default."""
+    return CurveEntry(kind=kind, name=name, label=name if label is None else label, read=read)
 
 
 def _ideal(signal: str) -> CurveEntry:
-    return CurveEntry(
-        kind="ideal", name="ideal", label="ideal", read=partial(compute_ideals, signal_name=signal)
-    )
+    return _add("ideal", "ideal", partial(compute_ideals, signal_name=signal))
+
+
+def _aim(signal: str) -> CurveEntry:
+    return _add("aim", "reference", partial(list_aims, signal=signal), label="")
 
 
 def _sensed(signal: str) -> tuple[CurveEntry, ...]:
     """Return the signal that the controller read, and the poses that it did not receive."""
     return (
-        CurveEntry(
-            kind="sensed",
-            name="sensed",
-            label="sensed",
-            read=partial(_read_one, partial(read_sensed, signal=signal)),
-        ),
-        CurveEntry(
-            kind="dropped_out",
-            name="dropped_out",
-            label="dropped",
-            read=partial(_read_lost, signal=signal),
-        ),
+        _add("sensed", "sensed", partial(_read_one, partial(read_sensed, signal=signal))),
+        _add("dropped_out", "dropped_out", partial(_read_lost, signal=signal), label="dropped"),
     )
 
 
 def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
     """Return the plot of a command: commanded, applied and measured values."""
     # The plant publishes its speed without a sign.
-    applied = "|applied|" if command == "speed" else "applied"
+    label = "|applied|" if command == "speed" else "applied"
+    applied = partial(_read_one, partial(read_applied, command=command))
+    rate = partial(_read_rate, command=command)
     return TimePlot(
         title=title,
         unit=COMMAND_UNITS[command],
@@ -161,24 +148,9 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
                 signal=command,
                 read=partial(_read_one, partial(read_command, command=command)),
             ),
-            CurveEntry(
-                kind="applied",
-                name="applied",
-                label=applied,
-                read=partial(_read_one, partial(read_applied, command=command)),
-            ),
-            CurveEntry(
-                kind="measured",
-                name="measured",
-                label="measured",
-                read=partial(_read_rate, command=command, is_outlier=False),
-            ),
-            CurveEntry(
-                kind="outlier",
-                name="outliers",
-                label="outlier",
-                read=partial(_read_rate, command=command, is_outlier=True),
-            ),
+            _add("applied", "applied", applied, label),
+            _add("measured", "measured", partial(rate, is_outlier=False)),
+            _add("outlier", "outliers", partial(rate, is_outlier=True), label="outlier"),
         ),
         list_levels=partial(_list_limits, command=command),
         figure=command.replace("_", "-"),
@@ -196,18 +168,8 @@ def _plot_wanted(command: Command, title: str, place: tuple[Column, int]) -> Tim
         title=f"wanted {title}",
         unit=COMMAND_UNITS[command],
         curves=(
-            CurveEntry(
-                kind="shaped",
-                name="shaped",
-                label="shaped",
-                read=partial(_read_signal, signal=f"shaped_{command}"),
-            ),
-            CurveEntry(
-                kind="run",
-                name="wanted",
-                label="wanted",
-                read=partial(_read_signal, signal=f"wanted_{command}"),
-            ),
+            _add("shaped", "shaped", partial(_read_signal, signal=f"shaped_{command}")),
+            _add("run", "wanted", partial(_read_signal, signal=f"wanted_{command}")),
         ),
         list_levels=partial(_list_limits, command=command),
         scale="symlog",
@@ -222,7 +184,7 @@ def _plot_coordinate(axis: str) -> TimePlot:
     return TimePlot(
         title=axis,
         unit="m",
-        curves=(*_sensed(axis), *_around(axis), _signal(axis, axis)),
+        curves=(*_sensed(axis), _aim(axis), _ideal(axis), _signal(axis, axis)),
         list_levels=partial(list_levels, signal=axis),
         figure="position",
         pair="position",
@@ -265,11 +227,7 @@ def _describe_state(name: str, runs: Sequence[Run]) -> TimePlot:
     return TimePlot(
         title=name,
         unit=find_state_unit(name, [run.declaration for run in runs]),
-        curves=(
-            CurveEntry(
-                kind="run", label=name, signal=name, read=partial(_read_signal, signal=name)
-            ),
-        ),
+        curves=(_signal(name, name),),
         list_levels=_list_zero,
         needs="states",
         is_usual=False,
@@ -282,7 +240,12 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         "heading": TimePlot(
             title="heading",
             unit="deg",
-            curves=(*_sensed("heading"), *_around("heading"), _signal("heading", "heading")),
+            curves=(
+                *_sensed("heading"),
+                _aim("heading"),
+                _ideal("heading"),
+                _signal("heading", "heading"),
+            ),
             list_levels=partial(list_levels, signal="heading"),
             figure="heading",
             loop="heading",
@@ -324,7 +287,11 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         "along_track": TimePlot(
             title="along-track",
             unit="m",
-            curves=(*_around("along_track"), _signal("along_track", "along-track")),
+            curves=(
+                _aim("along_track"),
+                _ideal("along_track"),
+                _signal("along_track", "along-track"),
+            ),
             list_levels=partial(list_levels, signal="along_track"),
             figure="along-track",
             needs="track",
@@ -340,11 +307,7 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
             title="cross-track",
             unit="m",
             curves=(
-                CurveEntry(
-                    kind="aim",
-                    name="reference",
-                    read=partial(list_aims, signal="cross_track"),
-                ),
+                _aim("cross_track"),
                 _signal("cross_track", "cross-track"),
             ),
             list_levels=_list_zero,
@@ -361,9 +324,10 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
                     name="to_reference",
                     label="to the reference",
                     signal="distance_to_reference",
-                    read=_read_away,
+                    read=partial(_read_one, read_distance_to_reference),
                 ),
-                *_around("distance"),
+                _aim("distance"),
+                _ideal("distance"),
                 _signal("distance", "distance"),
             ),
             list_levels=partial(_list_errors, signal="distance"),

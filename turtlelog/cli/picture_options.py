@@ -239,7 +239,7 @@ def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
     if suffix not in _SUFFIXES:
         raise UsageError(f"--movie {options.movie}: the name must end in .mp4 or .gif")
     require_new_target(options.movie, files, suffix=suffix)
-    from turtlelog.draw.movie.movie_file import require_encoder
+    from turtlelog.draw.movie_file import require_encoder
 
     require_encoder(suffix)
 
@@ -248,7 +248,7 @@ def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) ->
     """Write the movie if one is requested."""
     if options.movie is None:
         return
-    from turtlelog.draw.movie import write_movie
+    from turtlelog.draw.movie_file import write_movie
 
     bare = next((run.name for run in runs if not len(run.poses)), None)
     if bare is not None:

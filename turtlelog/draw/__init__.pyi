@@ -14,7 +14,7 @@ from .figures import (
     write_tables as write_tables,
     write_trajectory_figure as write_trajectory_figure,
 )
-from .movie import write_movie as write_movie
+from .movie_file import write_movie as write_movie
 from .report import (
     CheckLine as CheckLine,
     Explanation as Explanation,

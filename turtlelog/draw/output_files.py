@@ -75,9 +75,8 @@ loading anything."""
 def write_policy(scripts: Iterable[str], **more: str) -> str:
     """Return a policy that allows the scripts in the page by their hashes, and nothing remote.
 
-    Args:
-        scripts: Text of each script. Data blocks, for example of JSON, are not scripts.
-        more: Further sources by directive, with `_` for `-`, as in `connect_src="'self'"`.
+    Data blocks, for example of JSON, are not scripts. `more` are further sources by directive, with
+    `_` for `-`, as in `connect_src="'self'"`.
     """
     hashes = (b64encode(sha256(code.encode()).digest()).decode() for code in scripts)
     ours = {"script_src": " ".join(f"'sha256-{found}'" for found in hashes), **_SOURCES}

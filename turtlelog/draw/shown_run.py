@@ -33,6 +33,6 @@ def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figu
         from turtlelog.draw.figures import draw_figure  # not needed for the widget
 
         return draw_figure("panel", run)
-    from turtlelog.draw.rerun.widgets import build_run_widget
+    from turtlelog.draw.rerun.live_viewer import build_run_widget
 
     return build_run_widget(run, (width, height))

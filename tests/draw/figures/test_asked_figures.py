@@ -26,15 +26,16 @@ from turtlelog.draw.figures.attribution_figure import (
 )
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
 from turtlelog.draw.figures.gain_figure import draw_gains, find_loop_gains
-from turtlelog.draw.figures.metric_panels import (
+from turtlelog.draw.figures.rates_figure import draw_rates
+from turtlelog.draw.figures.strip_figure import (
     MetricValues,
     complete_name,
+    draw_strips,
+    group_runs,
     measure_for_figure,
     set_ticks_at,
     set_value_scale,
 )
-from turtlelog.draw.figures.rates_figure import draw_rates
-from turtlelog.draw.figures.strip_figure import draw_strips, group_runs
 from turtlelog.draw.figures.violation_figure import draw_violation
 from turtlelog.errors import ShowError
 from turtlelog.identify import identify_robot

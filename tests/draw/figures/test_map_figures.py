@@ -12,11 +12,15 @@ from matplotlib.figure import Figure
 from tests.draw.words import list_clipped
 from tests.sweep.swept_tables import Compute, write_table
 from tests.sweep.test_gain_borders import GRID, is_stable, view_table
-from turtlelog.charts.map_values import find_edges, is_logarithmic
-from turtlelog.draw.figures.map_figure import build_scale, draw_map_panel, group_reasons
+from turtlelog.draw.figures.map_figure import (
+    build_scale,
+    draw_map_panel,
+    find_edges,
+    group_reasons,
+    is_logarithmic,
+)
 from turtlelog.draw.figures.page import Page, use_looks
-from turtlelog.draw.figures.sweep_figures import MapKind, lay_out, write_map_figure
-from turtlelog.draw.figures.swept_curves import draw_curves
+from turtlelog.draw.figures.sweep_figures import MapKind, draw_curves, lay_out, write_map_figure
 from turtlelog.errors import ShowError
 from turtlelog.sweep import (
     Sampling,

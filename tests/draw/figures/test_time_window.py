@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 import turtlelog as tl
 from turtlelog.cli.picture_options import TIMELESS
 from turtlelog.draw import Page, draw_figure
-from turtlelog.draw.figures.time_window import cut_time_axes, list_time_axes
+from turtlelog.draw.figures.marked_panels import cut_time_axes, list_time_axes
 from turtlelog.errors import ShowError
 from turtlelog.scenario import get_preset
 

@@ -23,7 +23,7 @@ from tests.draw.rerun.rrds import (
     verify,
 )
 from turtlelog.charts import palette
-from turtlelog.charts.time_axes import name_phase_timeline
+from turtlelog.charts.plotted_curves import name_phase_timeline
 from turtlelog.draw import write_comparison_rrd, write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.timelines import build_compared_timelines
 from turtlelog.draw.rerun.world import find_plane_bounds

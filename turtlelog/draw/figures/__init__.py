@@ -14,8 +14,8 @@ from turtlelog.draw.figures.compared_figures import (
     write_robot_figure,
     write_trajectory_figure,
 )
-from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind
-from turtlelog.draw.figures.left_out import list_left_out, list_unmarked
+from turtlelog.draw.figures.figure_kinds import FIGURES, list_left_out, list_unmarked
+from turtlelog.draw.figures.needs import FigureKind
 from turtlelog.draw.figures.page import Page
 from turtlelog.draw.figures.sweep_figures import draw_map, write_map_figure
 from turtlelog.draw.figures.writing import draw_figure, write_figures, write_tables

@@ -2,10 +2,9 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,26 +13,14 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from turtlelog.charts.attribution_steps import (
-    Waterfall,
-    choose_step_scale,
-    draw_up_attribution,
-    list_attribution_steps,
-)
+from turtlelog.charts import attribution_steps
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
-from turtlelog.charts.curves import find_unit, list_levels, read_curve
+from turtlelog.charts.curves import Values, find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import SUPPOSED_DASH
-from turtlelog.charts.time_axes import label_time
+from turtlelog.charts.plotted_curves import label_time
+from turtlelog.draw.figures import page
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import (
-    REFERENCE,
-    SIDE_BY_SIDE_INCH,
-    STROKES,
-    choose_lines,
-    label_runs,
-    to_rgb,
-)
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ShowError
 from turtlelog.explain import (
@@ -47,8 +34,6 @@ from turtlelog.explain import (
 )
 from turtlelog.run import Run
 from turtlelog.run.loops import SIGNAL_WORDS
-
-Values = NDArray[np.float64]
 
 _WORDS_POINTS: Final = 7.0
 _BAR: Final = 0.62
@@ -65,13 +50,13 @@ _NOTE_LETTERS: Final = 42
 
 _MINUS: Final = "\N{MINUS SIGN}"
 
-_GHOST: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.55", "linestyle": STROKES[SUPPOSED_DASH], "linewidth": 1.3, "zorder": 1.9}
+_GHOST: Final = page.fix_style(
+    color="0.55", linestyle=page.STROKES[SUPPOSED_DASH], linewidth=1.3, zorder=1.9
 )
-_RING: Final[Mapping[str, Any]] = MappingProxyType(
-    {"fill": False, "color": "0.78", "linewidth": 0.5, "linestyle": (0, (4, 2)), "zorder": 1.2}
+_RING: Final = page.fix_style(
+    fill=False, color="0.78", linewidth=0.5, linestyle=(0, (4, 2)), zorder=1.2
 )
-_CONNECTOR: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.5", "linewidth": 0.6})
+_CONNECTOR: Final = page.fix_style(color="0.5", linewidth=0.6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,12 +82,7 @@ def explain_for_figure(
     metric: str | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> Explained:
-    """Explain one run, as `turtlelog explain` does.
-
-    Args:
-        runs: Sequence of one run.
-        metric: Id of the metric. Default: the choice of `explain`.
-        report: Function that is called with the numbers of simulations done and in total.
+    """Explain one run, as `turtlelog explain` does; `report` gets the numbers of simulations.
 
     Raises:
         ShowError: If there is not exactly one run, or the run has no contributions. The message
@@ -119,7 +99,7 @@ def explain_for_figure(
         raise ShowError(f"figure attribution needs a scenario of {run.name}: {reason}")
     work = Work(report=report)
     found = attribute_run(run, metric=chosen, identified=identified, work=work)
-    if not list_attribution_steps(found):
+    if not attribution_steps.list_attribution_steps(found):
         raise ShowError(f"figure attribution needs contributions to {chosen}: {_tell(found)}")
     ghosts = simulate_what_ifs(identified, found)
     name = next(reversed([*ghosts]), "")
@@ -140,18 +120,15 @@ def _tell(found: Attribution) -> str:
 def draw_attribution(
     figure: Figure, runs: Sequence[Run], *, explained: Explained | None = None
 ) -> None:
-    """Draw the waterfall of a run's metric, with the run and its ghost.
+    """Draw the waterfall of one run's metric, with the run and its ghost.
 
-    Args:
-        figure: Figure to draw on.
-        runs: Sequence of one run.
-        explained: Result of `explain_for_figure`, which is called if this is None.
+    The explanation is by default that of `explain_for_figure`.
     """
     told = explained or explain_for_figure(runs)
-    waterfall = draw_up_attribution(told.found)
+    waterfall = attribution_steps.draw_up_attribution(told.found)
     width = figure.get_figwidth()
     line_inch = 0.27
-    if width < SIDE_BY_SIDE_INCH:
+    if width < page.SIDE_BY_SIDE_INCH:
         low = line_inch * (len(waterfall.steps) + 2.0)
         figure.set_size_inches(width, 0.82 * width + low)
         seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
@@ -169,14 +146,8 @@ def draw_attribution(
     bars.set_title(f"what caused {waterfall.steps[0].text}")
 
 
-def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
-    """Draw the bars of a waterfall, each with its text.
-
-    Args:
-        axes: Axes to draw on.
-        waterfall: Waterfall to draw.
-        room_inch: Width for the bars and their text [inch].
-    """
+def draw_waterfall(axes: Axes, waterfall: attribution_steps.Waterfall, room_inch: float) -> None:
+    """Draw the bars of a waterfall with their text; `room_inch` is the width for both [inch]."""
     steps, factor = waterfall.steps, waterfall.scale.factor
     starts = np.array([step.start for step in steps]) * factor
     ends = np.array([step.end for step in steps]) * factor
@@ -189,7 +160,7 @@ def draw_waterfall(axes: Axes, waterfall: Waterfall, room_inch: float) -> None:
         texts = [text.replace(", ", ",\n", 1) for text in texts]
         span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
     for row, (step, text) in enumerate(zip(steps, texts, strict=True)):
-        color = "0.62" if step.kind == "left" else to_rgb(step.color)
+        color = "0.62" if step.kind == "left" else page.to_rgb(step.color)
         axes.barh(row, ends[row] - starts[row], left=starts[row], height=_BAR, color=color)
         words = f" {text}" if "\n" not in text else text
         axes.text(rights[row] + 0.012 * span, row, words, va="center", fontsize=_WORDS_POINTS)
@@ -230,8 +201,8 @@ def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:
 def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
     """Draw a signal of the run and of its ghost, from the approach to its reference on."""
     for level in {level.value for level in list_levels(told.run, signal)} or {0.0}:
-        axes.axhline(level, **REFERENCE)
-    lines = [(told.run, choose_lines(1)[0], "recorded")]
+        axes.axhline(level, **page.REFERENCE)
+    lines = [(told.run, page.choose_lines(1)[0], "recorded")]
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without {told.ghost_name}"))
     window_s = _find_arrival(told, signal)
@@ -279,7 +250,7 @@ def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
 
 def _draw_ends(axes: Axes, told: Explained) -> None:
     """Draw the ends of the run and its ghost, enlarged if they arrive."""
-    lines = [(told.run, choose_lines(1)[0], "recorded")]
+    lines = [(told.run, page.choose_lines(1)[0], "recorded")]
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
     close_up = find_close_up([run for run, _, _ in lines])
@@ -327,7 +298,7 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Word
     axes.locator_params(nbins=5)
     axes.grid(visible=False)
     width_inch = float(axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
-    share = 0.16 if width_inch >= SIDE_BY_SIDE_INCH else 0.29
+    share = 0.16 if width_inch >= page.SIDE_BY_SIDE_INCH else 0.29
     half_mm = np.full(2, 25.4 * share * width_inch)
     return WordSpace(center=center, half=np.full(2, half_m), half_mm=half_mm)
 
@@ -338,9 +309,9 @@ def _tell_miss(told: Explained, miss_m: float) -> str:
     If the waterfall shows `final.position_error`, the text has the decimals of the waterfall.
     """
     if told.found.metric == "final.position_error":
-        return choose_step_scale(told.found).format_value(miss_m)
+        return attribution_steps.choose_step_scale(told.found).format_value(miss_m)
     return format_length(miss_m)
 
 
 def _name(told: Explained) -> str:
-    return label_runs([told.run])[0]
+    return page.label_runs([told.run])[0]

@@ -1,9 +1,7 @@
 """Figures of comparisons: runs, a robot and its model, a path and its reference."""
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -18,14 +16,14 @@ from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.compare.trajectory_errors import Values
 from turtlelog.draw.figures.attribution_figure import draw_waterfall
-from turtlelog.draw.figures.figure_curves import draw_thinned
-from turtlelog.draw.figures.legend import add_legend
+from turtlelog.draw.figures.figure_curves import add_legend, draw_thinned
 from turtlelog.draw.figures.page import (
     MEASURED,
     MODELLED,
     REFERENCE,
     SIDE_BY_SIDE_INCH,
     Page,
+    fix_style,
     use_looks,
 )
 from turtlelog.draw.figures.rates_figure import draw_rates
@@ -101,9 +99,7 @@ _HEIGHT: Final = 1.0
 _STACKED_HEIGHT: Final = 2.6
 """Height of the figure as a share of its width, for panels side by side and stacked."""
 
-_BAND: Final[Mapping[str, Any]] = MappingProxyType(
-    {"alpha": 0.25, "linewidth": 0.0, "label": "central 95 % of simulated errors"}
-)
+_BAND: Final = fix_style(alpha=0.25, linewidth=0.0, label="central 95 % of simulated errors")
 
 _RECORDED: Final = "recorded"
 _SIMULATED: Final = "simulated"

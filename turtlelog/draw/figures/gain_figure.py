@@ -3,24 +3,18 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import UNSTABLE, to_hex
-from turtlelog.draw.figures.metric_panels import (
-    MetricValues,
-    measure_for_figure,
-    set_ticks_at,
-    set_value_scale,
-)
-from turtlelog.draw.figures.page import STROKES, choose_colors, label_runs
+from turtlelog.draw.figures import strip_figure
+from turtlelog.draw.figures.page import STROKES, choose_colors, fix_style, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
@@ -33,8 +27,6 @@ from turtlelog.theory import (
     find_stable_gains,
 )
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
-
-Values = NDArray[np.float64]
 
 _MOST_LINES: Final = 3
 """Largest number of dead times with a line each. More dead times become a band from the smallest to
@@ -62,21 +54,11 @@ would be narrower are stacked."""
 
 _ROW_INCH: Final = 1.45
 
-_OVERSHOOT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#b07000", "linewidth": 0.9, "linestyle": STROKES["dashed"]}
-)
-_UNSTABLE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": to_hex(UNSTABLE), "linewidth": 1.0}
-)
-_BEYOND: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": to_hex(UNSTABLE), "alpha": 0.09, "linewidth": 0.0, "zorder": 0.6}
-)
-_OVERSHOOTING: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#e69f00", "alpha": 0.10, "linewidth": 0.0, "zorder": 0.5}
-)
-_THEORY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.35", "linewidth": 0.9, "linestyle": STROKES["dotted"], "zorder": 1.8}
-)
+_OVERSHOOT: Final = fix_style(color="#b07000", linewidth=0.9, linestyle=STROKES["dashed"])
+_UNSTABLE: Final = fix_style(color=to_hex(UNSTABLE), linewidth=1.0)
+_BEYOND: Final = fix_style(color=to_hex(UNSTABLE), alpha=0.09, linewidth=0.0, zorder=0.6)
+_OVERSHOOTING: Final = fix_style(color="#e69f00", alpha=0.10, linewidth=0.0, zorder=0.5)
+_THEORY: Final = fix_style(color="0.35", linewidth=0.9, linestyle=STROKES["dotted"], zorder=1.8)
 _LIMITED: Final = {**_THEORY, "linestyle": STROKES["dashed"]}
 _SAMPLED: Final = {**_THEORY, "linestyle": "-", "linewidth": 0.6}
 
@@ -86,11 +68,8 @@ def draw_gains(
 ) -> None:
     """Draw metrics against the gain of each loop, with theory's limits.
 
-    Args:
-        figure: Figure to draw on.
-        runs: Runs; runs without a known gain are left out.
-        metrics: Ids, patterns, or names of metrics of any loop. Default: overshoot, settling time
-            and final position error.
+    The metrics are ids, patterns, or names of metrics of any loop; by default overshoot, settling
+    time and final position error. Runs without a known gain are left out.
 
     Raises:
         ShowError: If no gain is known, or no run has a value.
@@ -98,7 +77,7 @@ def draw_gains(
     loops = find_loop_gains(runs)
     if not loops:
         raise ShowError("figure gains needs the law's gain")
-    found = measure_for_figure("gains", runs, metrics)
+    found = strip_figure.measure_for_figure("gains", runs, metrics)
     columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
     own = {one.loop for one in found} - {""}
     columns = [loop for loop in columns if loop.name in own] or columns[:1] if own else columns[:1]
@@ -173,7 +152,9 @@ def _list_shown(columns: Sequence[LoopGains]) -> set[str]:
     return {"", *(loop.name for loop in columns)}
 
 
-def _find_values(found: Sequence[MetricValues], name: str, loop: LoopGains) -> MetricValues | None:
+def _find_values(
+    found: Sequence[strip_figure.MetricValues], name: str, loop: LoopGains
+) -> strip_figure.MetricValues | None:
     """Return a metric of a loop, or of the whole run."""
     return next((one for one in found if one.name == name and one.loop in ("", loop.name)), None)
 
@@ -189,12 +170,17 @@ def _name_loop(loop: LoopGains) -> str:
 
 
 def _draw_panel(
-    axes: Axes, runs: Sequence[Run], loop: LoopGains, found: MetricValues, *, is_first: bool
+    axes: Axes,
+    runs: Sequence[Run],
+    loop: LoopGains,
+    found: strip_figure.MetricValues,
+    *,
+    is_first: bool,
 ) -> None:
     gains = loop.gains
     known = gains[np.isfinite(gains)]
     _set_gain_axis(axes, loop, known)
-    set_value_scale(axes, found)
+    strip_figure.set_value_scale(axes, found)
     _draw_limits(axes, loop, is_first=is_first)
     _draw_theory(axes, loop, found)
     asked = np.isfinite(gains)
@@ -230,7 +216,7 @@ def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
     else:
         room = 0.12 * (right - left) or 0.3 * right
         axes.set_xlim(max(left - room, 0.0), right + room)
-    set_ticks_at(axes, known.tolist())
+    strip_figure.set_ticks_at(axes, known.tolist())
 
 
 def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
@@ -293,7 +279,7 @@ def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> 
         text.set(transform=axes.transAxes, ha=side, va="top")
 
 
-def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
+def _draw_theory(axes: Axes, loop: LoopGains, found: strip_figure.MetricValues) -> None:
     """Draw theory's metric at each gain, if it is known."""
     left, right = axes.get_xlim()
     gains = np.geomspace(max(left, 1e-3 * right), right, _GAINS)

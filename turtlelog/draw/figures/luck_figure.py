@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.luck_chart import (
@@ -23,8 +22,6 @@ from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name
 from turtlelog.errors import ExplainError, ShowError
 from turtlelog.explain import Luck, Work, choose_metric, measure_luck, require_causes
 from turtlelog.run import Run
-
-Values = NDArray[np.float64]
 
 _POINTS: Final = 7.0
 _TITLE_POINTS: Final = 8.0
@@ -60,12 +57,7 @@ def measure_luck_for_figure(
     metric: str | None = None,
     work: Work | None = None,
 ) -> Luck:
-    """Measure the effect of chance on one run.
-
-    Args:
-        runs: Sequence of one run.
-        metric: Id of the metric. Default: the choice of `explain`.
-        work: Settings of the simulation.
+    """Measure the effect of chance on one run; the default metric is the choice of `explain`.
 
     Raises:
         ShowError: If there is not exactly one run, or nothing can be shown. The message says why.
@@ -82,12 +74,9 @@ def measure_luck_for_figure(
 
 
 def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) -> None:
-    """Draw the ends of a run's starts, and the value over the starts.
+    """Draw the ends of one run's starts, and the value over the starts.
 
-    Args:
-        figure: Figure to draw on.
-        runs: Sequence of one run.
-        luck: Result of `measure_luck_for_figure`, which is called if this is None.
+    The values are by default those of `measure_luck_for_figure`.
     """
     shown = build_luck_picture(luck or measure_luck_for_figure(runs))
     width = float(figure.get_figwidth())

@@ -95,6 +95,11 @@ if hasattr(os, "register_at_fork"):
     )
 
 
+def fix_style(**looks: Any) -> Mapping[str, Any]:
+    """Return settings of matplotlib's artists that nothing changes."""
+    return MappingProxyType(looks)
+
+
 @contextmanager
 def use_looks(looks: Mapping[str, Any] = LOOKS) -> Iterator[None]:
     """Draw with settings of matplotlib. Other threads wait until the settings are restored."""
@@ -138,41 +143,33 @@ _MARKERS: Final[Mapping[Marker, tuple[str, float]]] = MappingProxyType(
 _MARK_EVERY: Final = 0.24
 """Distance of a run's markers on its curve, as a share of the panel's diagonal."""
 
-REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewidth": 0.7})
+REFERENCE: Final = fix_style(color="0.45", linewidth=0.7)
 """Style of goals, limits and zeros."""
 
 IDEAL_ENDS: Final = "ideal, first and last run"
 """Label of the ideal responses of the first and the last of many runs."""
 
-AIM: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linewidth": 0.8, "linestyle": STROKES[choose_dash("aim")], "zorder": 1.9, "marker": ""}
-)
+AIM: Final = fix_style(linewidth=0.8, linestyle=STROKES[choose_dash("aim")], zorder=1.9, marker="")
 """Style of moving references, of a law or a goal."""
 
-MEASURED: Final[Mapping[str, Any]] = MappingProxyType({"color": to_rgb(palette.MEASURED)})
+MEASURED: Final = fix_style(color=to_rgb(palette.MEASURED))
 """Style of a robot's measured motion beside a model."""
 
-MODELLED: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": to_rgb(palette.MODEL), "linestyle": STROKES[SUPPOSED_DASH]}
-)
+MODELLED: Final = fix_style(color=to_rgb(palette.MODEL), linestyle=STROKES[SUPPOSED_DASH])
 """Style of a model's response to a command."""
 
-SENSED: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "linestyle": "",
-        "marker": ".",
-        "markersize": 2.4,
-        "markeredgewidth": 0.0,
-        "color": "0.62",
-        "zorder": 1.7,
-        "label": "sensed",
-    }
+SENSED: Final = fix_style(
+    linestyle="",
+    marker=".",
+    markersize=2.4,
+    markeredgewidth=0.0,
+    color="0.62",
+    zorder=1.7,
+    label="sensed",
 )
 """Style of sensed poses, drawn below the true ones."""
 
-PUSHED: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.92", "linewidth": 0.0, "zorder": 0.5, "label": "disturbance"}
-)
+PUSHED: Final = fix_style(color="0.92", linewidth=0.0, zorder=0.5, label="disturbance")
 """Style of the time while a disturbance acts on the plant."""
 
 _MOST_LETTERS: Final = 28

@@ -10,14 +10,14 @@ from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
-from numpy.typing import NDArray
 
-Values = NDArray[np.float64]
+from turtlelog.charts.curves import Values
 
 GUIDE_ORDER: Final = 1.6
 """Drawing order of guide lines: below all curves."""
 
 WORDS_POINTS: Final = 6.5
+_MM_PER_POINT: Final = 25.4 / 72.0
 _LINE_MM: Final = 1.25 * WORDS_POINTS * 25.4 / 72.0
 _DOT_MM: Final = 0.8
 _LEADER_MM: Final = 4.0
@@ -56,25 +56,21 @@ Table = Sequence[tuple[str, Any]]
 
 
 def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ()) -> None:
-    """Write text near dots where it covers least.
+    """Write text for dots and spans of a panel at its final place, where it covers least.
 
-    Text that would cover much is left out; its dot remains.
-
-    Args:
-        axes: Panel at its final place in the figure.
-        words: Texts for dots and spans of the panel.
-        tables: Tables; the first table that covers no curve is written, or else the last.
+    Text that would cover much is left out; its dot remains. The first table that covers no curve is
+    written, or else the last.
     """
     place, to_panel = _survey(axes)
     low, high = sorted(axes.get_xlim())
     shown = sorted((word for word in words if low <= word.at[0] <= high), key=lambda one: one.at)
     dots = to_panel.transform([word.at for word in shown]) if shown else np.empty((0, 2))
-    for word, dot in zip(shown, dots, strict=True):
+    marked = [*zip(shown, dots, strict=True)]
+    for word, dot in marked:
         if word.span_s is None:
             place.avoid_point(dot, _DOT_MM)
     if tables:
         _write_table(axes, place, tables)
-    marked = [*zip(shown, dots, strict=True)]
     orders = [_place_in_order(place, to_panel, order) for order in (marked, marked[::-1])]
     best = min(orders, key=lambda order: sum(min(one.cost, _NO_ROOM) for one in order))
     for placed in sorted(best, key=lambda one: one.word.at):
@@ -123,6 +119,21 @@ class WordSpace:
     taken: list[Values] = field(default_factory=list)
     boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
 
+    @property
+    def points(self) -> Values:
+        """All points that text should not cover, shape (n, 2)."""
+        return np.concatenate([*self.taken, np.empty((0, 2))])
+
+    def scale_half(self, size_mm: Sequence[float] | Values) -> Values:
+        """Return half of a box of a size [mm], in data units, shape (2,)."""
+        return np.array(size_mm) / 2.0 * self.half / self.half_mm
+
+    def choose(self, middles: Sequence[Values], half: Values) -> tuple[Values, float]:
+        """Return the first middle at which a box covers least, and the points that it covers."""
+        points = self.points
+        costs = [self.count_covered(middle, half, points) for middle in middles]
+        return middles[int(np.argmin(costs))], min(costs)
+
     def avoid_line(self, points: Values) -> None:
         """Make text avoid a line, which may be partly outside the panel."""
         inside = np.flatnonzero((np.abs(points - self.center) <= 1.2 * self.half).all(axis=1))
@@ -149,8 +160,8 @@ class WordSpace:
     ) -> tuple[Values, float]:
         """Return the middle of the box near a dot that covers least, and the points covered."""
         scale = self.half / self.half_mm
-        half = np.array([width_mm, height_mm]) / 2.0 * scale
-        points = np.concatenate(self.taken) if self.taken else np.empty((0, 2))
+        half = self.scale_half([width_mm, height_mm])
+        points = self.points
         best, least = dot, np.inf
         for order, gap_mm in enumerate(away_mm):
             for angle in _WAYS:
@@ -203,7 +214,7 @@ def _place_in_order(
         width = 0.0
         if word.span_s is not None:
             width = float(np.ptp(to_panel.transform([(at_s, 1.0) for at_s in word.span_s])[:, 0]))
-        half = _measure(word) / 2.0 * place.half / place.half_mm
+        half = place.scale_half(_measure(word))
         if width >= _LINE_MM * place.half[0] / place.half_mm[0]:
             placed, half = _place_upright(place, word, float(dot[0]))
         else:
@@ -227,7 +238,7 @@ def _survey(axes: Axes) -> tuple[WordSpace, Any]:
     to_panel = axes.transData + axes.transAxes.inverted()
     for line in axes.get_lines():
         points = line.get_transform().transform(np.asarray(line.get_xydata(), dtype=np.float64))
-        points = axes.transAxes.inverted().transform(_drop_gaps(points))
+        points = axes.transAxes.inverted().transform(points[np.isfinite(points).all(axis=1)])
         if line.get_zorder() == GUIDE_ORDER:
             place.taken.append(np.linspace(points[0], points[-1], _GUIDE_POINTS))
         else:
@@ -237,15 +248,13 @@ def _survey(axes: Axes) -> tuple[WordSpace, Any]:
 
 def _write_table(axes: Axes, place: WordSpace, tables: Sequence[Table]) -> None:
     """Write the first table that has enough room. Each line has the colour of its run."""
-    points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
     for table in tables:
         width_mm = max(measure_text_mm(text, WORDS_POINTS) for text, _ in table) + 1.0
-        half = np.array([width_mm, _LINE_MM * len(table)]) / 2.0 * place.half / place.half_mm
+        half = place.scale_half([width_mm, _LINE_MM * len(table)])
         low, room = half + 0.01, np.maximum(1.0 - 2.0 * half - 0.02, 0.0)
         middles = [low + room * np.array(at) for at in product(_PLACES[::-1], _PLACES)]
-        costs = [place.count_covered(middle, half, points) for middle in middles]
-        middle = middles[int(np.argmin(costs))]
-        if min(costs) <= _MOST_COVERED or table is tables[-1]:
+        middle, cost = place.choose(middles, half)
+        if cost <= _MOST_COVERED or table is tables[-1]:
             break
     place.take_box(middle, half)
     line = 2.0 * half[1] / len(table)
@@ -267,12 +276,9 @@ def _place_beside(place: WordSpace, word: Word, dot: Values) -> _Placed:
 
 def _place_upright(place: WordSpace, word: Word, center: float) -> tuple[_Placed, Values]:
     """Return upright text in its span where it covers least, and half the size of its box."""
-    half = _measure(word)[::-1] / 2.0 * place.half / place.half_mm
-    points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
+    half = place.scale_half(_measure(word)[::-1])
     heights = np.linspace(half[1] + 0.03, max(0.97 - half[1], half[1] + 0.03), 25)
-    middles = [np.array([center, height]) for height in heights]
-    costs = [place.count_covered(middle, half, points) for middle in middles]
-    middle, cost = middles[int(np.argmin(costs))], min(costs)
+    middle, cost = place.choose([np.array([center, height]) for height in heights], half)
     return _Placed(word=word, middle=middle, cost=cost, is_upright=True), half
 
 
@@ -301,11 +307,6 @@ def _write(
     words.set_in_layout(False)
 
 
-def _drop_gaps(points: Values) -> Values:
-    return points[np.isfinite(points).all(axis=1)]
-
-
-_MM_PER_POINT: Final = 25.4 / 72.0
 _WAYS: Final = np.radians(np.arange(0.0, 360.0, 15.0))
 _RING_WAYS: Final = np.radians(90.0 + 22.5 * np.array([0, 8, 1, -1, 7, -7, 4, -4, 2, -2, 6, -6]))
 """Angles at which the name of a ring may be placed, best first [rad]."""
@@ -339,7 +340,7 @@ def place_words(
     width_mm = max(measure_text_mm(line, points) for line in lines) + 0.5
     height_mm = 1.25 * points * _MM_PER_POINT * len(lines)
     middle, _ = place.find_room(dot, width_mm, height_mm)
-    place.take_box(middle, np.array([width_mm, height_mm]) / 2.0 * place.half / place.half_mm)
+    place.take_box(middle, place.scale_half([width_mm, height_mm]))
     at = (float(middle[0]), float(middle[1]))
     words = axes.text(*at, text, color=color, fontsize=points, ha="center", va="center", zorder=4)
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})
@@ -348,12 +349,9 @@ def place_words(
 def name_ring(axes: Axes, place: WordSpace, text: str, radius: float) -> None:
     """Write the radius of a ring on the ring, where the text covers least."""
     points = 6.0
-    half = np.array([measure_text_mm(text, points), 1.3 * points * _MM_PER_POINT]) / 2.0
-    half *= place.half / place.half_mm
+    half = place.scale_half([measure_text_mm(text, points), 1.3 * points * _MM_PER_POINT])
     ring = place.center + radius * np.stack([np.cos(_RING_WAYS), np.sin(_RING_WAYS)], axis=1)
-    points_taken = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
-    costs = [place.count_covered(middle, half, points_taken) for middle in ring]
-    middle = ring[int(np.argmin(costs))]
+    middle, _ = place.choose([*ring], half)
     place.take_box(middle, half)
     at = (float(middle[0]), float(middle[1]))
     words = axes.text(*at, text, color="0.5", fontsize=points, ha="center", va="center")

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -10,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from turtlelog.charts import plane_scene
 from turtlelog.charts.close_up import (
     CloseUp,
     Label,
@@ -22,48 +21,20 @@ from turtlelog.charts.close_up import (
     list_ring_labels,
     name_ends,
 )
-from turtlelog.charts.curves import REFERENCE as AIMED
+from turtlelog.charts.curves import REFERENCE as AIMED, Values
 from turtlelog.charts.many_runs import MANY, cut_alike, find_restless
-from turtlelog.charts.plane_scene import (
-    LEAST_SHOWN_M,
-    MEDIAN_LABEL,
-    OUTLINE_LABEL,
-    find_gain_ends,
-    find_origin,
-    has_grey_paths,
-    label_coordinate,
-    list_goals,
-    list_starts,
-    tell_still,
-)
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path, tell_gap
-from turtlelog.charts.tracked_path import (
-    WorstPlace,
-    find_worst_place,
-    has_own_way,
-    label_worst_place,
-    list_paths,
-    outline_path,
-    read_way_to_reference,
-)
+from turtlelog.draw.figures import page
 from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
-from turtlelog.draw.figures.page import AIM, REFERENCE, SENSED, color_runs, label_runs, style_runs
 from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.run import Run
 
-Values = NDArray[np.float64]
+_RING: Final = page.fix_style(color="0.75", linewidth=0.5, zorder=1.2)
 
-
-_RING: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
-)
-
-_OF_MANY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.8", "linewidth": 0.4, "zorder": 1.6}
-)
+_OF_MANY: Final = page.fix_style(color="0.8", linewidth=0.4, zorder=1.6)
 """Style of the paths of very many runs; only their ends have colours."""
 
-_RESTLESS: Final[Mapping[str, Any]] = MappingProxyType({"alpha": 0.45, "zorder": 1.7})
+_RESTLESS: Final = page.fix_style(alpha=0.45, zorder=1.7)
 """Style of runs that never come to rest, if others do."""
 
 _MOST_TICKS: Final = 5
@@ -82,11 +53,11 @@ _FAINT: Final = 0.25
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the paths from start to goal, and next to them the ends of runs that arrive."""
     close_up = find_named_close_up(runs)
-    worst = find_worst_place(runs) if close_up is None else None
+    worst = plane_scene.find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     draw_paths(grid[0], runs)
     show_all(grid[0], runs)
-    told = tell_still(runs) or tell_gap(runs)
+    told = plane_scene.tell_still(runs) or tell_gap(runs)
     if told or len(grid) > 1 or not lack_samples(runs):
         grid[0].set(title=told or "whole paths")
     if close_up is not None:
@@ -102,12 +73,12 @@ def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
     close_up = find_close_up(runs)
     if close_up is None or not 1 < len(runs) <= MANY:
         return close_up
-    return name_ends(close_up, cut_alike(label_runs(runs)))
+    return name_ends(close_up, cut_alike(page.label_runs(runs)))
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
     """Return whether the plane is alone, because no run arrives, or leaves its path."""
-    return find_close_up(runs) is None and find_worst_place(runs) is None
+    return find_close_up(runs) is None and plane_scene.find_worst_place(runs) is None
 
 
 def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
@@ -118,19 +89,21 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
         driven_m = part_path(run)
         draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
         if len(runs) == 1 and run.poses.sensed_xy_m is not None:
-            draw_points(axes, *run.poses.sensed_xy_m.T, **SENSED)
-        for aims_m in _list_aims([run]) if has_own_way(run) else ():
+            draw_points(axes, *run.poses.sensed_xy_m.T, **page.SENSED)
+        for aims_m in _list_aims([run]) if plane_scene.has_own_way(run) else ():
             draw_thinned(
-                axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM, "label": AIMED}
+                axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **page.AIM, "label": AIMED}
             )
     _draw_ends(axes, runs)
-    axes.plot(*list_starts(runs).T, "s", ms=4.0, color="0.3", label="start", zorder=3)
-    goals = list_goals(runs)
+    axes.plot(*plane_scene.list_starts(runs).T, "s", ms=4.0, color="0.3", label="start", zorder=3)
+    goals = plane_scene.list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
     axes.set(aspect="equal", label=_PLANE)
-    for axis, name, origin_m in zip((axes.xaxis, axes.yaxis), "xy", find_origin(runs), strict=True):
-        axis.set_label_text(label_coordinate(name, origin_m))
+    for axis, name, origin_m in zip(
+        (axes.xaxis, axes.yaxis), "xy", plane_scene.find_origin(runs), strict=True
+    ):
+        axis.set_label_text(plane_scene.label_coordinate(name, origin_m))
         if origin_m:
             axis.set_major_locator(_FromOrigin(origin_m))
             axis.set_major_formatter(partial(_tell_from, origin_m))
@@ -138,20 +111,20 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     """Return runs with path styles: grey for very many runs, faint for a run that never rests."""
-    if has_grey_paths(runs):
-        return [(run, {**looks, **_OF_MANY}) for run, looks in style_runs(runs)]
+    if plane_scene.has_grey_paths(runs):
+        return [(run, {**looks, **_OF_MANY}) for run, looks in page.style_runs(runs)]
     restless = find_restless(runs)
     return [
         (run, {**looks, **(_RESTLESS if number in restless else {})})
-        for number, (run, looks) in enumerate(style_runs(runs))
+        for number, (run, looks) in enumerate(page.style_runs(runs))
     ]
 
 
 def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the ends of runs above all paths; for many per gain, also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
-    colors = color_runs(runs)
-    is_many = has_grey_paths(runs)
+    colors = page.color_runs(runs)
+    is_many = plane_scene.has_grey_paths(runs)
     # Random order, because in the order of gains the last runs would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
     for number in order:
@@ -160,16 +133,20 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
         (end,) = axes.plot(*ends_m[number], "o", zorder=2.95, **looks)
         if lack_samples(runs) and len(runs) == 1:
             end.set_label("end")
-    for group in find_gain_ends(runs) if is_many else ():
+    for group in plane_scene.find_gain_ends(runs) if is_many else ():
         color = colors[group.middle_run]
-        around: dict[str, Any] = {"color": color, "linewidth": 0.8, "label": OUTLINE_LABEL}
+        around: dict[str, Any] = {
+            "color": color,
+            "linewidth": 0.8,
+            "label": plane_scene.OUTLINE_LABEL,
+        }
         axes.plot(*group.around_xy_m.T, **around, zorder=2.96)
         look: dict[str, Any] = {
             "color": color,
             "mec": "white",
             "mew": 0.7,
             "ms": 5.5,
-            "label": MEDIAN_LABEL,
+            "label": plane_scene.MEDIAN_LABEL,
         }
         axes.plot(*group.median_xy_m, "D", **look, zorder=2.97)
 
@@ -177,13 +154,7 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
 def stress_window(
     figure: Figure, runs: Sequence[Run], window_s: tuple[float, float] | None
 ) -> None:
-    """Emphasise the parts of paths within a time window, and fade the rest.
-
-    Args:
-        figure: Figure without its legend.
-        runs: Runs in the order of the figure.
-        window_s: Start and end, from each run's first sample [s]. None: all.
-    """
+    """Emphasise the parts of paths in a time window [s], and fade the rest; None: no window."""
     if window_s is None:
         return
     planes = [axes for axes in figure.axes if axes.get_label() == _PLANE]
@@ -214,13 +185,13 @@ def show_all(axes: Axes, runs: Sequence[Run]) -> None:
     points = np.concatenate(
         [
             *(run.poses.xy_m for run in runs),
-            list_goals(runs),
+            plane_scene.list_goals(runs),
             *_list_aims(runs),
-            *map(outline_path, list_paths(runs)),
+            *map(plane_scene.outline_path, plane_scene.list_paths(runs)),
         ]
     )
     low, high = points.min(axis=0), points.max(axis=0)
-    missing_m = max(0.5 * (LEAST_SHOWN_M - float((high - low).max())), 0.0)
+    missing_m = max(0.5 * (plane_scene.LEAST_SHOWN_M - float((high - low).max())), 0.0)
     _show_square(axes, low - missing_m, high + missing_m, 0.08)
 
 
@@ -231,14 +202,14 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     for run in runs:
         if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None:
             corner = (run.goal_xy_m[0] - tolerance_m, run.goal_xy_m[1] - tolerance_m)
-            side_m, looks = 2 * tolerance_m, dict(REFERENCE)
+            side_m, looks = 2 * tolerance_m, dict(page.REFERENCE)
             if tolerance_m >= _LEAST_TOLERANCE * close_up.half_m:
                 looks["label"] = "tolerance"
             axes.add_patch(Rectangle(corner, side_m, side_m, fill=False, **looks))
     for ring_m in close_up.rings_m:
         axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
     misses = list_miss_labels(close_up, lettering)
-    colors = color_runs(runs)
+    colors = page.color_runs(runs)
     for label in misses:
         color = colors[label.runs[0]] if len(label.runs) == 1 else "0.2"
         _write(axes, label, color)
@@ -248,12 +219,14 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     axes.locator_params(nbins=5)
 
 
-def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
+def _show_worst(
+    axes: Axes, runs: Sequence[Run], worst: plane_scene.WorstPlace, lettering: Lettering
+) -> None:
     """Show the largest deviation from the path, with its size."""
-    center, color = np.array(worst.center_xy_m), color_runs(runs)[worst.run]
+    center, color = np.array(worst.center_xy_m), page.color_runs(runs)[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
     _draw_worst_place(axes, worst, color)
-    _write(axes, label_worst_place(worst, lettering), color)
+    _write(axes, plane_scene.label_worst_place(worst, lettering), color)
     axes.set(title="furthest off the path", ylabel="")
     axes.locator_params(nbins=5)
 
@@ -302,14 +275,12 @@ def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> 
     axes.set_ylim(center[1] - half, center[1] + half)
 
 
-_PATH: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.8", "linewidth": 3.0, "zorder": 1.1, "solid_joinstyle": "miter", "label": "path"}
+_PATH: Final = page.fix_style(
+    color="0.8", linewidth=3.0, zorder=1.1, solid_joinstyle="miter", label="path"
 )
 """Style of a tracked path: a broad band on which the driven path is visible."""
 
-_WAY: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.35", "linewidth": 0.5, "zorder": 2.2, "solid_capstyle": "butt"}
-)
+_WAY: Final = page.fix_style(color="0.35", linewidth=0.5, zorder=2.2, solid_capstyle="butt")
 
 _MOST_WAYS: Final = 60
 """Largest number of deviation lines: two per centimetre of a path around half a page. More lines
@@ -320,15 +291,15 @@ _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
 def _draw_tracked_paths(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw each tracked path once, below the driven paths."""
-    for number, path in enumerate(list_paths(runs)):
+    for number, path in enumerate(plane_scene.list_paths(runs)):
         name = {} if number else {"label": _PATH["label"]}
-        axes.plot(*outline_path(path).T, **{**_PATH, "label": None, **name})
+        axes.plot(*plane_scene.outline_path(path).T, **{**_PATH, "label": None, **name})
 
 
 def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw lines from a single run to the reference on the path at equal times."""
-    ways_m = read_way_to_reference(runs[0]) if len(runs) == 1 else None
-    if ways_m is None or has_own_way(runs[0]):
+    ways_m = plane_scene.read_way_to_reference(runs[0]) if len(runs) == 1 else None
+    if ways_m is None or plane_scene.has_own_way(runs[0]):
         return
     run, step_s = runs[0], _choose_step(runs[0].duration_s)
     times_s = (run.poses.time_ns - run.start_ns) / 1e9
@@ -339,7 +310,7 @@ def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
     axes.plot(*lines.T, **_WAY, label=f"to the reference, every {step_s:g} s")
 
 
-def _draw_worst_place(axes: Axes, worst: WorstPlace, color: Any) -> None:
+def _draw_worst_place(axes: Axes, worst: plane_scene.WorstPlace, color: Any) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
     ends = np.array([worst.path_xy_m, worst.xy_m])
     axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)

@@ -1,23 +1,21 @@
 """A robot's response to its commands: command, motion, model, enlarged steps, residuals."""
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from turtlelog.charts.curves import Curve, read_applied, read_command
+from turtlelog.charts.curves import Curve, Values, read_applied, read_command
+from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
-from turtlelog.charts.time_axes import label_time
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, label_runs
+from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, fix_style, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.identify import (
     AxisModel,
@@ -33,8 +31,6 @@ from turtlelog.identify import (
 from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
-
-Values = NDArray[np.float64]
 
 _SIDE_BY_SIDE_INCH: Final = 5.0
 """Width below which the close-up is below [inch]; half a column would not show a delay."""
@@ -58,18 +54,12 @@ _SHOWN_MS: Final = 2.0
 
 _REASON_LETTERS: Final = 58
 
-_COMMAND: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.3", "linewidth": 0.9})
-_EACH: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.6", "linewidth": 0.7, "zorder": 2.0, "label": "motion after each change"}
-)
-_OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#c62828", "markersize": 4.5, "label": "left out of the fit"}
-)
-_DEAD: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#e69f00", "alpha": 0.22, "linewidth": 0.0, "zorder": 0.6, "label": "dead time"}
-)
-_LAG: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "#56b4e9", "alpha": 0.25, "linewidth": 0.0, "zorder": 0.6, "label": "time constant"}
+_COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
+_EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
+_OUTLIER: Final = fix_style(color="#c62828", markersize=4.5, label="left out of the fit")
+_DEAD: Final = fix_style(color="#e69f00", alpha=0.22, linewidth=0.0, zorder=0.6, label="dead time")
+_LAG: Final = fix_style(
+    color="#56b4e9", alpha=0.25, linewidth=0.0, zorder=0.6, label="time constant"
 )
 
 
@@ -95,12 +85,7 @@ class DrawnAxis:
 
 
 def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None = None) -> None:
-    """Draw commands and measured rates, with the identified model, if any.
-
-    Args:
-        figure: Figure to draw on.
-        runs: Sequence of one run.
-        model: Result of `identify_robot`. None: the run is identified.
+    """Draw commands and measured rates of one run, with its model by `identify_robot`.
 
     Raises:
         ShowError: If there is not exactly one run, or the run has no commands.

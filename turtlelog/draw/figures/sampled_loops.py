@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -15,17 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
-from turtlelog.draw.figures.figure_curves import (
-    Pole,
-    draw_ideal_locus,
-    draw_poles,
-    find_gains,
-    list_paper_poles,
-)
-from turtlelog.draw.figures.legend import name_some
-from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, label_runs
+from turtlelog.draw.figures import figure_curves
+from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, fix_style, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -81,7 +74,7 @@ _LINE_SHARE: Final = 0.45
 _ROOM_INCH: Final = 0.42
 """Height of the text above and below a plane [inch]."""
 
-_MIRRORED: Final[Mapping[str, Any]] = MappingProxyType({"linewidth": 0.5, "linestyle": ":"})
+_MIRRORED: Final = fix_style(linewidth=0.5, linestyle=":")
 
 _MOST_SAMPLES: Final = 20_000
 """Largest number of samples of a step response: more than a page resolves."""
@@ -233,7 +226,7 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     curves = _style_loops(runs)
     names = _name_poles(runs, curves)
     ideal = _list_ideal_poles(runs, names)
-    draw = [partial(draw_ideal_locus, poles=ideal)] if ideal else []
+    draw = [partial(figure_curves.draw_ideal_locus, poles=ideal)] if ideal else []
     draw += [partial(_draw_locus, group=group, names=names) for group in _group_loci(curves)]
     if len(draw) > _MOST_LOCI:
         note = f"the first {_MOST_LOCI} of {len(draw)} loci, by dead time"
@@ -264,16 +257,16 @@ def _set_height(figure: Figure, rows: float, columns: int) -> None:
 def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
     """Return the gains of proportional loops on a plant 1/s; without runs, the paper's gains."""
     ideal = [run for run in runs if find_plant(run).name != LAGGED]
-    return find_gains(ideal) if ideal or not runs else ()
+    return figure_curves.find_gains(ideal) if ideal or not runs else ()
 
 
-def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[Pole]:
+def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[figure_curves.Pole]:
     """Return the poles of ideal loops, in the colours of their runs."""
     if not runs:
-        return list_paper_poles()
+        return figure_curves.list_paper_poles()
     styled = zip(runs, names.values(), choose_run_lines(runs), strict=True)
     return [
-        Pole(values=np.array([-kp]), looks=looks, label=name)
+        figure_curves.Pole(values=np.array([-kp]), looks=looks, label=name)
         for run, name, looks in styled
         for kp in find_ideal_gains([run])
     ]
@@ -343,7 +336,7 @@ def _name_loops(
     """Return the legend text of each loop; for many runs, only the dashes of each loop."""
     labels = [curve.label(tell) for curve in curves]
     if not any(curve.is_many for curve in curves):
-        return name_some(axes, labels)
+        return figure_curves.name_some(axes, labels)
     for curve in {curve.layer: curve for curve in curves}.values():
         axes.plot([], [], **{**curve.looks, "color": "0.35"}, label=curve.model.loop.name)
     return list(labels)
@@ -373,7 +366,7 @@ def _tell_step(found: PidLoop) -> str:
     return f"{overshoot}, settles in {found.settling_time_s:.3g} s"
 
 
-def _list_frequencies(found: PidLoop) -> NDArray[np.float64]:
+def _list_frequencies(found: PidLoop) -> Values:
     """Return frequencies [rad/s] around the crossover, up to pi / T."""
     highest = math.pi / found.period_s
     crossover = found.gains.kp * found.process.gain
@@ -383,12 +376,12 @@ def _list_frequencies(found: PidLoop) -> NDArray[np.float64]:
     return np.geomspace(lowest, highest, _POINTS)
 
 
-def _respond(model: LoopModel, frequencies: NDArray[np.float64]) -> NDArray[np.complex128]:
+def _respond(model: LoopModel, frequencies: Values) -> NDArray[np.complex128]:
     gains, settings = model.require()
     return compute_open_loop(gains, frequencies, **settings)
 
 
-def _unwrap_degrees(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _unwrap_degrees(values: NDArray[np.complex128]) -> Values:
     """Return a phase [deg] that begins between -360 and 0 deg."""
     turned = np.degrees(np.unwrap(np.angle(values)))
     return np.asarray(turned - 360.0 * np.ceil(turned[0] / 360.0))
@@ -421,8 +414,8 @@ def _mark_margins(
     size: Axes,
     phase: Axes,
     curve: _LoopCurve,
-    frequencies: NDArray[np.float64],
-    turned: NDArray[np.float64],
+    frequencies: Values,
+    turned: Values,
 ) -> None:
     """Mark the phase margin from -180 deg upward, and the gain margin from 0 dB downward."""
     margins, looks = curve.found.margins, curve.looks
@@ -473,17 +466,17 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
     marked = [
-        Pole(values=curve.found.poles, looks=curve.run_looks, label=names[curve.run])
+        figure_curves.Pole(values=curve.found.poles, looks=curve.run_looks, label=names[curve.run])
         for curve in group
     ]
-    draw_poles(axes, marked)
+    figure_curves.draw_poles(axes, marked)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
     axes.set_title(f"{first.model.loop.name}\ndead time {dead_time}")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
 
 
-def _cut_where_far(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cut_where_far(values: Values) -> Values:
     """Return a response, cut where it leaves the axes, as unstable responses do."""
     beyond = np.abs(values - 1.0) > _FAR
     if not beyond.any():

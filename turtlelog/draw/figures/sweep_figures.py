@@ -7,27 +7,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from turtlelog.charts.map_values import label_metric, scale_values
-from turtlelog.charts.palette import UNSTABLE, to_hex
-from turtlelog.draw.figures.legend import count_legend_columns
-from turtlelog.draw.figures.map_figure import draw_map_panel, group_reasons
-from turtlelog.draw.figures.page import LOOKS, REFERENCE, Page, choose_colors, use_looks
-from turtlelog.draw.figures.swept_curves import draw_curves
-from turtlelog.draw.figures.writing import FIGURE_FORMATS, ShownFigure, save_figure
-from turtlelog.draw.output_files import replace_file
+from turtlelog.charts.curves import Values
+from turtlelog.charts.palette import UNSTABLE, choose_run_colors, to_hex
+from turtlelog.display import describe_count
+from turtlelog.draw.figures import map_figure
+from turtlelog.draw.figures.figure_curves import count_legend_columns
+from turtlelog.draw.figures.page import REFERENCE, Page, choose_colors, to_rgb, use_looks
+from turtlelog.draw.figures.writing import (
+    ShownFigure,
+    require_figure_path,
+    save_figure,
+    write_figure,
+)
 from turtlelog.errors import ShowError
-from turtlelog.files.urls import make_path
-from turtlelog.sweep.gain_borders import LoopLimits, find_loop_limits, list_gain_keys
+from turtlelog.sweep.gain_borders import LoopLimits, choose_limits, find_loop_limits, list_gain_keys
 from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity, find_sensitivities
 from turtlelog.sweep.sweep_scenario import SweepTable, read_table_results
-from turtlelog.sweep.table.swept_results import read_swept_results
-from turtlelog.sweep.table.swept_views import SweptView, choose_view, require_values
+from turtlelog.sweep.table.swept_results import (
+    SweptAxis,
+    SweptMetric,
+    format_key_value,
+    read_swept_results,
+)
+from turtlelog.sweep.table.swept_views import SweptView, choose_view, fill_cells, require_values
 
 _PANEL_INCH: Final = 2.5
 """Height of a map with its title and the label of its lower side [inch]."""
@@ -79,14 +88,9 @@ def write_map_figure(
     Raises:
         ShowError: If the file cannot be written.
     """
-    path = make_path(path)
-    form = path.suffix.lower().removeprefix(".")
-    if form not in FIGURE_FORMATS:
-        raise ShowError(f"{path}: the name must end in .pdf, .png or .svg")
-    data = draw_sweep(view, limits, form, kind=kind, page=page)
-    with replace_file(path) as part:
-        part.write_bytes(data)
-    return path
+    path = require_figure_path(path)
+    page = page or Page(kind="page")
+    return write_figure(_draw(view, limits, kind, page), path, page)
 
 
 def draw_map(  # noqa: PLR0913  (all but the first have defaults)
@@ -121,26 +125,20 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
         results = read_swept_results(table, metrics)
     view = choose_view(results, x=x, y=y, at=at, gains=list_gain_keys(results))
     require_values(view)
-    kind = "curves" if view.y is None and kind == "map" else kind
-    with use_looks():
-        return lay_out(view, find_loop_limits(view), kind, page or Page(kind="page"))
+    return _draw(view, find_loop_limits(view), kind, page or Page(kind="page"))
 
 
-def draw_sweep(
-    view: SweptView,
-    limits: Sequence[LoopLimits],
-    form: str,
-    *,
-    kind: MapKind = "map",
-    page: Page | None = None,
-) -> bytes:
-    """Return the content of the file that `write_map_figure` writes, in one of `FIGURE_FORMATS`."""
-    page, data = page or Page(kind="page"), io.BytesIO()
-    kind = "curves" if view.y is None and kind == "map" else kind
-    with mpl.rc_context(dict(LOOKS)):
-        figure = lay_out(view, limits, kind, page)
-    save_figure(figure, data, form, page)
+def draw_sweep_svg(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind) -> bytes:
+    """Return the content of the .svg file that `write_map_figure` writes."""
+    page, data = Page(kind="page"), io.BytesIO()
+    save_figure(_draw(view, limits, kind, page), data, "svg", page)
     return data.getvalue()
+
+
+def _draw(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
+    """Return the drawn figure; of a single axis, a map is drawn as curves."""
+    with use_looks():
+        return lay_out(view, limits, "curves" if view.y is None and kind == "map" else kind, page)
 
 
 def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
@@ -153,7 +151,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
     figure = ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
-    reasons = group_reasons(metrics)
+    reasons = map_figure.group_reasons(metrics)
     for number, axes in enumerate(grid.flat):
         if number >= len(metrics):
             axes.set_axis_off()
@@ -162,7 +160,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
         elif kind == "curves":
             named |= draw_curves(axes, view, metrics[number], limits)
         else:
-            named |= draw_map_panel(axes, view, metrics[number], limits, reasons)
+            named |= map_figure.draw_map_panel(axes, view, metrics[number], limits, reasons)
     if kind == "tornado":
         words = [_METHODS[view.results.is_sampled], *filter(None, [found[0].held])]
         _write_below(figure, words)
@@ -228,7 +226,7 @@ _HEIGHT: Final = 0.62
 def _draw_tornado(axes: Axes, found: Sensitivities) -> None:
     """Draw a bar for each key: the metric's range over the key, or the rank correlation of both."""
     keys = found.keys[:_MOST_KEYS]
-    title = label_metric(found.metric) if found.chance is None else found.metric.name
+    title = map_figure.label_metric(found.metric) if found.chance is None else found.metric.name
     axes.set_title(title, loc="right")  # long names of keys leave no room on both sides
     axes.grid(visible=False, axis="y")
     axes.set_yticks(range(len(keys)), labels=[_name(one) for one in keys])
@@ -256,12 +254,13 @@ def _name(one: Sensitivity) -> str:
 def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) -> None:
     (color,) = choose_colors(1)
     sizes = [one.most - one.least for one in keys if one.least is not None and one.most is not None]
-    widest = _scale(found, max(sizes, default=0.0))
-    ends = [] if found.center is None else [_scale(found, found.center)]
+    scale = math.degrees if found.metric.unit == "rad" else float
+    widest = scale(max(sizes, default=0.0))
+    ends = [] if found.center is None else [scale(found.center)]
     for number, one in enumerate(keys):
         if one.least is None or one.most is None:
             continue
-        low, high = _scale(found, one.least), _scale(found, one.most)
+        low, high = scale(one.least), scale(one.most)
         axes.barh(number, high - low, _HEIGHT, left=low, color=color, alpha=0.8)
         if one.left_out:
             # Missing values, as of a loop that never settles, may be the largest effect.
@@ -272,17 +271,13 @@ def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) 
             axes.text(high, number, told, fontsize=6.2, va="center", color="0.25")
         ends += [low, high]
     if found.center is not None:
-        axes.axvline(_scale(found, found.center), **REFERENCE)
+        axes.axvline(scale(found.center), **REFERENCE)
     if ends:
         room = 0.05 * (max(ends) - min(ends)) or 0.05 * abs(ends[0]) or 1.0
         axes.set_xlim(min(ends) - room, max(ends) + room)
         if any(one.left_out for one in keys):
             axes.set_xlim(right=max(ends) + _ROOM_FOR_WORDS * (max(ends) - min(ends)))
     axes.xaxis.set_major_locator(MaxNLocator(4))
-
-
-def _scale(found: Sensitivities, value: float) -> float:
-    return float(scale_values(found.metric, np.array(value)))
 
 
 def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) -> None:
@@ -301,3 +296,183 @@ def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitiv
         "" if found.explained is None else f";\nall together explain {100 * found.explained:.0f} %"
     )
     axes.set_xlabel(f"rank correlation, {found.rows} rows{share}", fontsize=7.0)
+
+
+_MOST_LINES: Final = 12
+"""Largest number of values of a second key with a line each; neighbouring colours remain
+distinct."""
+
+_MOST_TOLD: Final = 6
+"""Largest number of omitted values that a legend lists; for more, the legend gives the step."""
+
+_ALIKE: Final = 0.005
+"""Difference below which curves are one line in print: a third of a millimetre, as a share of a
+panel's height."""
+
+_RAMP_COLORS: Final = 256
+
+_MOST_MARKED: Final = 40
+"""Largest number of key values with a dot on the line: one per 2 mm of a panel."""
+
+_MOST_DOTS: Final = 500
+"""Largest number of sample rows with large dots, which cover a tenth of a panel."""
+
+
+def draw_curves(
+    axes: Axes, view: SweptView, metric: SweptMetric, limits: Sequence[LoopLimits]
+) -> dict[str, Any]:
+    """Draw a metric against a key, and return the legend entries with their styles."""
+    along, series = view.x, view.y
+    gains = [one.gain for one in limits]
+    if series in gains and along not in gains:  # a gain is along the curves
+        along, series = series, along
+    if view.results.is_sampled and len(view.results.axes) > 1:
+        return _draw_sample(axes, view, metric, along)
+    found = choose_limits([one for one in limits if one.gain is along], metric)
+    cells = fill_cells(view, metric)
+    parts = [
+        map_figure.scale_values(metric, one if along is view.x else one.T)
+        for one in (cells.values, cells.least, cells.most)
+    ]
+    valueless = np.zeros(view.shape, dtype=bool)
+    valueless.flat[list(cells.reasons)] = True
+    valueless = valueless if along is view.x else valueless.T
+    named: dict[str, Any] = {}
+    theory: dict[str, Any] = {}
+    count = 1 if series is None else len(series)
+    places = np.linspace(0, count - 1, min(count, _MOST_LINES)).round().astype(int).tolist()
+    is_one = found is not None and len({*found.columns}) == 1
+    for color, place in zip(_color_series(series, len(places)), places, strict=True):
+        mean, least, most = (part[place] for part in parts)
+        name = None if series is None else _name_value(series, place)
+        named |= _draw_line(axes, along, mean, color, name)
+        if valueless[place].any():
+            named |= _mark_valueless(axes, along.numbers[valueless[place]], color)
+        if view.seeds > 1:
+            axes.fill_between(along.numbers, least, most, color=color, alpha=0.2, linewidth=0.0)
+            named["least to greatest over the seeds"] = Patch(facecolor="0.8")
+        if found is not None and not (theory and is_one):
+            own = None if series is None or is_one else color
+            theory |= _draw_limits(axes, found, metric, along, place, own)
+    _set_axes(axes, along, metric, parts[0][places])
+    _tell_alike(axes, parts[0][places])
+    if series is not None and len(places) < len(series):
+        named[_tell_left_out(series, places)] = Line2D([], [], linestyle="")
+    return named | theory
+
+
+def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...]]:
+    """Return a colour for each line. Numbers have colours of the ramp, in their order."""
+    if series is None or not series.is_number or count == 1:
+        return choose_colors(count)
+    # The ramp is that of more runs than hues; its ends are the least and the greatest value.
+    ramp = choose_run_colors(_RAMP_COLORS)
+    rows = np.linspace(0, _RAMP_COLORS - 1, count).round().astype(int)
+    return [to_rgb(ramp[row]) for row in rows]
+
+
+def _name_value(series: SweptAxis, place: int) -> str:
+    """Return the legend text of a line: `law.kp_linear = 4`."""
+    pairs = zip(series.keys, series.values[place], strict=True)
+    return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
+
+
+def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:
+    """Return the values of a second key that have no line, as text."""
+    left = [place for place in range(len(series)) if place not in places]
+    if len(left) <= _MOST_TOLD:
+        return f"left out: {', '.join(series.tell_place(place) for place in left)}"
+    return f"left out: {len(left)} of {len(series)} values, in between"
+
+
+def _tell_alike(axes: Axes, curves: Values) -> None:
+    """Write above a panel how many of its curves coincide."""
+    known = curves[np.isfinite(curves)]
+    least = _ALIKE * float(np.ptp(known)) if len(known) else 0.0
+    groups: list[Values] = []
+    for curve in curves:
+        if not any(np.allclose(curve, one, 0.0, least, equal_nan=True) for one in groups):
+            groups.append(curve)
+    if len(groups) < len(curves):
+        told = f"{len(curves)} curves coincide in {describe_count(len(groups), 'line')}"
+        axes.set_title(told, fontsize=7.0, color="0.35", loc="right")
+
+
+def _draw_line(
+    axes: Axes, along: SweptAxis, values: Values, color: Any, name: str | None
+) -> dict[str, Any]:
+    numbers, known = along.numbers, np.isfinite(values)
+    if along.is_number:
+        axes.plot(numbers, values, color=color, linewidth=0.9, zorder=2.0)
+    # A value between two missing values has no line on either side.
+    alone = known & ~np.r_[False, known[:-1]] & ~np.r_[known[1:], False]
+    shown = known if len(numbers) <= _MOST_MARKED else alone
+    axes.plot(numbers[shown], values[shown], "o", color=color, markersize=2.6, zorder=2.1)
+    if name is None:
+        return {}
+    return {name: Line2D([], [], color=color, marker="o", markersize=2.6, linewidth=0.9)}
+
+
+def _mark_valueless(axes: Axes, numbers: Values, color: Any) -> dict[str, Any]:
+    """Mark rows without a value at the upper edge."""
+    mark: dict[str, Any] = {"color": color, "marker": "x", "linestyle": "", "ms": 3.0}
+    at = np.full(len(numbers), 0.985)
+    axes.plot(numbers, at, transform=axes.get_xaxis_transform(), **mark)
+    return {"no value": Line2D([], [], **{**mark, "color": "0.4"})}
+
+
+def _draw_sample(
+    axes: Axes, view: SweptView, metric: SweptMetric, along: SweptAxis
+) -> dict[str, Any]:
+    """Draw a dot for each row, because random rows do not share values of another key."""
+    (color,) = choose_colors(1)
+    numbers = along.numbers[along.places[view.rows]]
+    values = map_figure.scale_values(metric, metric.values[view.rows])
+    known = np.isfinite(values)
+    size = 2.6 if len(values) <= _MOST_DOTS else 1.2
+    axes.plot(numbers[known], values[known], "o", color=color, markersize=size, mew=0.0)
+    _set_axes(axes, along, metric, values)
+    return {} if known.all() else _mark_valueless(axes, numbers[~known], color)
+
+
+def _draw_limits(
+    axes: Axes,
+    found: LoopLimits,
+    metric: SweptMetric,
+    along: SweptAxis,
+    place: int,
+    color: Any,
+) -> dict[str, Any]:
+    """Draw theory's limits of one column as vertical lines, in the colour of its curve."""
+    column = found.columns[place if len(found.columns) > 1 else 0]
+    low, high = float(along.numbers[0]), float(along.numbers[-1])
+    named: dict[str, Any] = {}
+    for name, looks in map_figure.LIMITS.items():
+        for branch in map_figure.list_branches([column], name):
+            at = float(branch[0])
+            if not low <= at <= high:
+                continue
+            own = {**looks, **({} if color is None else {"color": color})}
+            axes.axvline(at, **own, zorder=1.5)
+            grey = {} if color is None else {"color": "0.4"}
+            named[map_figure.name_limit(found, metric, name)] = Line2D([], [], **{**looks, **grey})
+            if color is None:
+                text = axes.text(at, 1.01, f"{at:.4g}", fontsize=6.2, color=looks["color"])
+                text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
+    return named
+
+
+def _set_axes(axes: Axes, along: SweptAxis, metric: SweptMetric, values: Values) -> None:
+    if map_figure.is_logarithmic(along):
+        axes.set_xscale("log")
+    axes.set(xlabel=along.label, ylabel=map_figure.label_metric(metric))
+    map_figure.mark_places(axes, "x", along)
+    known = values[np.isfinite(values)]
+    if metric.is_verdict:
+        axes.set_yticks(
+            [0.0, 1.0], labels=[map_figure.VERDICT_WORDS[0], map_figure.VERDICT_WORDS[2]]
+        )
+        axes.set_ylim(-0.15, 1.2)
+    elif len(known) and known.min() > 0.0 and known.max() / known.min() >= map_figure.DECADES:
+        axes.set_yscale("log")
+    axes.margins(x=0.03)

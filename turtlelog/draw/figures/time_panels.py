@@ -11,13 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
+from turtlelog.charts import many_runs
 from turtlelog.charts.curves import Curve, find_disturbance
-from turtlelog.charts.many_runs import (
-    MANY,
-    choose_colors_by_value,
-    describe_restless,
-    find_restless,
-)
 from turtlelog.charts.palette import LIMIT_DASH, Color, choose_curve_color, choose_dash
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
 from turtlelog.charts.plotted_curves import (
@@ -27,6 +22,8 @@ from turtlelog.charts.plotted_curves import (
     Scale,
     TimePlot,
     choose_kinds,
+    find_range,
+    label_time,
     leaves_out,
     list_own,
     list_plot_levels,
@@ -34,20 +31,9 @@ from turtlelog.charts.plotted_curves import (
     take_magnitude,
 )
 from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
-from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import find_plot
+from turtlelog.draw.figures import page
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
-from turtlelog.draw.figures.page import (
-    IDEAL_ENDS,
-    PUSHED,
-    REFERENCE,
-    STROKES,
-    break_label,
-    choose_lines,
-    label_runs,
-    style_runs,
-    to_rgb,
-)
 from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.draw.figures.plane_panels import draw_paths, show_all
 from turtlelog.run import Run
@@ -67,44 +53,33 @@ _LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
 
 _LEVELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        "target": REFERENCE,
-        "zero": {**REFERENCE, "label": None},
-        "limit": {**REFERENCE, "linestyle": STROKES[LIMIT_DASH]},
-        "tolerance": {**REFERENCE, "linestyle": STROKES[LIMIT_DASH]},
+        "target": page.REFERENCE,
+        "zero": {**page.REFERENCE, "label": None},
+        "limit": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
+        "tolerance": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
     }
 )
 
 _GRID: Final = {"color": "0.8", "linewidth": 0.5}
 """Style of the zero line in a panel of commands or states."""
 
-_COMMANDED: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linewidth": 0.5, "zorder": 1.8, "marker": "", "label": "commanded"}
-)
+_COMMANDED: Final = page.fix_style(linewidth=0.5, zorder=1.8, marker="", label="commanded")
 """Style of commands next to measured rates of the same run, in the colour of the run."""
 
-_LOST: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "linestyle": "",
-        "marker": "|",
-        "markersize": 3.5,
-        "markeredgewidth": 0.4,
-        "zorder": 1.7,
-        "label": "dropped",
-    }
+_LOST: Final = page.fix_style(
+    linestyle="", marker="|", markersize=3.5, markeredgewidth=0.4, zorder=1.7, label="dropped"
 )
 """Style of poses that the controller does not receive: strokes at the lower edge."""
 
-_OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linestyle": "", "marker": "v", "markersize": 4.0, "clip_on": False, "label": "outlier"}
+_OUTLIER: Final = page.fix_style(
+    linestyle="", marker="v", markersize=4.0, clip_on=False, label="outlier"
 )
 
-_GAP: Final[Mapping[str, Any]] = MappingProxyType(
-    {"facecolor": "0.95", "edgecolor": "0.8", "hatch": "////", "linewidth": 0.0, "zorder": 0.45}
+_GAP: Final = page.fix_style(
+    facecolor="0.95", edgecolor="0.8", hatch="////", linewidth=0.0, zorder=0.45
 )
 
-_DIMMED: Final[Mapping[str, Any]] = MappingProxyType(
-    {"alpha": 0.35, "linewidth": 0.6, "zorder": 1.4}
-)
+_DIMMED: Final = page.fix_style(alpha=0.35, linewidth=0.6, zorder=1.4)
 """Style of a run that never settles, below runs that settle."""
 
 
@@ -130,7 +105,7 @@ def draw_time_plot(
         axes.set_label(f"|{name}|" if scale == "log" else name)  # name by which marks find it
     _scale(axes, scale)
     _draw_levels(axes, runs, plot, scale)
-    restless = find_restless(runs)
+    restless = many_runs.find_restless(runs)
     _draw_curves(axes, runs, plot, scale, restless)
     # A distance is never negative, so its magnitude is the same.
     has_sign = scale == "log" and name != "distance"
@@ -142,7 +117,7 @@ def draw_time_plot(
     if restless:
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
         how = "without" if leaves_out(len(runs), plot) else "pale:"
-        words = f"{how} {describe_restless(runs)}, not settled"
+        words = f"{how} {many_runs.describe_restless(runs)}, not settled"
         axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
         _shade(axes, runs[0], plot)
@@ -156,7 +131,7 @@ def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label:
         draw_time_plot(axes, runs, name=names[0])
         return
     draw_level(axes, [0.0], **_GRID)
-    for name, looks in zip(names, choose_lines(len(names)), strict=True):
+    for name, looks in zip(names, page.choose_lines(len(names)), strict=True):
         for found in list_plotted(runs[0], find_plot(name, runs)):
             draw_curve(axes, found.curve, **looks, label=name)
     _finish(axes, runs, label)
@@ -186,10 +161,10 @@ def _draw_curves(
     axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, restless: frozenset[int]
 ) -> None:
     """Draw the curves of all runs; a reference that several share is drawn once."""
-    is_alone, is_many = len(runs) == 1, len(runs) > MANY
+    is_alone, is_many = len(runs) == 1, len(runs) > many_runs.MANY
     aims: list[Curve] = []
-    colors = choose_colors_by_value(runs)
-    for number, (run, looks) in enumerate(style_runs(runs)):
+    colors = many_runs.choose_colors_by_value(runs)
+    for number, (run, looks) in enumerate(page.style_runs(runs)):
         listed = list_plotted(run, plot, choose_kinds(number, len(runs)))
         is_answered = any(one.kind == "measured" for one in listed) and not is_alone
         if number in restless and leaves_out(len(runs), plot):
@@ -202,7 +177,7 @@ def _draw_curves(
             own = {
                 **_choose_looks(found, looks, colors[number], is_alone=is_alone),
                 **(_COMMANDED if found.kind == "run" and is_answered else {}),
-                **({"label": IDEAL_ENDS} if found.kind == "ideal" and is_many else {}),
+                **({"label": page.IDEAL_ENDS} if found.kind == "ideal" and is_many else {}),
                 **(_DIMMED if number in restless else {}),
             }
             curve = take_magnitude(found.curve) if scale == "log" else found.curve
@@ -213,8 +188,8 @@ def _choose_looks(
     found: PlottedCurve, looks: Mapping[str, Any], color: Color, *, is_alone: bool
 ) -> dict[str, Any]:
     """Return the style of a curve. The run's own curve has the run's marker."""
-    hue = to_rgb(choose_curve_color(found.kind, color, is_alone=is_alone))
-    own = {**looks, "color": hue, "linestyle": STROKES[choose_dash(found.kind)]}
+    hue = page.to_rgb(choose_curve_color(found.kind, color, is_alone=is_alone))
+    own = {**looks, "color": hue, "linestyle": page.STROKES[choose_dash(found.kind)]}
     if found.kind not in ("run", "measured"):
         own["marker"] = ""
     own |= _LOOKS.get(found.kind, {})
@@ -271,7 +246,7 @@ def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_fo
 def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
     """Shade disturbances of the plant, and gaps without poses with their length."""
     if plot.command is not None and (pushed_s := find_disturbance(run)) is not None:
-        axes.axvspan(*pushed_s, **PUSHED)
+        axes.axvspan(*pushed_s, **page.PUSHED)
     for start_s, end_s, words in list_seen_gaps(run):
         axes.axvspan(start_s, end_s, **_GAP)
         text = axes.text((start_s + end_s) / 2.0, 0.5, words, fontsize=WORDS_POINTS, color="0.3")
@@ -282,14 +257,14 @@ def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
 def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
     """Write the outliers beyond the axis, with a mark at the time of each."""
     lines = []
-    colors = choose_colors_by_value(runs)
-    for run, name, color in zip(runs, label_runs(runs), colors, strict=True):
+    colors = many_runs.choose_colors_by_value(runs)
+    for run, name, color in zip(runs, page.label_runs(runs), colors, strict=True):
         for found in list_plotted(run, plot):
             if found.kind != "outlier":
                 continue
             hue = choose_curve_color("outlier", color, is_alone=len(runs) == 1)
             at_s, edge = found.curve.time_s, axes.get_xaxis_transform()
-            looks = {**_OUTLIER, "color": to_rgb(hue)}
+            looks = {**_OUTLIER, "color": page.to_rgb(hue)}
             axes.plot(at_s, np.zeros(len(at_s)), transform=edge, **looks)
             lines.append(found.label if len(runs) == 1 else f"{name}: {found.label}")
     if lines:
@@ -338,7 +313,7 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
         panel(axes, runs)
         if rows == grid.nrows:
             # Low panels have no room for a unit beside its name.
-            axes.set_ylabel(break_label(axes.get_ylabel()))
+            axes.set_ylabel(page.break_label(axes.get_ylabel()))
         if row + 1 < grid.nrows:
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)

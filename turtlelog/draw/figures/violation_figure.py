@@ -2,26 +2,23 @@
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import LIMIT_DASH
-from turtlelog.charts.time_axes import label_time
+from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import STROKES, choose_lines, label_runs
+from turtlelog.draw.figures.page import STROKES, choose_lines, fix_style, label_runs
 from turtlelog.draw.figures.placed_words import WordSpace, place_words
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
-
-Values = NDArray[np.float64]
 
 _RED: Final = palette.to_hex(palette.VIOLATION)
 _GREEN: Final = palette.to_hex(palette.FULFILLED)
@@ -30,40 +27,23 @@ _SHORT: Final = 0.01
 """Share of the time axis below which a violation is narrower than its dot of 2 mm."""
 _MOST_STRIPES: Final = 60
 """Largest number of violations that are shaded; more would make the whole panel red."""
-_STRIPE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": _RED, "alpha": 0.3, "linewidth": 2.5, "zorder": 0.8}
-)
+_STRIPE: Final = fix_style(color=_RED, alpha=0.3, linewidth=2.5, zorder=0.8)
 
 _TITLE_LETTERS: Final = 11.5
 """Letters of a title per inch of its figure."""
 
 _LEAST_INCH: Final = 2.2
-_BAND: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.5", "alpha": 0.14, "linewidth": 0.0, "zorder": 0.6, "label": "asked for"}
-)
-_LIMIT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.4", "linewidth": 0.9, "linestyle": STROKES[LIMIT_DASH], "zorder": 1.6}
-)
-_REFERENCE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.5", "linewidth": 0.7, "zorder": 1.5, "label": "reference"}
-)
-_OUTSIDE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": _RED, "linewidth": 2.0, "zorder": 2.6, "solid_capstyle": "round"}
-)
-_POINT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 4}
-)
+_BAND: Final = fix_style(color="0.5", alpha=0.14, linewidth=0.0, zorder=0.6, label="asked for")
+_LIMIT: Final = fix_style(color="0.4", linewidth=0.9, linestyle=STROKES[LIMIT_DASH], zorder=1.6)
+_REFERENCE: Final = fix_style(color="0.5", linewidth=0.7, zorder=1.5, label="reference")
+_OUTSIDE: Final = fix_style(color=_RED, linewidth=2.0, zorder=2.6, solid_capstyle="round")
+_POINT: Final = fix_style(markeredgecolor="white", markeredgewidth=0.6, zorder=4)
 
 
 def draw_violation(
     figure: Figure, runs: Sequence[Run], *, violated: ViolatedSignal | None = None
 ) -> None:
     """Draw the signal of a check with its band; for a passed check, also the closest approach.
-
-    Args:
-        figure: Figure to draw on.
-        runs: Sequence of the checked run.
-        violated: Result of the check, without which nothing can be drawn.
 
     Raises:
         ShowError: If there is not exactly one run, or nothing was checked.

@@ -26,13 +26,17 @@ from turtlelog.compare import (
     tabulate_whole_runs,
 )
 from turtlelog.draw.documents import choose_essentials
-from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind, list_usual_figures
-from turtlelog.draw.figures.left_out import has_table1
-from turtlelog.draw.figures.legend import add_gain_bar, add_legend
-from turtlelog.draw.figures.marked_panels import mark_panels
+from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend
+from turtlelog.draw.figures.figure_kinds import FIGURES, has_table1, list_usual_figures
+from turtlelog.draw.figures.marked_panels import (
+    cut_time_axes,
+    find_shown_times,
+    mark_panels,
+    require_window,
+)
+from turtlelog.draw.figures.needs import FigureKind
 from turtlelog.draw.figures.page import Page, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
-from turtlelog.draw.figures.time_window import cut_time_axes, find_shown_times, require_window
 from turtlelog.draw.output_files import replace_file, replace_together
 from turtlelog.draw.table_formats import format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable

@@ -13,7 +13,7 @@ from turtlelog.charts.characteristics import (
 )
 from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
-from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin
+from turtlelog.draw.report.drawing import RING, Drawn, Plots, make_figure, store, thin
 from turtlelog.libraries import load_library
 
 MOST_MARKED: Final = 4
@@ -42,14 +42,9 @@ def mark_plots(
     signals: Collection[str],
     found: Sequence[Sequence[Characteristic]],
 ) -> None:
-    """Mark characteristics of signals, and pauses. For a single run, names are next to the dots.
+    """Mark the characteristics of a plot's signals, and pauses, for each of the first runs drawn.
 
-    Args:
-        plots: Plots of the page.
-        figure: Plot of the signal.
-        drawn: Runs and ghosts, runs first.
-        signals: Signals of the plot.
-        found: Characteristics of each run.
+    For a single run, names are next to the dots.
     """
     if len(found) > MOST_MARKED:
         return
@@ -171,12 +166,9 @@ _CLOSE: Final = 0.3
 def draw_violations(
     plots: Plots, found: Sequence[tuple[ViolatedSignal, Color | None]], x_range: Any
 ) -> None:
-    """Draw the signal of each failed check on the common time axis.
+    """Draw the signal of each failed check, in its run's colour, on the common time axis.
 
-    Args:
-        plots: Plots of the page, which gets places `violation-0`, `violation-1` and so on.
-        found: Signals, with the colour of each signal's run.
-        x_range: Bokeh's range of time.
+    The page gets places `violation-0`, `violation-1` and so on.
     """
     for number, (violated, color) in enumerate(found[:MOST_VIOLATIONS]):
         _draw_violation(plots, f"violation-{number}", violated, color or MAIN, x_range)

@@ -7,32 +7,26 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts.captions import describe_plot
+from turtlelog.charts import plotted_curves
 from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash, to_hex
-from turtlelog.charts.plotted_curves import (
-    POINTS,
-    CurveKind,
-    PlottedCurve,
-    TimePlot,
-    choose_kinds,
-    group_states,
-    has_own,
-    leaves_out,
-    list_own,
-    list_plot_levels,
-    list_plotted,
-)
 from turtlelog.charts.robot_curves import list_seen_gaps
-from turtlelog.charts.time_axes import find_range, label_time
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.charts.violated_signal import ViolatedSignal
-from turtlelog.draw.report.drawn import MOST_POINTS, RING, Drawn, Plots, make_figure, thin
+from turtlelog.draw.report.drawing import (
+    MOST_POINTS,
+    RING,
+    Drawn,
+    Plots,
+    describe_plot,
+    draw_planes,
+    make_figure,
+    thin,
+)
 from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
-from turtlelog.draw.report.planes import draw_planes
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run
@@ -52,7 +46,7 @@ _MOST_TIPS: Final = 6
 """Largest number of curves whose values are all shown at the cursor. Of more curves, only the one
 under the cursor is shown, because tips would hide the plot."""
 
-_GHOST: Final[frozenset[CurveKind]] = frozenset({"run"})
+_GHOST: Final[frozenset[plotted_curves.CurveKind]] = frozenset({"run"})
 """Kinds of curves that are drawn for a ghost: only its own."""
 
 _DIMMED: Final = 0.3
@@ -99,10 +93,7 @@ def draw_plots(
 ) -> Plots:
     """Return the plane, the close-up of the goal, if any, and the plots over time.
 
-    Args:
-        drawn: Runs first, then ghosts.
-        metrics: Metrics of the runs.
-        violations: Failures of checks.
+    `drawn` are the runs, whose metrics these are, and then the ghosts.
     """
     plots = Plots(points=max(_LEAST_POINTS, min(MOST_POINTS, _MOST_OF_ALL // len(drawn))))
     plots.config = {
@@ -145,14 +136,14 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
     names = [
         name
         for name, plot in TIME_PLOTS.items()
-        if _is_due(runs, plot) and any(has_own(run, plot) for run in runs)
+        if _is_due(runs, plot) and any(plotted_curves.has_own(run, plot) for run in runs)
     ]
-    groups = group_states(*(run.declaration for run in runs))
+    groups = plotted_curves.group_states(*(run.declaration for run in runs))
     states = [name for group in groups for name in group.names]
     return names + [name for name in states if _moves(runs, name)][:_MOST_STATES]
 
 
-def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
+def _is_due(runs: Sequence[Run], plot: plotted_curves.TimePlot) -> bool:
     """Return whether a report has a plot: always, or because the reference of the plot moves."""
     if plot.report != "moving":
         return plot.report == "always"
@@ -163,7 +154,7 @@ def _is_due(runs: Sequence[Run], plot: TimePlot) -> bool:
 def _moves(runs: Sequence[Run], state: str) -> bool:
     """Return whether a state of a law is ever different from 0."""
     plot = find_plot(state, runs)
-    return any(curve.values.any() for run in runs for curve in list_own(run, plot))
+    return any(curve.values.any() for run in runs for curve in plotted_curves.list_own(run, plot))
 
 
 def _draw_plot(
@@ -177,16 +168,16 @@ def _draw_plot(
     plot = find_plot(name, [one.run for one in drawn])
     label = plot.label if name in TIME_PLOTS else f"state {plot.label}"
     without = describe_restless([one.run for one in drawn if not one.is_ghost])
-    if without and leaves_out(len(drawn), plot):
+    if without and plotted_curves.leaves_out(len(drawn), plot):
         label += f", without {without}"
     figure = make_figure(
         plots, f"plot-{name}", label, x_range=x_range, height=230,
-        x_axis_label=label_time([one.run for one in drawn]),
+        x_axis_label=plotted_curves.label_time([one.run for one in drawn]),
     )  # fmt: skip
     config: dict[str, Any] = {"title": label, "curves": []}
     plots.config["plots"].append(config)
     runs = [one.run for one in drawn]
-    for level in list_plot_levels(runs, plot):
+    for level in plotted_curves.list_plot_levels(runs, plot):
         if level.kind == "target":
             span = models.Span(
                 location=level.value, dimension="width", line_color=RING, line_dash="dashed"
@@ -235,27 +226,34 @@ def _concerns(found: Violation, name: str) -> bool:
     return name in signals or signals.isdisjoint(TIME_PLOTS)
 
 
-def _list_plotted(drawn: Sequence[Drawn], plot: TimePlot) -> list[tuple[int, PlottedCurve]]:
+def _list_plotted(
+    drawn: Sequence[Drawn], plot: plotted_curves.TimePlot
+) -> list[tuple[int, plotted_curves.PlottedCurve]]:
     """Return the curves of a plot with the indices of their runs, in the order of drawing."""
     restless = _find_restless(drawn)
     listed = [
         (number, found)
         for number, one in enumerate(drawn)
-        if one.is_plotted and not (number in restless and leaves_out(len(drawn), plot))
-        for found in list_plotted(one.run, plot, _choose_kinds(one, number, len(drawn)))
-        if found.kind not in POINTS
+        if one.is_plotted
+        and not (number in restless and plotted_curves.leaves_out(len(drawn), plot))
+        for found in plotted_curves.list_plotted(
+            one.run, plot, _choose_kinds(one, number, len(drawn))
+        )
+        if found.kind not in plotted_curves.POINTS
     ]
     return sorted(listed, key=lambda pair: (pair[0] not in restless, pair[1].kind == "run"))
 
 
-def _choose_kinds(one: Drawn, number: int, count: int) -> frozenset[CurveKind] | None:
-    return _GHOST if one.is_ghost else choose_kinds(number, count)
+def _choose_kinds(
+    one: Drawn, number: int, count: int
+) -> frozenset[plotted_curves.CurveKind] | None:
+    return _GHOST if one.is_ghost else plotted_curves.choose_kinds(number, count)
 
 
 def _list_curves(
     plots: Plots,
     drawn: Sequence[Drawn],
-    listed: Sequence[tuple[int, PlottedCurve]],
+    listed: Sequence[tuple[int, plotted_curves.PlottedCurve]],
     config: dict[str, Any],
 ) -> dict[str, list[Any]]:
     """Return curves as a table with one row per curve.
@@ -312,7 +310,7 @@ def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
 
 
 def _set_height(
-    figure: Any, drawn: Sequence[Drawn], plot: TimePlot, curves: Sequence[Values]
+    figure: Any, drawn: Sequence[Drawn], plot: plotted_curves.TimePlot, curves: Sequence[Values]
 ) -> None:
     """Set the height of a plot from the runs that settle, or from all runs if all are in view."""
     restless = _find_restless(drawn)
@@ -320,8 +318,8 @@ def _set_height(
         _keep_in_view(figure, curves)
         return
     calm = [one.run for number, one in enumerate(drawn) if number not in restless]
-    own = [curve.values for run in calm for curve in list_own(run, plot)]
-    found = find_range(own, list_plot_levels(calm, plot))
+    own = [curve.values for run in calm for curve in plotted_curves.list_own(run, plot)]
+    found = plotted_curves.find_range(own, plotted_curves.list_plot_levels(calm, plot))
     if found is not None:
         figure.y_range = load_library("bokeh.models").Range1d(*found)
 

@@ -1,8 +1,9 @@
-"""Writing of a report on runs as one HTML file with sentences, plots and tables."""
+"""Reports as one HTML file: of runs with plots and tables, and of a sweep with its maps."""
 
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.resources import files
@@ -10,42 +11,38 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.charts.close_up import format_length
+import numpy as np
+
 from turtlelog.charts.curves import require_near
-from turtlelog.charts.many_runs import choose_colors_by_value, group_equal
+from turtlelog.charts.many_runs import choose_colors_by_value
 from turtlelog.charts.palette import GHOST, choose_cause_colors
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.compare import (
-    judge_runs,
+    Column,
+    Table,
     name_runs,
     order_by_gain,
     summarise_run,
     tabulate_measured,
     tabulate_runs,
 )
-from turtlelog.compare.run_selection import describe_runs
-from turtlelog.display import describe_count, join_words
+from turtlelog.display import describe_count, show_angle
 from turtlelog.draw.documents import choose_essentials
+from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
 from turtlelog.draw.output_files import replace_file, write_policy_tag
-from turtlelog.draw.report.drawn import Drawn, Plots
+from turtlelog.draw.report import sections
+from turtlelog.draw.report.drawing import Drawn, Plots
 from turtlelog.draw.report.page_plots import Violation, draw_plots
-from turtlelog.draw.report.sections import (
-    CheckLine,
-    show,
-    sort_checks,
-    write_attribution,
-    write_checks,
-    write_page,
-    write_provenance,
-    write_table,
-)
 from turtlelog.errors import ShowError
-from turtlelog.explain import Attribution, choose_named
+from turtlelog.explain import Attribution
 from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
-from turtlelog.measure import Metric, is_lawless, measure_run
-from turtlelog.run import CUT_SHORT, Run
+from turtlelog.measure import Metric, measure_run
+from turtlelog.run import Run
+from turtlelog.sweep.gain_borders import LoopLimits, find_borders, tell_borders
+from turtlelog.sweep.table.swept_results import SweptMetric
+from turtlelog.sweep.table.swept_views import SweptView, find_best_rows, list_shown_values
 from turtlelog.version import __version__
 
 _MOST_COLUMNS: Final = 4
@@ -93,7 +90,7 @@ def write_report(
     *,
     sources: Sequence[str | Path] = (),
     explanation: Explanation | None = None,
-    checks: Sequence[CheckLine] = (),
+    checks: Sequence[sections.CheckLine] = (),
     command: str = "",
 ) -> None:
     """Write a report on runs as one HTML file, in the order of their gains.
@@ -133,7 +130,7 @@ def write_report(
             run=names.index(line.run) if line.run in names else None,
             signal=line.signal,
         )
-        for line in sort_checks(checks)
+        for line in sections.sort_checks(checks)
         if line.verdict == "FAIL"
     ]
     plots = draw_plots(drawn, metrics, violations)
@@ -142,14 +139,14 @@ def write_report(
     if explanation is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
         body += _write_explanation(name, explanation)
-    body += write_checks(checks) if checks else ""
+    body += sections.write_checks(checks) if checks else ""
     body += _write_tables(runs, names, metrics)
     keyed = [(file_of[id(run)], hash_file(file_of[id(run)])) for run in runs]
     versions = [
         f"turtlelog {__version__}", f"Bokeh {load_library('bokeh').__version__}",
         f"Python {platform.python_version()}",
     ]  # fmt: skip
-    body += write_provenance(runs, names, keyed, versions, command)
+    body += sections.write_provenance(runs, names, keyed, versions, command)
     if plots.thinned:
         body += (
             f'<p class="note">{describe_count(plots.thinned, "curve")} drawn with about'
@@ -184,22 +181,24 @@ def _write_conclusion(
     names: Sequence[str],
     metrics: Sequence[Mapping[str, Metric]],
     explanation: Explanation | None,
-    checks: Sequence[CheckLine],
+    checks: Sequence[sections.CheckLine],
 ) -> str:
-    sentences = conclude_runs(runs, names, metrics)
-    sentences.append(conclude_checks([(line.run, line.check, line.verdict) for line in checks]))
+    sentences = sections.conclude_runs(runs, names, metrics)
+    sentences.append(
+        sections.conclude_checks([(line.run, line.check, line.verdict) for line in checks])
+    )
     if explanation is not None and explanation.attribution is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
-        sentences.append(_conclude_cause(name, explanation.attribution))
-    found = "".join(f"<p>{show(text)}</p>" for text in filter(None, sentences))
+        sentences.append(sections.conclude_cause(name, explanation.attribution))
+    found = "".join(f"<p>{sections.show(text)}</p>" for text in filter(None, sentences))
     return f'<section id="conclusion">{found}</section>' if found else ""
 
 
 def _write_explanation(name: str, explanation: Explanation) -> str:
     if explanation.attribution is not None:
-        return write_attribution(name, explanation.attribution)
+        return sections.write_attribution(name, explanation.attribution)
     text = f"{name} is not explained: {explanation.note}"
-    return f'<section id="cause"><p class="note">{show(text)}</p></section>'
+    return f'<section id="cause"><p class="note">{sections.show(text)}</p></section>'
 
 
 def _write_stage(plots: Plots, count: int, origin: str) -> str:
@@ -207,12 +206,12 @@ def _write_stage(plots: Plots, count: int, origin: str) -> str:
     toggles = "".join(
         f'<label><input type="checkbox" checked data-run="{number}">'
         f'<span class="{"swatch ghost" if run["ghost"] else "swatch"}"'
-        f' style="--ink:{run["color"]}"></span><span>{show(run["name"])}</span></label>'
+        f' style="--ink:{run["color"]}"></span><span>{sections.show(run["name"])}</span></label>'
         for number, run in enumerate(plots.config["runs"])
     )
     places = {
         place: f'<div class="plot" id="{place}" role="figure"'
-        f' aria-label="{show(plots.alternatives[place])}"></div>'
+        f' aria-label="{sections.show(plots.alternatives[place])}"></div>'
         for place in plots.roots
     }
     planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
@@ -245,12 +244,12 @@ def _write_tables(
 ) -> str:
     pairs = zip(runs, metrics, strict=True)
     summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
-    body = write_table(tabulate_runs(summaries))
+    body = sections.write_table(tabulate_runs(summaries))
     if len(runs) <= _MOST_COLUMNS:
         essentials = choose_essentials(runs, metrics)
         declarations = [run.declaration for run in runs]
         table = tabulate_measured(names, essentials, declarations=declarations)
-        body += f"<details><summary>Metrics</summary>{write_table(table)}</details>"
+        body += f"<details><summary>Metrics</summary>{sections.write_table(table)}</details>"
     return f'<section id="tables"><h2>Side by side</h2>{body}</section>'
 
 
@@ -286,7 +285,7 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
 <script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
 <script>{code}</script>"""
     policy = write_policy_tag(library, code)
-    return write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
+    return sections.write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
 
 
 def _end_no_script(code: str) -> str:
@@ -299,91 +298,100 @@ def _escape(code: str) -> str:
     return code.replace("<", "\\u003c")
 
 
-_MOST_NAMED: Final = 4
-"""Largest number of runs or checks that a sentence names; of more, it gives the number."""
-
-
-def conclude_runs(
-    runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
-) -> list[str]:
-    """Return sentences on the runs that end nearest and furthest, and on equal or cut-off runs.
-
-    Runs under different conditions are not ranked; the differences are returned instead.
-    """
-    found = _list_misses(runs, metrics)
-    sentences = []
-    if len(runs) == 1 or not found:
-        sentences.append(describe_runs(runs))
-    elif len(found) == 1:
-        ((number, miss_m),) = found.items()
-        sentences.append(f"Only {names[number]} has a goal; it ends {format_length(miss_m)} off.")
-    elif found:
-        pairs = zip(runs, metrics, strict=True)
-        ranking = judge_runs([summarise_run(run, metrics=known) for run, known in pairs])
-        ranked = _compare(found, names, of=len(runs))
-        why = f"{describe_count(len(runs), 'run')}: {ranking.describe()}."
-        sentences.append(ranked if ranking.is_fair else why)
-    for group in group_equal(runs):
-        if len(group) > 1:
-            same = [names[number] for number in group]
-            who = join_words(same) if len(same) <= _MOST_NAMED else describe_count(len(same), "run")
-            sentences.append(f"{who} are equal in every row.")
-    cut = [name for run, name in zip(runs, names, strict=True) if run.stop_reason in CUT_SHORT]
-    if cut:
-        who = join_words(cut) if len(cut) <= _MOST_NAMED else describe_count(len(cut), "run")
-        sentences.append(f"{who} did not come to {'its' if len(cut) == 1 else 'their'} own end.")
-    return sentences
-
-
-def _list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -> dict[int, float]:
-    """Return the final position error of each run with a goal [m], by its index."""
-    found = {}
-    for number, (run, known) in enumerate(zip(runs, metrics, strict=True)):
-        metric = known.get("final.position_error")
-        aims = is_lawless(run) or run.declaration.uses_goal
-        if aims and metric is not None and metric.value is not None:
-            found[number] = metric.value
-    return found
-
-
-def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
-    """Return a sentence on failed and skipped checks; empty without checks.
+def write_map_report(
+    view: SweptView, limits: Sequence[LoopLimits], path: str | Path, *, command: str = ""
+) -> None:
+    """Write the metrics of a sweep over the axes of a view as one HTML file.
 
     Args:
-        verdicts: Name of the run, name of the check, and verdict of each check.
+        view: View from `choose_view`.
+        limits: Limits from theory, as from `find_loop_limits`.
+        path: The .html file. An existing file is replaced when the new one is complete.
+        command: Command that creates the report.
+
+    Raises:
+        ShowError: If the file cannot be written.
     """
-    judged = [found for found in verdicts if found[2] != "SKIPPED"]
-    failed = [f"{check} in {run}" for run, check, verdict in judged if verdict == "FAIL"]
-    skipped = len(verdicts) - len(judged)
-    rest = f" {describe_count(skipped, 'check')} {'is' if skipped == 1 else 'are'} skipped."
-    rest = rest if skipped else ""
-    if not judged:
-        return rest.strip()
-    if not failed:
-        whole = "The check passes." if len(verdicts) == 1 else f"All {len(judged)} checks pass."
-        verb = "passes" if len(judged) == 1 else "pass"
-        return f"{len(judged)} of {len(verdicts)} checks {verb}.{rest}" if skipped else whole
-    where = {run for run, _, verdict in judged if verdict == "FAIL"}
-    which = f", all in {min(where)}" if len(where) == 1 else ""
-    which = f": {join_words(failed)}" if len(failed) <= _MOST_NAMED else which
-    verb = "fails" if len(failed) == 1 else "fail"
-    return f"{len(failed)} of {describe_count(len(verdicts), 'check')} {verb}{which}.{rest}"
-
-
-def _conclude_cause(name: str, found: Attribution) -> str:
-    """Return the causes of a run's value, in the words of `turtlelog explain`; empty if unknown."""
-    if found.withheld or found.without_value or not found.acting:
-        return ""
-    told = found.sentences[: 3 if choose_named(found) else 2]
-    return f"{name}: {' '.join(told)}"
-
-
-def _compare(found: Mapping[int, float], names: Sequence[str], *, of: int) -> str:
-    nearest, furthest = (choose(found, key=lambda number: found[number]) for choose in (min, max))
-    runs = f"{of} runs" if len(found) == of else f"the {len(found)} runs with a goal"
-    if format_length(found[nearest]) == format_length(found[furthest]):
-        return f"Of {runs} each ends {format_length(found[nearest])} from its goal."
-    return (
-        f"Of {runs} {names[nearest]} ends nearest to its goal ({format_length(found[nearest])}),"
-        f" and {names[furthest]} furthest from it ({format_length(found[furthest])})."
+    body = "".join(
+        (
+            _conclude_sweep(view, limits),
+            *(
+                _write_sweep_figure(view, limits, kind, title)
+                for kind, title in _list_sweep_figures(view)
+            ),
+            sections.write_table(_tabulate_sweep(view)),
+            _write_origin(view, command),
+        )
     )
+    text = sections.write_page(
+        Path(view.results.path).name,
+        "plot",
+        f"<main>\n{body}</main>",
+        policy=write_policy_tag(),
+        style="\nfigure{margin:0;background:#fff;padding:8px}\n"
+        "figure img{width:100%;max-width:1100px}",
+    )
+    with replace_file(path) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _list_sweep_figures(view: SweptView) -> Iterator[tuple[MapKind, str]]:
+    if view.y is not None:
+        yield "map", f"{view.x.name} and {view.y.name}"
+    yield "curves", "Against one key"
+    if sum(len(axis) > 1 for axis in view.results.axes) > 1:
+        yield "tornado", "How far each key moves a metric"
+
+
+def _write_sweep_figure(
+    view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, title: str
+) -> str:
+    picture = b64encode(draw_sweep_svg(view, limits, kind)).decode()
+    image = f'<img alt="{sections.show(title)}" src="data:image/svg+xml;base64,{picture}">'
+    return f"<section><h2>{sections.show(title)}</h2><figure>{image}</figure></section>"
+
+
+def _conclude_sweep(view: SweptView, limits: Sequence[LoopLimits]) -> str:
+    results, held = view.results, view.tell_held()
+    first = f"{describe_count(results.row_count, 'row')}, {results.failed} failed"
+    sentences = [f"{first}; shown at {held}." if held else f"{first}."]
+    for metric in results.metrics:
+        borders = find_borders(view, metric, limits)
+        if borders is not None:
+            sentences.append(f"{metric.name}: {tell_borders(borders)}.")
+    notes = [*view.notes, *(note for one in limits for note in one.notes)]
+    parts = "".join(f"<p>{sections.show(text)}</p>" for text in sentences)
+    parts += "".join(f'<p class="note">{sections.show(text)}.</p>' for text in notes)
+    return f'<section id="conclusion">{parts}</section>'
+
+
+def _tabulate_sweep(view: SweptView) -> Table:
+    return Table(
+        title="Metrics of the rows that are shown",
+        columns=(
+            *(Column(title=title) for title in ("metric", "unit", "least", "greatest")),
+            *(Column(title=title) for title in ("without a value", "best row", "its keys")),
+        ),
+        rows=tuple(_list_cells(view, metric) for metric in view.results.metrics),
+        notes=("A row is run again by turtlelog run --from TABLE --row NUMBER.",),
+    )
+
+
+def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | None, ...]:
+    values, best = list_shown_values(view, metric)[1], find_best_rows(view, metric)
+    known = values[np.isfinite(values)]
+    unit = show_angle(0.0, metric.unit)[1]
+    ends = (show_angle(float(find(known)), metric.unit)[0] for find in (np.min, np.max))
+    least, most = ends if len(known) else (None, None)
+    row = best[0] if best else None
+    keys = "" if row is None else view.results.tell_row(row)
+    number = "" if row is None else str(view.results.row_numbers[row])
+    missing = str(len(values) - len(known))
+    return metric.name, unit, least, most, missing, number, keys
+
+
+def _write_origin(view: SweptView, command: str) -> str:
+    file = str(view.results.path)
+    versions = f"turtlelog {__version__}, Python {platform.python_version()}"
+    digest = f"<p>{sections.show(file)}: sha256 <code>{hash_file(file)}</code></p>"
+    return sections.wrap_provenance(versions, command, digest)

@@ -1,21 +1,24 @@
-"""The text parts of a report: tables, steps of an attribution, checks, provenance."""
+"""The text parts of a report: conclusions, tables, steps of an attribution, checks, provenance."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from typing import Final
 
 from turtlelog.charts.attribution_steps import draw_up_attribution
+from turtlelog.charts.close_up import format_length
+from turtlelog.charts.many_runs import group_equal
 from turtlelog.charts.palette import to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal
-from turtlelog.compare import Table, format_cell
-from turtlelog.compare.run_selection import list_differing
-from turtlelog.display import describe_count
+from turtlelog.compare import Table, format_cell, judge_runs, summarise_run
+from turtlelog.compare.run_selection import describe_runs, list_differing
+from turtlelog.display import describe_count, join_words
 from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
-from turtlelog.explain import Attribution, write_sentences
-from turtlelog.run import Run
+from turtlelog.explain import Attribution, choose_named, write_sentences
+from turtlelog.measure import Metric, is_lawless
+from turtlelog.run import CUT_SHORT, Run
 
 _MOST_DIFFERING: Final = 8
 """Largest number of keys in a table of differences; more keys would be wider than a page."""
@@ -148,14 +151,9 @@ def _place_violations(lines: Sequence[CheckLine]) -> str:
 
 
 def write_page(title: str, kind: str, body: str, *, policy: str, style: str = "") -> str:
-    """Return a page with a heading.
+    """Return a page with a heading, which is also the title of the window after its kind.
 
-    Args:
-        title: Heading, also the title of the window.
-        kind: What turtlelog wrote, for the title of the window.
-        body: HTML below the heading.
-        policy: Content policy as a tag, from `write_policy_tag`.
-        style: Style rules besides those of all pages.
+    The policy is a tag by `write_policy_tag`; the style rules add to those of all pages.
     """
     common = files("turtlelog.draw.report").joinpath("page.css").read_text("utf-8")
     return f"""<!DOCTYPE html>
@@ -181,14 +179,9 @@ def write_provenance(
     versions: Iterable[str],
     command: str,
 ) -> str:
-    """Return the provenance of the report.
+    """Return the provenance of the report: programs, command, and file and sha256 of each run.
 
-    Args:
-        runs: Runs in the report.
-        names: Names of the runs.
-        sources: File and sha256 of each run; empty if unknown.
-        versions: Versions of the programs that wrote the report.
-        command: Command that creates the report; empty if unknown.
+    Unknown files, keys and commands are empty.
     """
     rows = [
         f'<tr><th scope="row">{show(name)}</th><td>{show(file)}</td><td><code>{show(key)}</code>'
@@ -240,4 +233,93 @@ def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
     return (
         f'<div class="wide" tabindex="0" role="region"{label}><table>{caption}<thead><tr>{head}'
         f"</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
+_MOST_NAMED: Final = 4
+"""Largest number of runs or checks that a sentence names; of more, it gives the number."""
+
+
+def conclude_runs(
+    runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
+) -> list[str]:
+    """Return sentences on the runs that end nearest and furthest, and on equal or cut-off runs.
+
+    Runs under different conditions are not ranked; the differences are returned instead.
+    """
+    found = _list_misses(runs, metrics)
+    sentences = []
+    if len(runs) == 1 or not found:
+        sentences.append(describe_runs(runs))
+    elif len(found) == 1:
+        ((number, miss_m),) = found.items()
+        sentences.append(f"Only {names[number]} has a goal; it ends {format_length(miss_m)} off.")
+    elif found:
+        pairs = zip(runs, metrics, strict=True)
+        ranking = judge_runs([summarise_run(run, metrics=known) for run, known in pairs])
+        ranked = _compare(found, names, of=len(runs))
+        why = f"{describe_count(len(runs), 'run')}: {ranking.describe()}."
+        sentences.append(ranked if ranking.is_fair else why)
+    for group in group_equal(runs):
+        if len(group) > 1:
+            same = [names[number] for number in group]
+            who = join_words(same) if len(same) <= _MOST_NAMED else describe_count(len(same), "run")
+            sentences.append(f"{who} are equal in every row.")
+    cut = [name for run, name in zip(runs, names, strict=True) if run.stop_reason in CUT_SHORT]
+    if cut:
+        who = join_words(cut) if len(cut) <= _MOST_NAMED else describe_count(len(cut), "run")
+        sentences.append(f"{who} did not come to {'its' if len(cut) == 1 else 'their'} own end.")
+    return sentences
+
+
+def _list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -> dict[int, float]:
+    """Return the final position error of each run with a goal [m], by its index."""
+    found = {}
+    for number, (run, known) in enumerate(zip(runs, metrics, strict=True)):
+        metric = known.get("final.position_error")
+        aims = is_lawless(run) or run.declaration.uses_goal
+        if aims and metric is not None and metric.value is not None:
+            found[number] = metric.value
+    return found
+
+
+def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
+    """Return a sentence on failed and skipped checks; empty without checks.
+
+    Each verdict follows the names of its run and its check.
+    """
+    judged = [found for found in verdicts if found[2] != "SKIPPED"]
+    failed = [f"{check} in {run}" for run, check, verdict in judged if verdict == "FAIL"]
+    skipped = len(verdicts) - len(judged)
+    rest = f" {describe_count(skipped, 'check')} {'is' if skipped == 1 else 'are'} skipped."
+    rest = rest if skipped else ""
+    if not judged:
+        return rest.strip()
+    if not failed:
+        whole = "The check passes." if len(verdicts) == 1 else f"All {len(judged)} checks pass."
+        verb = "passes" if len(judged) == 1 else "pass"
+        return f"{len(judged)} of {len(verdicts)} checks {verb}.{rest}" if skipped else whole
+    where = {run for run, _, verdict in judged if verdict == "FAIL"}
+    which = f", all in {min(where)}" if len(where) == 1 else ""
+    which = f": {join_words(failed)}" if len(failed) <= _MOST_NAMED else which
+    verb = "fails" if len(failed) == 1 else "fail"
+    return f"{len(failed)} of {describe_count(len(verdicts), 'check')} {verb}{which}.{rest}"
+
+
+def conclude_cause(name: str, found: Attribution) -> str:
+    """Return the causes of a run's value, in the words of `turtlelog explain`; empty if unknown."""
+    if found.withheld or found.without_value or not found.acting:
+        return ""
+    told = found.sentences[: 3 if choose_named(found) else 2]
+    return f"{name}: {' '.join(told)}"
+
+
+def _compare(found: Mapping[int, float], names: Sequence[str], *, of: int) -> str:
+    nearest, furthest = (choose(found, key=lambda number: found[number]) for choose in (min, max))
+    runs = f"{of} runs" if len(found) == of else f"the {len(found)} runs with a goal"
+    if format_length(found[nearest]) == format_length(found[furthest]):
+        return f"Of {runs} each ends {format_length(found[nearest])} from its goal."
+    return (
+        f"Of {runs} {names[nearest]} ends nearest to its goal ({format_length(found[nearest])}),"
+        f" and {names[furthest]} furthest from it ({format_length(found[furthest])})."
     )

@@ -8,26 +8,16 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from turtlelog.charts import palette
+from turtlelog.charts import many_runs, palette
 from turtlelog.charts.close_up import name_ends
-from turtlelog.charts.many_runs import (
-    MANY,
-    GainScale,
-    choose_colors_by_value,
-    cut_alike,
-    find_color_scale,
-    find_restless,
-    group_equal,
-    join_run_names,
-    shorten_run_names,
-)
 from turtlelog.charts.palette import Color, choose_turtle_size
 from turtlelog.charts.plane_scene import has_grey_paths, move_near
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import document_runs
-from turtlelog.draw.rerun import entities, plane
+from turtlelog.draw.rerun import entities, plane, plots, world
 from turtlelog.draw.rerun.content import (
     Content,
+    choose_phase_rows,
     describe_content,
     find_heading_close_up,
     find_ranges,
@@ -37,14 +27,6 @@ from turtlelog.draw.rerun.layout import build_comparison_layout, is_small
 from turtlelog.draw.rerun.legends import draw_legend, draw_scale, tell_span, title_scale
 from turtlelog.draw.rerun.marks import draw_phases, list_events
 from turtlelog.draw.rerun.plane import Look, count_segments, draw_trail, draw_turtle
-from turtlelog.draw.rerun.plots import (
-    LevelLines,
-    Series,
-    draw_references,
-    draw_series,
-    list_compared_series,
-    list_references,
-)
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
 from turtlelog.draw.rerun.timelines import (
     RunStream,
@@ -52,15 +34,6 @@ from turtlelog.draw.rerun.timelines import (
     add_thinning,
     build_compared_timelines,
     read_span,
-)
-from turtlelog.draw.rerun.views import choose_phase_rows
-from turtlelog.draw.rerun.world import (
-    LETTERING,
-    SMALL_LETTERING,
-    draw_close_up,
-    draw_ends,
-    draw_world,
-    draw_worst_place,
 )
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
@@ -107,7 +80,7 @@ def write_comparison_rrd(
     if documents is None:
         documents = document_runs(runs, metrics=metrics)
     documents = add_thinning(documents, runs)
-    groups = group_equal(runs)
+    groups = many_runs.group_equal(runs)
     near, origin = move_near(runs)
     overlay = _build_overlay([near[first] for first, *_ in groups], _name_groups(runs, groups))
     equal = [name for name, group in zip(overlay.names, groups, strict=True) if len(group) > 1]
@@ -147,10 +120,10 @@ class _Overlay:
     prefixes: tuple[str, ...]
     colors: tuple[Color, ...]
     timelines: tuple[Timelines, ...]
-    series: tuple[tuple[Series, ...], ...]
-    references: tuple[LevelLines, ...]
+    series: tuple[tuple[plots.Series, ...], ...]
+    references: tuple[plots.LevelLines, ...]
     restless: frozenset[int] = frozenset()
-    scale: GainScale | None = None
+    scale: many_runs.GainScale | None = None
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return the content of the recording."""
@@ -179,7 +152,7 @@ class _Overlay:
             ranges=ranges,
             end_s=lasting if lasting < longest else None,
             length_s=longest,
-            restless=join_run_names(sorted(self.restless), self.names, self.scale),
+            restless=many_runs.join_run_names(sorted(self.restless), self.names, self.scale),
             notes={**content.notes, **self._name_beyond(ranges)},
         )
 
@@ -193,7 +166,7 @@ class _Overlay:
                 if ((values < low) | (values > high)).any():
                     found.setdefault(series.plot, []).append(number)
         return {
-            plot: f"{join_run_names(numbers, self.names, self.scale)} beyond"
+            plot: f"{many_runs.join_run_names(numbers, self.names, self.scale)} beyond"
             for plot, numbers in found.items()
         }
 
@@ -201,7 +174,7 @@ class _Overlay:
         """Return short names of the runs."""
         if self.scale is not None:
             return tuple(map(self.name_run, range(len(self.runs))))
-        return cut_alike(self.names)
+        return many_runs.cut_alike(self.names)
 
     def name_run(self, number: int) -> str:
         """Return the name of a run among many in a picture: the value that the colours show."""
@@ -212,7 +185,7 @@ def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[s
     """Return a name for each group of equal runs. One run of a group is drawn with all names."""
     names = name_runs(runs)
     firsts = [runs[first] for first, *_ in groups]
-    brief = shorten_run_names(firsts, [names[first] for first, *_ in groups])
+    brief = many_runs.shorten_run_names(firsts, [names[first] for first, *_ in groups])
     return [
         name if len(group) == 1 else _name_equal(name, [names[number] for number in group])
         for name, group in zip(brief, groups, strict=True)
@@ -229,10 +202,10 @@ def _name_equal(name: str, names: Sequence[str]) -> str:
 
 def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
     """Return runs with their colours, curves and timelines."""
-    colors = choose_colors_by_value(runs)
-    restless = find_restless(runs) if len(runs) > MANY else frozenset()
+    colors = many_runs.choose_colors_by_value(runs)
+    restless = many_runs.find_restless(runs) if len(runs) > many_runs.MANY else frozenset()
     # The legend of the along-track plot has no room for more names than those of the runs.
-    references = [found for found in list_references(runs) if found.plot != ALONG_TRACK]
+    references = [found for found in plots.list_references(runs) if found.plot != ALONG_TRACK]
     return _Overlay(
         runs=tuple(runs),
         names=tuple(names),
@@ -241,19 +214,21 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
         timelines=tuple(build_compared_timelines(run) for run in runs),
         series=tuple(
             _list_series(run, names[number], colors[number], is_restless=number in restless)
-            if len(runs) > MANY
-            else list_compared_series(run, names[number], colors[number])
+            if len(runs) > many_runs.MANY
+            else plots.list_compared_series(run, names[number], colors[number])
             for number, run in enumerate(runs)
         ),
         references=tuple(references),
         restless=restless,
-        scale=find_color_scale(runs),
+        scale=many_runs.find_color_scale(runs),
     )
 
 
-def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tuple[Series, ...]:
+def _list_series(
+    run: Run, name: str, color: Color, *, is_restless: bool
+) -> tuple[plots.Series, ...]:
     """Return the curves of a run among many, without oscillating commands, which hide others."""
-    found = list_compared_series(run, name, color)
+    found = plots.list_compared_series(run, name, color)
     if is_restless:
         found = tuple(series for series in found if series.plot not in entities.RESTLESS)
         color = palette.dim(color)
@@ -263,22 +238,17 @@ def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tup
     )
 
 
-def _draw_overlay(
-    stream: rr.RecordingStream,
-    overlay: _Overlay,
-    content: Content,
-) -> list[RunStream]:
-    """Draw all runs and their common parts; return a stream for each run."""
-    draw_world(stream, overlay.runs)
+def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
+    """Draw all runs and their common parts."""
+    world.draw_world(stream, overlay.runs)
     span = read_span(overlay.runs, overlay.timelines)
-    draw_references(stream, overlay.references, span)
+    plots.draw_references(stream, overlay.references, span)
     if overlay.scale is not None:
         draw_scale(stream, overlay.scale, overlay.colors)
     elif content.legend_names:
         draw_legend(stream, overlay.names, overlay.colors)
-    if len(overlay.runs) > MANY:
+    if len(overlay.runs) > many_runs.MANY:
         _show_ends(stream, overlay, content)
-    streams = []
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
         look = Look(color=overlay.colors[number], size=choose_turtle_size(len(overlay.runs)))
@@ -289,20 +259,18 @@ def _draw_overlay(
         draw_phases(run_stream, run)
         list_events(run_stream, run, overlay.names[number])
         for curves in overlay.series[number]:
-            draw_series(run_stream, curves)
-        streams.append(run_stream)
+            plots.draw_series(run_stream, curves)
     if content.goal is not None:
-        draw_close_up(
+        world.draw_close_up(
             stream,
             name_ends(content.goal, overlay.name_briefly()),
             overlay.runs[0],
             overlay.prefixes,
             overlay.colors,
-            lettering=SMALL_LETTERING if content.is_small else LETTERING,
+            lettering=world.SMALL_LETTERING if content.is_small else world.LETTERING,
         )
     if content.worst is not None:
-        draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
-    return streams
+        world.draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
 
 
 def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
@@ -311,7 +279,7 @@ def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) 
     Of very many runs, show all ends.
     """
     if has_grey_paths(overlay.runs):
-        draw_ends(stream, overlay.runs, overlay.colors)
+        world.draw_ends(stream, overlay.runs, overlay.colors)
     if content.goal is None:
         return
     misses = [(_miss(run), number) for number, run in enumerate(overlay.runs)]
@@ -324,14 +292,11 @@ def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) 
     furthest = furthest[:_MOST_EXTREMES]
     if not furthest:
         return
-    labels = rr.Points2D(
-        [overlay.runs[number].poses.xy_m[-1] for number in furthest],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[overlay.colors[number] for number in furthest],
-        labels=[overlay.name_run(number) for number in furthest],
-        show_labels=True,
+    places = [overlay.runs[number].poses.xy_m[-1] for number in furthest]
+    names = [overlay.name_run(number) for number in furthest]
+    world.write_words(
+        stream, entities.EXTREMES, places, names, [overlay.colors[number] for number in furthest]
     )
-    stream.log(join_path(entities.EXTREMES), labels, static=True)
 
 
 def _miss(run: Run) -> float:

@@ -1,21 +1,38 @@
-"""The content of a recording, for its layout."""
+"""The content of a recording, and the views that show it."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
+from rerun.blueprint.archetypes import VisibleTimeRanges
 
-from turtlelog.charts.close_up import CloseUp, find_close_up
-from turtlelog.charts.curves import find_end_of_turn
-from turtlelog.charts.plotted_curves import StateGroup, group_states
+from turtlelog.charts import palette
+from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
+from turtlelog.charts.curves import Values, find_end_of_turn
+from turtlelog.charts.many_runs import MANY
+from turtlelog.charts.plane_scene import MANY_PATHS, WorstPlace, find_worst_place
+from turtlelog.charts.plotted_curves import (
+    TIMELINE,
+    WALL_TIMELINE,
+    StateGroup,
+    find_range,
+    group_states,
+    name_phase_timeline,
+)
 from turtlelog.charts.robot_curves import tell_gap
-from turtlelog.charts.time_axes import TIMELINE, WALL_TIMELINE, find_range, name_phase_timeline
 from turtlelog.charts.time_plots import list_controlled
-from turtlelog.charts.tracked_path import WorstPlace, find_worst_place
 from turtlelog.display import describe_count
 from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.entities import TICKS, join_path
+from turtlelog.draw.rerun.entities import (
+    TICKS,
+    join_path,
+    locate_dead_times,
+    locate_phases,
+    name_document,
+)
 from turtlelog.draw.rerun.plots import LevelLines, Series
 from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
 from turtlelog.measure import find_signal
@@ -46,8 +63,7 @@ class Content:
         references: Plots that have level lines.
         lines: Entity paths of vertical lines, shown in every plot.
         legends: Plots with a legend. None: the plots with several curves.
-        highest_speed_m_s: Speed of the brightest colour in the trace by speed; None without this
-            trace.
+        highest_speed_m_s: Speed of the brightest colour of the trace by speed; None: no trace.
         steps_title: Title of the attribution; None without an attribution.
         luck_title: Title of the picture of values from other starts; None without this picture.
         starts: Text on other ends in the close-up of the goal, for the title of the close-up.
@@ -76,8 +92,7 @@ class Content:
         equal: Text on runs with equal rows, drawn as one curve; empty without them.
         is_small: Whether the window is too small for legends, phases and documents.
         scale_title: Title of the colour bar of many runs; None without a bar.
-        scale_span: Text on the range of the bar, for views without room for it; empty without a
-            bar.
+        scale_span: Text on the range of the bar, for views without room for it.
         end_s: End of the plots [s]. None: the plots show everything.
         length_s: Duration of the longest run [s], if the plots end earlier.
         restless: Note that names the runs that never come to rest; their commands are not shown.
@@ -172,10 +187,7 @@ def describe_content(
         states=states,
         idle=_find_idle(series),
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
-        ranges={
-            **find_ranges(series, references),
-            **close_ups,
-        },
+        ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
         timelines=_list_timelines(runs),
         notes={**_note_gaps(runs, series), **_count_outliers(series)},
@@ -217,7 +229,7 @@ def find_corners(
     """Return Rerun's name of the emptiest corner of each plot."""
     first_ns = min((int(curves.time_ns[0]) for curves in series), default=0)
     last_ns = max((int(curves.time_ns[-1]) for curves in series), default=1)
-    rows: dict[str, list[NDArray[np.float64]]] = {}
+    rows: dict[str, list[Values]] = {}
     for curves in series:
         if curves.plot in ranges:
             low, high = ranges[curves.plot]
@@ -229,7 +241,7 @@ def find_corners(
 
 
 def find_emptiest_corner(
-    time_ns: NDArray[np.int64], values: NDArray[np.float64], limits: tuple[float, float]
+    time_ns: NDArray[np.int64], values: Values, limits: tuple[float, float]
 ) -> str:
     """Return the emptiest corner of a plot with given limits, for one curve."""
     low, high = limits
@@ -238,16 +250,15 @@ def find_emptiest_corner(
     return _find_emptiest(places[np.isfinite(values)])
 
 
-def _find_emptiest(places: NDArray[np.float64]) -> str:
+def _find_emptiest(places: Values) -> str:
     """Return the corner with the fewest points, from (0, 0) at the lower left to (1, 1)."""
     is_right, is_left = places[:, 0] > 1.0 - _LEGEND_WIDTH, places[:, 0] < _LEGEND_WIDTH
     is_high = (places[:, 1] > 1.0 - _LEGEND_HEIGHT) & (places[:, 1] <= 1.0)
     is_low = (places[:, 1] < _LEGEND_HEIGHT) & (places[:, 1] >= 0.0)
     counts = {
-        "RightTop": int((is_right & is_high).sum()),
-        "RightBottom": int((is_right & is_low).sum()),
-        "LeftTop": int((is_left & is_high).sum()),
-        "LeftBottom": int((is_left & is_low).sum()),
+        f"{side}{end}": int((across & up).sum())
+        for side, across in (("Right", is_right), ("Left", is_left))
+        for end, up in (("Top", is_high), ("Bottom", is_low))
     }
     return min(counts, key=lambda corner: counts[corner])
 
@@ -273,7 +284,7 @@ def find_ranges(
 ) -> dict[str, tuple[float, float]]:
     """Return ranges of plots that contain all measured values, with a margin."""
     levels = {reference.plot: reference.levels for reference in references}
-    measured: dict[str, list[NDArray[np.float64]]] = {}
+    measured: dict[str, list[Values]] = {}
     for curves in (curves for run in series for curves in run if curves.is_measured):
         measured.setdefault(curves.plot, []).append(curves.values)
     found = {plot: find_range(values, levels.get(plot, ())) for plot, values in measured.items()}
@@ -297,3 +308,184 @@ def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]
         largest_deg = max(largest_deg, float(np.degrees(after.max(initial=0.0))))
     half_deg = max(_CLOSE_UP * largest_deg, _SMALLEST_CLOSE_UP_DEG)
     return {entities.HEADING_ERROR: (-half_deg, half_deg)}
+
+
+_MOST_PHASE_ROWS: Final = 4
+"""Largest number of phase rows for more than seven runs; plots keep the larger part."""
+
+
+_ARROWS: Final = (
+    *(entities.ARROW, entities.BODY, entities.COMMAND, entities.ERROR),
+    entities.REFERENCE_POSE,
+)
+
+
+def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
+    """Return the view of the plane, with arrows if the title has room for their names."""
+    told = content.equal or content.origin or content.arrows
+    if content.is_small:  # a title has room for 20 letters
+        told = "equal runs" if content.equal else content.scale_span
+    hidden = [entities.SPEED_PATH]
+    if content.arrows and (content.is_small or not with_arrows):
+        hidden, told = [*hidden, entities.ERROR, entities.COMMAND], ""
+    contents = [*_list_planes(content), *_hide(hidden, content)]
+    title = f"Plane ({told})" if told else "Plane"
+    return _view_bounds(title, contents, content.plane, overrides=_show_trails(content))
+
+
+def view_speed(content: Content, highest_m_s: float) -> rrb.View:
+    """Return the view of the plane with paths coloured by speed."""
+    hidden = _hide([entities.PATH, entities.TRAIL, entities.ERROR, entities.NAMES], content)
+    title = f"By speed, 0 to {highest_m_s:.3g} m/s"
+    return _view_bounds(title, [*_list_planes(content), *hidden], content.plane)
+
+
+def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
+    """Return the close-up of the goal, without arrows and names, which would cover it."""
+    bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
+    outlines = ", outlines: 90 % of ends" if len(content.prefixes) > MANY_PATHS else ""
+    name = f"At the goal, {close_up.describe()}{content.starts}{outlines}"
+    return _view_close_up(content, name, bounds)
+
+
+def view_worst(content: Content, worst: WorstPlace) -> rrb.View:
+    """Return the view of the largest deviation from the tracked path."""
+    bounds = Bounds(center_xy_m=worst.center_xy_m, half_size_m=worst.half_m)
+    return _view_close_up(content, f"Furthest off the path, ±{format_length(worst.half_m)}", bounds)
+
+
+def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
+    hidden = [entities.NAMES, entities.SPEED_PATH, entities.GAP]
+    prefixes = (*content.prefixes, *content.ghosts)
+    hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in _ARROWS]
+    contents = [*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)]
+    return _view_bounds(name, contents, bounds, overrides=_show_trails(content))
+
+
+def _view_bounds(name: str, contents: Sequence[str], bounds: Bounds, **more: Any) -> rrb.View:
+    """Return a view of a square of the plane. The view's own coordinates have y downward."""
+    (x_m, y_m), half_m = bounds.center_xy_m, bounds.half_size_m
+    ranges = (x_m - half_m, x_m + half_m), (-y_m - half_m, -y_m + half_m)
+    return view_picture(name, contents, *ranges, **more)
+
+
+def view_picture(
+    name: str,
+    contents: Sequence[str],
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
+    **more: Any,
+) -> rrb.View:
+    """Return the view of a picture in its own coordinates, on dark ground."""
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=contents,
+        name=name,
+        background=palette.GROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=x_range, y_range=y_range),
+        **more,
+    )
+
+
+def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: str = "") -> rrb.View:
+    """Return the view of curves over time, with a needed legend if a corner is free."""
+    contents = content.list_curves(plot)
+    has_names = len(contents) > 1 if content.legends is None else plot in content.legends
+    if plot in content.references:
+        contents.insert(0, f"{join_path(entities.REFERENCE, plot)}/**")
+    contents += content.lines
+    title, limits = name or entities.title_plot(plot), content.ranges.get(plot)
+    if plot in content.notes:
+        title += f", {content.notes[plot]}"
+    if content.restless and plot in entities.RESTLESS:
+        title += f", without {content.restless}"
+    title = title.replace(" [", ", close up [") if plot in content.close_ups else title
+    shown = rrb.PlotLegend(legend, visible=legend is not None and has_names)
+    return view_curves(title, contents, limits, shown)
+
+
+def view_curves(
+    name: str,
+    contents: Sequence[str],
+    limits: tuple[float, float] | None,
+    legend: rrb.PlotLegend,
+) -> rrb.View:
+    """Return a view of curves on the common time axis, with limits of the values if known."""
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=contents,
+        name=name,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
+        plot_legend=legend,
+    )
+
+
+def view_phases(content: Content) -> rrb.View:
+    """Return the view of the phases, one row per run. A pause is too short for its name."""
+    shown = content.phase_rows or content.prefixes
+    contents = [locate_phases(prefix) for prefix in shown]
+    of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
+    colors = ["brown: pause"] if content.has_pause else []
+    colors += ["pink: dead time"] if content.has_dead_time else []
+    key = f" ({', '.join(colors)})" if colors else ""
+    until = "" if content.end_s is None else f", {content.end_s:.0f} of {content.length_s:.0f} s"
+    if content.has_dead_time:
+        contents.insert(1, locate_dead_times(shown[0]))
+    return rrb.StateTimelineView(
+        origin="/",
+        contents=contents,
+        name=f"Phases{of}{until}{key}",
+        time_view=rrb.TimeAxis(link="LinkToGlobal"),
+    )
+
+
+def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
+    """Return the runs whose phases are shown: all, or a few that include the first and last."""
+    if len(prefixes) <= MANY:
+        return ()
+    rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)
+    return tuple(prefixes[row] for row in rows)
+
+
+def view_document(title: str) -> rrb.View:
+    """Return the view of a Markdown text."""
+    return rrb.TextDocumentView(origin=name_document(title), name=title)
+
+
+def view_events(content: Content) -> rrb.View:
+    """Return the view that lists the events."""
+    columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["Body"])
+    return rrb.TextLogView(
+        origin="/",
+        contents=[join_path(prefix, entities.EVENTS) for prefix in content.prefixes],
+        name="Events",
+        columns=columns,
+    )
+
+
+def _show_trails(content: Content) -> dict[Any, VisibleTimeRanges]:
+    """Return the overrides that make a view show trails from their start to the cursor."""
+    until_now = VisibleTimeRanges(
+        ranges=[
+            rrb.VisibleTimeRange(
+                name,
+                start=rrb.TimeRangeBoundary.infinite(),
+                end=rrb.TimeRangeBoundary.cursor_relative(),
+            )
+            for name in content.timelines
+        ]
+    )
+    prefixes = (*content.prefixes, *content.ghosts)
+    return {join_path(prefix, entities.TRAIL): until_now for prefix in prefixes}
+
+
+def _list_planes(content: Content) -> list[str]:
+    prefixes = dict.fromkeys(["", *content.prefixes, *content.ghosts])
+    return [f"{join_path(prefix, entities.PLANE)}/**" for prefix in prefixes]
+
+
+def _hide(paths: Sequence[str], content: Content) -> list[str]:
+    """Return the exclusions of a view of the whole plane: some paths, and the close-up."""
+    ends = [join_path(prefix, entities.END) for prefix in content.prefixes]
+    return [f"- {join_path(path)}/**" for path in (*paths, entities.CLOSE_UP, *ends)]

@@ -7,15 +7,17 @@ from typing import Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import AttributionStep, StepScale, Waterfall
 from turtlelog.charts.close_up import CloseUp
+from turtlelog.charts.curves import Values
 from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
+from turtlelog.draw.rerun.world import draw_points, draw_strips, write_words
 
 _WIDTH: Final = 100.0
 """Width of the picture in its unit of length; one unit is 7 pixels in a window of 1200 x 860."""
@@ -45,16 +47,14 @@ _LETTERS: Final = 100
 """Largest length of a line of text [letters]."""
 
 
+_Words = tuple[float, float, str, Color]
+"""Middle of a text, the text, and its colour."""
+
+
 def draw_waterfall_picture(
     stream: rr.RecordingStream, waterfall: Waterfall, more: Sequence[str] = ()
 ) -> None:
-    """Draw the bars from top to bottom over an axis.
-
-    Args:
-        stream: The recording.
-        waterfall: Waterfall to draw.
-        more: Lines below its notes.
-    """
+    """Draw the bars from top to bottom over an axis, with `more` lines below the notes."""
     steps, scale, notes = waterfall.steps, waterfall.scale, (*waterfall.notes, *more)
     names_end = max(_measure_words(step.name) for step in steps)
     (low, high), width = waterfall.span, _find_scale(waterfall, names_end)
@@ -66,7 +66,7 @@ def draw_waterfall_picture(
     axis_y = len(steps) * pitch
     half = min(_BAR_SHARE * pitch, _HIGHEST_BAR) / 2.0
     middles = (np.arange(len(steps)) + 0.5) * pitch
-    words: list[tuple[float, float, str, Color]] = []
+    words: list[_Words] = []
     joints = [[(place(0.0), 0.0), (place(0.0), axis_y)]]
     for number, (step, y) in enumerate(zip(steps, middles.tolist(), strict=True)):
         left, right = sorted((place(step.start), place(step.end)))
@@ -83,8 +83,8 @@ def draw_waterfall_picture(
     for number, note in enumerate(notes):
         y = axis_y + (number + 1.5) * pitch
         words.append((_WIDTH / 2.0, y, note, palette.START))
-    lines = rr.LineStrips2D(joints, radii=rr.Radius.ui_points(0.5), colors=[palette.REFERENCE])
-    stream.log(join_path(entities.STEPS, "joints"), lines, static=True)
+    entity = f"{entities.STEPS}/joints"
+    draw_strips(stream, entity, joints, [palette.REFERENCE], _THIN_RADIUS)
     _write_words(stream, entities.STEPS, words)
 
 
@@ -94,32 +94,21 @@ def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
     most = int(_HEIGHT // _LINE)
     if len(lines) > most:
         lines = [*lines[: most - 1], "..."]
-    words = [
-        (
-            (_PROSE_LETTER * len(line) + _PADDING) / 2.0,
-            (number + 0.5) * _LINE,
-            line,
-            palette.GOAL,
-        )
+    _write_words(stream, entities.STEPS, _list_prose(lines))
+
+
+def _list_prose(lines: Sequence[str]) -> list[_Words]:
+    """Return lines of text one below another, with their places."""
+    return [
+        (_place_prose(line), (number + 0.5) * _LINE, line, palette.GOAL)
         for number, line in enumerate(lines)
     ]
-    _write_words(stream, entities.STEPS, words)
 
 
-def view_waterfall(title: str) -> rrb.View:
-    """Return the view of the steps, or of the reason why there are no steps."""
-    return view_picture(title, entities.STEPS)
-
-
-def view_picture(title: str, entity: str) -> rrb.View:
-    """Return the view of a picture in the units of this picture."""
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=f"{join_path(entity)}/**",
-        name=title,
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT + _FOOT)),
-    )
+def view_explained(title: str, entity: str) -> rrb.View:
+    """Return the view of the steps, of the reason why there are none, or of chance."""
+    contents = [f"{join_path(entity)}/**"]
+    return view_picture(title, contents, (0.0, _WIDTH), (0.0, _HEIGHT + _FOOT))
 
 
 def choose_ticks(ends: Sequence[float], scale: StepScale) -> list[float]:
@@ -186,18 +175,11 @@ def _draw_bar(
     stream.log(entity, image, static=True)
 
 
-def _write_words(
-    stream: rr.RecordingStream, entity: str, words: Sequence[tuple[float, float, str, Color]]
-) -> None:
+def _write_words(stream: rr.RecordingStream, entity: str, words: Sequence[_Words]) -> None:
     """Write texts, each around its middle."""
-    points = rr.Points2D(
-        [(x, y - _ABOVE) for x, y, _, _ in words],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[color for *_, color in words],
-        labels=[text for _, _, text, _ in words],
-        show_labels=True,
-    )
-    stream.log(join_path(entity, "words"), points, static=True)
+    places = [(x, y - _ABOVE) for x, y, _, _ in words]
+    texts, colors = [text for _, _, text, _ in words], [color for *_, color in words]
+    write_words(stream, f"{entity}/words", places, texts, colors)
 
 
 _LEFT: Final = 9.0
@@ -216,19 +198,13 @@ _THIN_RADIUS: Final = 0.5
 _DOT_RADIUS: Final = 1.6
 _RECORDED_RADIUS: Final = 4.0
 
-_Words = tuple[float, float, str, Color]
-Values = NDArray[np.float64]
-
 
 def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
     """Draw the value over the starts. Each curve has its name at the right end."""
     lines = wrap(" ".join(shown.sentences), _LETTERS)
     if len(lines) > 1:
         lines = [line for text in shown.sentences for line in wrap(text, _LETTERS)]
-    words: list[_Words] = [
-        (_place_prose(line), (number + 0.5) * _LINE, line, palette.GOAL)
-        for number, line in enumerate(lines)
-    ]
+    words = _list_prose(lines)
     top = (len(lines) + 0.5) * _LINE
     low, high = shown.limits
     first, last = float(shown.places[0]), float(shown.places[-1])
@@ -245,8 +221,8 @@ def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
         _draw_line(stream, f"{len(shown.lines) - number}", shown, line, place)
         at, leader = place(np.array([end, (last, name)]))
         aside = [at, (_RIGHT + 1.0, leader[1])]
-        entity = join_path(entities.LUCK, "leaders", str(number))
-        _draw_strips(stream, entity, [np.array(aside)], line.color, _THIN_RADIUS)
+        entity = f"{entities.LUCK}/leaders/{number}"
+        draw_strips(stream, entity, [np.array(aside)], [line.color], _THIN_RADIUS)
         middle = _RIGHT + 1.0 + _measure_words(line.name) / 2.0
         words.append((middle, float(leader[1]), line.name, line.color))
     if shown.recorded is not None:
@@ -264,12 +240,8 @@ def draw_luck_ends(
     ends_m = np.concatenate([shown.plane.ends_m, shown.plane.ghosts_m])
     colors = [palette.MAIN] * len(shown.plane.ends_m)
     colors += [palette.GHOST] * len(shown.plane.ghosts_m)
-    dots = rr.Points2D(
-        ends_m + np.array(close_up.goal_xy_m),
-        radii=rr.Radius.ui_points(_END_RADIUS),
-        colors=colors,
-    )
-    stream.log(join_path(entities.LUCK_ENDS), dots, static=True)
+    ends_m += np.array(close_up.goal_xy_m)
+    draw_points(stream, entities.LUCK_ENDS, ends_m, colors, _END_RADIUS)
 
 
 def count_ends(shown: LuckPicture, close_up: CloseUp | None) -> str:
@@ -295,25 +267,15 @@ def _draw_line(
 ) -> None:
     """Draw the parts of a curve, and points for the parts of the run or of a single start."""
     points = place(np.stack([shown.places, line.values], axis=1))
-    entity = join_path(entities.LUCK, f"curve_{name}")
+    entity = f"{entities.LUCK}/curve_{name}"
     parts = [points[first : last + 1] for first, last in line.pieces]
     strips = [part for part in parts if len(part) > 1]
     if strips:
-        _draw_strips(stream, entity, strips, line.color, _LINE_RADIUS)
-    is_run = line.kind == "run"
-    dots = [part for part in parts if is_run or len(part) == 1]
+        draw_strips(stream, entity, strips, [line.color], _LINE_RADIUS)
+    dots = [part for part in parts if line.kind == "run" or len(part) == 1]
     if dots:
-        marks = rr.Points2D(
-            np.concatenate(dots), radii=rr.Radius.ui_points(_DOT_RADIUS), colors=[line.color]
-        )
-        stream.log(join_path(entity, "starts"), marks, static=True)
-
-
-def _draw_strips(
-    stream: rr.RecordingStream, entity: str, strips: list[Values], color: Color, radius: float
-) -> None:
-    drawn = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(radius), colors=[color])
-    stream.log(entity, drawn, static=True)
+        places = np.concatenate(dots)
+        draw_points(stream, f"{entity}/starts", places, [line.color], _DOT_RADIUS)
 
 
 def _mark_recorded(
@@ -324,8 +286,8 @@ def _mark_recorded(
 ) -> _Words:
     """Mark the run itself, and return its text, on the side of the curve with more room."""
     ((x, y),) = place(np.array([recorded])).tolist()
-    dot = rr.Points2D([(x, y)], radii=rr.Radius.ui_points(_RECORDED_RADIUS), colors=[palette.MAIN])
-    stream.log(join_path(entities.LUCK, "recorded"), dot, static=True)
+    entity = f"{entities.LUCK}/recorded"
+    draw_points(stream, entity, [(x, y)], [palette.MAIN], _RECORDED_RADIUS)
     is_high = recorded[1] > sum(shown.limits) / 2.0
     return x, y + (_LINE if is_high else -_LINE), shown.recorded_name, palette.MAIN
 
@@ -347,7 +309,7 @@ def _draw_axes(
     strips += [[(_LEFT - _TICK, y), (_LEFT, y)] for _, y in lefts]
     strips += [[(x, _AXIS_FOOT), (x, _AXIS_FOOT + _TICK)] for x, _ in feet]
     axes = [np.array(strip) for strip in strips]
-    _draw_strips(stream, join_path(entities.LUCK, "axes"), axes, palette.REFERENCE, _THIN_RADIUS)
+    draw_strips(stream, f"{entities.LUCK}/axes", axes, [palette.REFERENCE], _THIN_RADIUS)
     words = [
         (_LEFT - _TICK - _measure_words(text) / 2.0, y, text, palette.START)
         for (_, y), text in zip(lefts, [write_tick(tick, _PLAIN) for tick in rises], strict=True)

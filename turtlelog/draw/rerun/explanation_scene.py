@@ -17,7 +17,7 @@ from turtlelog.charts.close_up import Lettering, name_ends
 from turtlelog.charts.luck_chart import build_luck_picture
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.compare import Column, Table
-from turtlelog.draw.rerun import entities, plane
+from turtlelog.draw.rerun import entities, marks, plane, plots
 from turtlelog.draw.rerun.content import Content, describe_content, find_largest_shown
 from turtlelog.draw.rerun.entities import GHOSTS, RUNS, join_path, name_part
 from turtlelog.draw.rerun.explanation_pictures import (
@@ -36,23 +36,7 @@ from turtlelog.draw.rerun.ghosts import (
     list_gaps,
 )
 from turtlelog.draw.rerun.layout import build_explanation_layout
-from turtlelog.draw.rerun.marks import (
-    draw_dead_times,
-    draw_lines,
-    draw_phases,
-    list_dead_times,
-    list_events,
-    list_pause_times,
-)
 from turtlelog.draw.rerun.plane import Look, count_segments, draw_trail, draw_turtle
-from turtlelog.draw.rerun.plots import (
-    LevelLines,
-    Series,
-    draw_references,
-    draw_series,
-    list_compared_series,
-    list_references,
-)
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
 from turtlelog.draw.rerun.timelines import (
     RunStream,
@@ -116,9 +100,9 @@ def write_explanation_rrd(
     texts = {"Contributions": _describe_contributions(found), **(documents or {})}
     texts = {**add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
-    dead_times = list_dead_times(recorded, metrics[0])
+    dead_times = marks.list_dead_times(recorded, metrics[0])
     lines = {
-        "pause": (palette.PAUSED, list_pause_times(recorded)),
+        "pause": (palette.PAUSED, marks.list_pause_times(recorded)),
         "dead_time": (palette.DEAD_TIME, [end_ns for _, end_ns in dead_times]),
     }
     picture = None if luck is None else build_luck_picture(luck)
@@ -146,10 +130,10 @@ def write_explanation_rrd(
             draw_luck_ends(stream, picture, content.goal)
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
-            draw_lines(
+            marks.draw_lines(
                 run_stream, entity, label, color, times_ns, largest=find_largest_shown(content)
             )
-        draw_dead_times(run_stream, dead_times)
+        marks.draw_dead_times(run_stream, dead_times)
         draw_documents(stream, texts)
 
 
@@ -167,9 +151,9 @@ class _Scene:
 
     recorded: Run
     ghosts: tuple[Ghost, ...]
-    series: tuple[tuple[Series, ...], ...]
-    gaps: tuple[Series, ...]
-    references: tuple[LevelLines, ...]
+    series: tuple[tuple[plots.Series, ...], ...]
+    gaps: tuple[plots.Series, ...]
+    references: tuple[plots.LevelLines, ...]
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -228,11 +212,14 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
         recorded=recorded,
         ghosts=tuple(ghosts),
         series=tuple(
-            tuple(replace(curves, width=width) for curves in list_compared_series(run, name, color))
+            tuple(
+                replace(curves, width=width)
+                for curves in plots.list_compared_series(run, name, color)
+            )
             for name, run, color, width in drawn
         ),
         gaps=list_gaps(recorded, ghosts),
-        references=list_references([run for _, run, _, _ in drawn]),
+        references=plots.list_references([run for _, run, _, _ in drawn]),
     )
 
 
@@ -261,7 +248,7 @@ def _draw_scene(
     send_comparison_properties(stream, scene.runs, scene.names, scene.prefixes, metrics)
     draw_world(stream, scene.runs, half_size_m=half_size_m)
     timelines = [build_compared_timelines(run) for run in scene.runs]
-    draw_references(stream, scene.references, read_span(scene.runs, timelines))
+    plots.draw_references(stream, scene.references, read_span(scene.runs, timelines))
     run_stream = RunStream(stream, scene.prefixes[0], timelines[0])
     look, segments = Look(color=palette.MAIN), count_segments(1 + len(scene.ghosts))
     draw_trail(run_stream, recorded, look, segments=segments)
@@ -275,12 +262,12 @@ def _draw_scene(
     pairs = zip(streams, scene.runs, scene.names, scene.series, strict=True)
     for own_stream, run, name, listed in pairs:
         if own_stream in (streams[0], streams[-1]):
-            draw_phases(own_stream, run)
-        list_events(own_stream, run, name)
+            marks.draw_phases(own_stream, run)
+        marks.list_events(own_stream, run, name)
         for curves in listed:
-            draw_series(own_stream, curves)
+            plots.draw_series(own_stream, curves)
     for curves in scene.gaps:
-        draw_series(run_stream, curves)
+        plots.draw_series(run_stream, curves)
     _draw_apart(stream, scene, content)
     if content.goal is not None:
         briefs = [_RECORDED, *(one.brief for one in scene.ghosts if one.is_run)]
@@ -321,9 +308,7 @@ def _name_steps(found: Attribution) -> str:
 def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]) -> tuple[str, ...]:
     """Return text on the values of ghosts, which no bar shows if several causes act together.
 
-    Args:
-        found: The attribution.
-        ghosts: Metrics of the drawn what-ifs, by the causes that each what-if lacks.
+    `ghosts` are the metrics of the drawn what-ifs, by the causes that each what-if lacks.
     """
     acting = [share.cause for share in choose_acting_contributions(found)]
     if len(acting) < 2:

@@ -9,15 +9,16 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
+from turtlelog.charts.curves import Values
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import Color
-from turtlelog.charts.time_axes import TIMELINE, locate_run
+from turtlelog.charts.plotted_curves import TIMELINE, locate_run
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plane import MOST_SEGMENTS, Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.plots import Series
-from turtlelog.draw.rerun.timelines import RunStream, Timelines, Values, build_index
-from turtlelog.draw.rerun.world import Bounds
+from turtlelog.draw.rerun.timelines import RunStream, Timelines, build_index
+from turtlelog.draw.rerun.world import Bounds, draw_strips, write_words
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle
 
@@ -92,10 +93,7 @@ def find_ideal_poses(run: Run) -> PoseColumns | None:
 
     Each ideal loop begins together with the run's loop, like the ideal response in the plots;
     nothing is clipped. Theory gives a pose if one loop turns the robot, and another loop then
-    drives it along its track.
-
-    Returns:
-        None: If theory does not know both loops, or the loops act together.
+    drives it along its track. Otherwise the result is None.
     """
     turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
     line = run.goal_line
@@ -223,28 +221,12 @@ def draw_key(
         (middle + len(name) * _KEY_LETTER / 2.0, y + _KEY_UP)
         for (name, _), y in zip(rows, ys, strict=True)
     ]
-    center = np.array(bounds.center_xy_m)
-    stream.log(
-        join_path(entities.KEY),
-        rr.LineStrips2D(
-            [center + half_m * np.array(sample) for sample in samples],
-            radii=rr.Radius.ui_points(2.5),
-            colors=[color for _, color in rows],
-        ),
-        static=True,
-    )
-    stream.log(
-        join_path(entities.KEY_NAMES),
-        rr.Points2D(
-            center + half_m * np.array(words),
-            radii=rr.Radius.ui_points(0.0),
-            # In a small window samples are hidden.
-            colors=[color for _, color in rows],
-            labels=[name for name, _ in rows],
-            show_labels=True,
-        ),
-        static=True,
-    )
+    center, colors = np.array(bounds.center_xy_m), [color for _, color in rows]
+    lines = [center + half_m * np.array(sample) for sample in samples]
+    draw_strips(stream, entities.KEY, lines, colors, 2.5)
+    # In a small window samples are hidden, so that the names have their colours.
+    names = [name for name, _ in rows]
+    write_words(stream, entities.KEY_NAMES, center + half_m * np.array(words), names, colors)
 
 
 def _follow(run: Run, ghost: Ghost) -> Values:

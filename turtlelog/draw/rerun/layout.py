@@ -6,13 +6,11 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from turtlelog.charts.plotted_curves import Column, StateGroup
-from turtlelog.charts.time_axes import TIMELINE
+from turtlelog.charts.plotted_curves import TIMELINE, Column, StateGroup
 from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.content import Content
-from turtlelog.draw.rerun.explanation_pictures import view_picture, view_waterfall
-from turtlelog.draw.rerun.legends import view_legend, view_scale
-from turtlelog.draw.rerun.views import (
+from turtlelog.draw.rerun.content import (
+    Content,
+    view_curves,
     view_document,
     view_events,
     view_goal,
@@ -22,6 +20,8 @@ from turtlelog.draw.rerun.views import (
     view_speed,
     view_worst,
 )
+from turtlelog.draw.rerun.explanation_pictures import view_explained
+from turtlelog.draw.rerun.legends import view_legend, view_scale
 
 Corners = Mapping[str, rrb.Corner2D]
 
@@ -40,18 +40,10 @@ def _list_column(column: Column) -> tuple[tuple[str, ...], ...]:
 _COLUMNS: Final = (_list_column("turning"), _list_column("moving"))
 
 _EXPLAINED: Final = (
+    ((entities.GAP_MM, entities.GAP_M), (entities.HEADING_ERROR, entities.HEADING)),
     (
-        (entities.GAP_MM, entities.GAP_M),
-        tuple(map(entities.name_plot, ("heading_error", "heading"))),
-    ),
-    (
-        tuple(
-            map(
-                entities.name_plot,
-                ("cross_track", "distance", "along_track_error", "along_track", "x"),
-            )
-        ),
-        tuple(map(entities.name_plot, ("speed", "turn_rate"))),
+        ("cross_track", "distance", "along_track_error", entities.ALONG_TRACK, entities.POSITION),
+        (entities.SPEED, entities.TURN_RATE),
     ),
 )
 
@@ -166,8 +158,10 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run with ghosts: the planes, the attribution, and a few plots."""
     left = _list_planes_of(content)
-    tabs = [view_waterfall(content.steps_title or "")]
-    tabs += [] if content.luck_title is None else [view_picture(content.luck_title, entities.LUCK)]
+    tabs = [view_explained(content.steps_title or "", entities.STEPS)]
+    tabs += (
+        [] if content.luck_title is None else [view_explained(content.luck_title, entities.LUCK)]
+    )
     tabs += map(view_document, content.documents)
     right: list[rrb.View | rrb.Container] = [
         rrb.Tabs(*tabs, *([view_events(content)] if content.has_events else []), active_tab=0)
@@ -314,14 +308,8 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
     ranges = [content.ranges[plot] for plot in plots if plot in content.ranges]
     axis = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
     corner = content.corners.get(plots[0], "RightTop")
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=[path for plot in plots for path in content.list_curves(plot)],
-        name=group.label,
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=None if axis is None else rrb.ScalarAxis(range=axis),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D[corner]),
-    )
+    contents = [path for plot in plots for path in content.list_curves(plot)]
+    return view_curves(group.label, contents, axis, rrb.PlotLegend(rrb.Corner2D[corner]))
 
 
 def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:

@@ -2,22 +2,23 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.characteristics import SIGNS
-from turtlelog.charts.curves import Level
+from turtlelog.charts.curves import Level, Values
 from turtlelog.charts.many_runs import GainScale
 from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.marks import Mark, name_marks
 from turtlelog.draw.rerun.plots import LevelLines, Series
+from turtlelog.draw.rerun.world import draw_points, write_words
 
 _SCALE_WIDTH: Final = 12.0
 """Width of the colour bar of many runs, in multiples of its height."""
@@ -55,42 +56,23 @@ def view_legend(names: Sequence[str]) -> rrb.View:
     """Return a view with the names of many runs, each in the colour of its run."""
     shown = [names[number] for number in choose_names(len(names))]
     last_row = float(arrange_names(shown)[-1, 1])
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[join_path(entities.LEGEND)],
-        name="Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs",
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(0.0, _LEGEND_WIDTH), y_range=(-0.5, last_row + 1.0)
-        ),
-    )
+    title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
+    ranges = (0.0, _LEGEND_WIDTH), (-0.5, last_row + 1.0)
+    return view_picture(title, [join_path(entities.LEGEND)], *ranges)
 
 
 def view_scale(title: str) -> rrb.View:
     """Return a view of the colour bar of many runs."""
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[f"{join_path(entities.LEGEND)}/**"],
-        name=title,
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(-0.3, _SCALE_WIDTH + 0.3), y_range=(-0.5, _SCALE_DEPTH)
-        ),
-    )
+    contents = [f"{join_path(entities.LEGEND)}/**"]
+    return view_picture(title, contents, (-0.3, _SCALE_WIDTH + 0.3), (-0.5, _SCALE_DEPTH))
 
 
 def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
     """Draw the names of runs in their colours."""
     chosen = choose_names(len(names))
-    shown = [names[number] for number in chosen]
-    points = rr.Points2D(
-        arrange_names(shown),
-        radii=rr.Radius.ui_points(_LEGEND_RADIUS),
-        colors=[colors[number] for number in chosen],
-        labels=shown,
-        show_labels=True,
-    )
-    stream.log(join_path(entities.LEGEND), points, static=True)
+    shown, hues = [names[number] for number in chosen], [colors[number] for number in chosen]
+    looks: dict[str, Any] = {"labels": shown, "show_labels": True}
+    draw_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
 
 
 def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Color]) -> None:
@@ -108,14 +90,9 @@ def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Co
     )
     stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
     ticks = scale.list_ticks(_SCALE_LABELS)
-    labels = rr.Points2D(
-        [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[colors[round(place)] for place, _ in ticks],
-        labels=[value for _, value in ticks],
-        show_labels=True,
-    )
-    stream.log(join_path(entities.LEGEND, "values"), labels, static=True)
+    places = [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks]
+    hues = [colors[round(place)] for place, _ in ticks]
+    write_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
 
 
 def title_scale(scale: GainScale) -> str:
@@ -138,7 +115,7 @@ def choose_names(count: int) -> tuple[int, ...]:
     return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
 
 
-def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
+def arrange_names(names: Sequence[str]) -> Values:
     """Return places in a grid, y downward, shape (n, 2). The longest name sets the column width."""
     longest = max(len(name) for name in names)
     columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))

@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette
-from turtlelog.charts.curves import Level
+from turtlelog.charts.curves import Level, Values
 from turtlelog.charts.palette import Color, choose_curve_color
 from turtlelog.charts.plotted_curves import (
     OWN,
@@ -27,7 +27,7 @@ from turtlelog.charts.plotted_curves import (
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.timelines import RunStream, Times, Values, build_index
+from turtlelog.draw.rerun.timelines import RunStream, Times, build_index
 from turtlelog.run import Run
 
 _REFERENCE_WIDTH: Final = 1.0
@@ -56,7 +56,9 @@ _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"
 _COMMANDED_WIDTH: Final = 3.0
 """Width of commands, so that commands are visible on the noise of measured rates [points]."""
 
-_MARKERS: Final[Mapping[CurveKind, Literal["circle", "cross"]]] = MappingProxyType(
+Marker = Literal["circle", "cross", "diamond", "up", "down"]
+
+_MARKERS: Final[Mapping[CurveKind, Marker]] = MappingProxyType(
     {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}
 )
 
@@ -83,12 +85,12 @@ class Series:
     labels: tuple[str, ...]
     colors: tuple[Color, ...] = (palette.MAIN,)
     time_ns: NDArray[np.int64]
-    values: NDArray[np.float64]
+    values: Values
     width: float = LINE_WIDTH
     holds: bool = False
     is_main: bool = True
     is_measured: bool = True
-    marker: Literal["circle", "cross"] | None = None
+    marker: Marker | None = None
 
     @property
     def plot(self) -> str:

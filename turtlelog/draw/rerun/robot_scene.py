@@ -1,22 +1,23 @@
 """Rerun recording of a robot's response to its commands, alone or next to a simulated robot."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.charts import palette
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import Color
 from turtlelog.charts.robot_curves import label_error
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
-from turtlelog.draw.rerun.content import find_emptiest_corner
+from turtlelog.draw.rerun.content import find_emptiest_corner, view_curves
 from turtlelog.draw.rerun.layout import link_views
 from turtlelog.draw.rerun.rrd_file import open_recording
+from turtlelog.draw.rerun.world import draw_points, draw_strips
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces, RobotModel, trace_axis
 from turtlelog.run import Run
@@ -61,23 +62,17 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
     """Return a view of the rates of an axis, and a view of the model's residuals."""
     title = TIME_PLOTS[found.axis].label
     rates = [f"/{found.axis}/{name}" for name, _, _ in _CURVES if name != _RESIDUAL]
-    link = rrb.TimeAxis(link="LinkToGlobal")
     low, high = np.nanmin(found.commanded), np.nanmax(found.commanded)
     corner = find_emptiest_corner(
         np.rint(found.time_s * 1e9).astype(np.int64),
         found.commanded,
         (float(low), float(high) if high > low else float(low) + 1.0),
     )
-    legend = rrb.PlotLegend(rrb.Corner2D[corner])
+    legend, hidden = rrb.PlotLegend(rrb.Corner2D[corner]), rrb.PlotLegend(visible=False)
+    residual = [f"/{found.axis}/{_RESIDUAL}"]
     return [
-        rrb.TimeSeriesView(origin="/", contents=rates, name=title, axis_x=link, plot_legend=legend),
-        rrb.TimeSeriesView(
-            origin="/",
-            contents=[f"/{found.axis}/{_RESIDUAL}"],
-            name=f"residual: {title}",
-            axis_x=link,
-            plot_legend=rrb.PlotLegend(visible=False),
-        ),
+        view_curves(title, rates, None, legend),
+        view_curves(f"residual: {title}", residual, None, hidden),
     ]
 
 
@@ -106,13 +101,12 @@ def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
     Raises:
         ShowError: If the file cannot be written.
     """
-    link = rrb.TimeAxis(link="LinkToGlobal")
     longest = [band for band in found.bands if band.horizon_s == found.bands[-1].horizon_s]
     errors = [
         rrb.TimeSeriesView(
             origin=_name_errors(band),
-            name=_title_errors(band),
-            axis_x=link,
+            name=f"{label_error(band.quantity)} after {band.horizon_s:g} s",
+            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         )
         for band in longest
     ]
@@ -138,10 +132,6 @@ def _name_errors(band: ErrorBand) -> str:
     return f"/errors/{band.quantity}"
 
 
-def _title_errors(band: ErrorBand) -> str:
-    return f"{label_error(band.quantity)} after {band.horizon_s:g} s"
-
-
 def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
     # A 2D view has y downward.
     pieces = [_flip(piece) for piece in found.predict_pieces()]
@@ -150,24 +140,14 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
         ("recorded", [_flip(found.recorded.xy_m)], palette.MEASURED, 2.0 * _PATH_PIXELS),
         ("simulated", pieces, palette.MODEL, _PATH_PIXELS),
     ):
-        strip = rr.LineStrips2D(
-            strips,
-            colors=palette.pack_colors([color]),
-            radii=rr.Radius.ui_points(pixels),
-            draw_order=-pixels,
-            labels=[name],
-            show_labels=False,
-        )
-        stream.log(f"{_PLANE}/{name}", strip, static=True)
-    starts = rr.Points2D(
-        [piece[0] for piece in pieces],
-        colors=palette.pack_colors([palette.MODEL]),
-        radii=rr.Radius.ui_points(4.0 * _PATH_PIXELS),
-    )
-    stream.log(f"{_PLANE}/begins", starts, static=True)
+        looks: dict[str, Any] = {"draw_order": -pixels, "labels": [name], "show_labels": False}
+        packed = palette.pack_colors([color])
+        draw_strips(stream, f"{_PLANE}/{name}", strips, packed, pixels, **looks)
+    starts, packed = [piece[0] for piece in pieces], palette.pack_colors([palette.MODEL])
+    draw_points(stream, f"{_PLANE}/begins", starts, packed, 4.0 * _PATH_PIXELS)
 
 
-def _flip(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _flip(xy_m: Values) -> Values:
     return np.asarray(xy_m * np.array([1.0, -1.0]))
 
 
@@ -175,7 +155,7 @@ def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) ->
     _, factor = SHOWN_UNITS[band.quantity]
     time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
     index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
-    curves: list[tuple[str, NDArray[np.float64] | None, Color]] = [
+    curves: list[tuple[str, Values | None, Color]] = [
         ("recorded", band.recorded, palette.MEASURED),
         ("least simulated", band.low, palette.REFERENCE),
         ("largest simulated", band.high, palette.REFERENCE),

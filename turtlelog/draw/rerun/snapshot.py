@@ -9,7 +9,7 @@ from typing import Final
 
 from rerun.experimental import ViewerClient
 
-from turtlelog.charts.time_axes import TIMELINE, WALL_TIMELINE
+from turtlelog.charts.plotted_curves import TIMELINE, WALL_TIMELINE
 from turtlelog.draw.output_files import replace_file
 from turtlelog.draw.rerun.entities import TICKS
 from turtlelog.draw.rerun.viewer import (
@@ -120,9 +120,7 @@ class Camera:
 def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
     """Start a headless viewer for any number of pictures, and end it after the block.
 
-    Args:
-        size: Width and height of the window [pixels].
-        zoom: Scale of letters and lines, in steps of 0.1; at least 1.
+    The arguments are as in `write_snapshot`.
 
     Raises:
         ShowError: If the viewer cannot start.

@@ -8,8 +8,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.charts.curves import choose_rows
-from turtlelog.charts.time_axes import TIMELINE, WALL_TIMELINE, find_phase_zeros
+from turtlelog.charts.curves import Values, choose_rows
+from turtlelog.charts.plotted_curves import TIMELINE, WALL_TIMELINE, find_phase_zeros
 from turtlelog.compare import name_runs
 from turtlelog.display import join_words, parse_utc
 from turtlelog.draw.rerun.entities import TICKS, join_path
@@ -18,7 +18,6 @@ from turtlelog.run import Run
 Times = NDArray[np.int64]
 
 _SHARE_BEYOND: Final = 16
-Values = NDArray[np.float64]
 
 CHUNK_ROWS: Final = 65_536
 """Number of rows sent at once. For larger chunks, Rerun takes more time per row."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
-from typing import Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.charts import palette
-from turtlelog.charts.curves import Curve
-from turtlelog.charts.time_axes import TIMELINE
+from turtlelog.charts.curves import Curve, select_curve_rows
+from turtlelog.charts.plotted_curves import TIMELINE
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun.content import view_curves
 from turtlelog.draw.rerun.entities import VIOLATION, join_path
 from turtlelog.draw.rerun.layout import LEGEND_TITLE, build_run_layout, build_violation_layout
+from turtlelog.draw.rerun.plots import Series, draw_series
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording
 from turtlelog.draw.rerun.run_scene import build_single, draw_single
 from turtlelog.draw.rerun.timelines import RunStream, Times, add_thinning, build_run_timelines
+from turtlelog.draw.rerun.world import draw_points, draw_strips
 from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.run import Event, Run
 
@@ -32,13 +35,7 @@ _OUTSIDE_WIDTH: Final = 4.0
 _LIMIT_WIDTH: Final = 1.5
 _POINT_SIZE: Final = 6.0
 
-Marker = Literal["circle", "diamond", "up", "down"]
-_MARKERS: Final[Mapping[str, Marker]] = {
-    "first": "circle",
-    "worst": "diamond",
-    "high": "up",
-    "low": "down",
-}
+_MARKERS: Final = {"first": "circle", "worst": "diamond", "high": "up", "low": "down"}
 _SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
 """Symbols of limits in the legend, because a plot has no text next to its lines."""
 
@@ -125,14 +122,9 @@ def _view_signal(violated: ViolatedSignal) -> rrb.View:
     shown = f"{shown}, {outside} outside" if outside else shown
     title = f"{violated.title}{', close up' if part.note else ''}: {shown}"
     title = f"{title}; violates {violated.expected or violated.check}"
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=[f"{join_path(entities.VIOLATED)}/**"],
-        name=shorten(title, _LONGEST_TITLE, placeholder="..."),
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=rrb.ScalarAxis(range=(part.low, part.high)),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+    title = shorten(title, _LONGEST_TITLE, placeholder="...")
+    contents = [f"{join_path(entities.VIOLATED)}/**"]
+    return view_curves(title, contents, (part.low, part.high), rrb.PlotLegend(visible=False))
 
 
 def _write_legend(violated: ViolatedSignal) -> str:
@@ -155,67 +147,42 @@ def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
     """Draw band, limits, curve, the part outside, and the moments, from bottom to top."""
     curve, limits = violated.curve, violated.describe_limits()
     _fill_band(run_stream, violated)
-    _draw_line(run_stream, curve, "curve", violated.name, (palette.MAIN, _CURVE_WIDTH))
+    _draw(run_stream, "curve", curve, violated.name, width=_CURVE_WIDTH)
     for side, label in limits.items():
         ends = violated.low if side == "low" else violated.high
         assert ends is not None
         limit = replace(curve, values=ends)
-        _draw_line(run_stream, limit, f"limit_{side}", label, (palette.ALLOWED, _LIMIT_WIDTH))
+        look: dict[str, Any] = {"colors": (palette.ALLOWED,), "width": _LIMIT_WIDTH}
+        _draw(run_stream, f"limit_{side}", limit, label, **look)
         known = np.flatnonzero(np.isfinite(ends))
         if len(known):
-            row = int(known[int(_MARK_AT * len(known))])
-            mark = (f"limit_{side}", label, palette.GOAL)
-            _draw_point(run_stream, mark, _MARKERS[side], int(curve.time_ns[row]), float(ends[row]))
+            row = known[int(_MARK_AT * len(known)) :][:1]
+            look = {"colors": (palette.GOAL,), "width": _POINT_SIZE, "marker": _MARKERS[side]}
+            _draw(run_stream, f"points/limit_{side}", select_curve_rows(limit, row), label, **look)
     beyond = replace(curve, values=np.where(violated.outside, curve.values, np.nan))
-    label = _NAMES_OUTSIDE[violated.worst_word]
-    _draw_line(run_stream, beyond, "outside", label, (palette.VIOLATION, _OUTSIDE_WIDTH))
-    moments = {"first": ("first violated", violated.first)}
-    moments["worst"] = (violated.worst_word, violated.worst)
-    for part, (word, moment) in moments.items():
-        mark = (part, violated.describe_moment(moment, word), palette.VIOLATION)
-        time_ns = curve.start_ns + round(moment.time_s * 1e9)
-        _draw_point(run_stream, mark, _MARKERS[part], time_ns, moment.value)
+    look = {"colors": (palette.VIOLATION,), "width": _OUTSIDE_WIDTH}
+    _draw(run_stream, "outside", beyond, _NAMES_OUTSIDE[violated.worst_word], **look)
+    for part, word, moment in (
+        ("first", "first violated", violated.first),
+        ("worst", violated.worst_word, violated.worst),
+    ):
+        time_ns = np.array([curve.start_ns + round(moment.time_s * 1e9)])
+        point = replace(curve, time_ns=time_ns, values=np.array([moment.value]))
+        look |= {"width": _POINT_SIZE, "marker": _MARKERS[part]}
+        _draw(run_stream, f"points/{part}", point, violated.describe_moment(moment, word), **look)
 
 
-def _draw_point(
-    run_stream: RunStream,
-    mark: tuple[str, str, palette.Color],
-    marker: Marker,
-    time_ns: int,
-    value: float,
-) -> None:
-    part, label, color = mark
-    style = rr.SeriesPoints(
-        names=[label],
-        colors=palette.pack_colors([color]),
-        markers=[marker],
-        marker_sizes=[_POINT_SIZE],
+def _draw(run_stream: RunStream, part: str, curve: Curve, label: str, **looks: Any) -> None:
+    """Draw a curve or a point of the violated signal."""
+    series = Series(
+        entity=f"{entities.VIOLATED}/{part}",
+        labels=(label,),
+        time_ns=curve.time_ns,
+        values=curve.values[:, np.newaxis],
+        holds=curve.holds,
+        **looks,
     )
-    entity = f"{entities.VIOLATED}/points/{part}"
-    run_stream.log(entity, style)
-    run_stream.send_few(entity, [time_ns], rr.Scalars.columns(scalars=[value]))
-
-
-def _draw_line(
-    run_stream: RunStream,
-    curve: Curve,
-    part: str,
-    label: str,
-    look: tuple[palette.Color, float],
-) -> None:
-    color, width = look
-    style = rr.SeriesLines(
-        names=[label],
-        colors=palette.pack_colors([color]),
-        widths=[width],
-        interpolation_mode="StepAfter" if curve.holds else "Linear",
-        aggregation_policy="MinMax",
-    )
-    entity = f"{entities.VIOLATED}/{part}"
-    run_stream.log(entity, style)
-    run_stream.send(
-        entity, curve.time_ns, curve.values, lambda rows: rr.Scalars.columns(scalars=rows)
-    )
+    draw_series(run_stream, series)
 
 
 def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
@@ -255,13 +222,8 @@ def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal
     ends = np.flatnonzero(np.diff(is_outside.astype(np.int8), append=0) == -1)
     strips = [run.poses.xy_m[a : b + 1] for a, b in zip(starts, ends, strict=True) if b > a]
     if strips:
-        lines = rr.LineStrips2D(
-            strips,
-            radii=rr.Radius.ui_points(_STRETCH_RADIUS),
-            colors=[palette.VIOLATION],
-            draw_order=_ABOVE_TRACES,
-        )
-        stream.log(join_path(entities.VIOLATED_STRETCH), lines, static=True)
+        entity, look = entities.VIOLATED_STRETCH, {"draw_order": _ABOVE_TRACES}
+        draw_strips(stream, entity, strips, [palette.VIOLATION], _STRETCH_RADIUS, **look)
 
 
 def _stop_at(at_ns: int) -> rrb.TimePanel:
@@ -287,10 +249,5 @@ def _name_place(title: str, violated: ViolatedSignal | None) -> str:
 
 def _mark_place(stream: rr.RecordingStream, run: Run, at_ns: int, title: str) -> None:
     row = max(int(run.poses.time_ns.searchsorted(at_ns, side="right")) - 1, 0)
-    mark = rr.Points2D(
-        run.poses.xy_m[row : row + 1],
-        radii=rr.Radius.ui_points(_RADIUS),
-        colors=[palette.VIOLATION],
-        labels=[title],
-    )
-    stream.log(join_path(VIOLATION), mark, static=True)
+    place_m = run.poses.xy_m[row : row + 1]
+    draw_points(stream, VIOLATION, place_m, [palette.VIOLATION], _RADIUS, labels=[title])

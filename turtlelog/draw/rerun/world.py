@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.charts import palette
+from turtlelog.charts import palette, plane_scene
 from turtlelog.charts.close_up import (
     CloseUp,
     Label,
@@ -18,20 +18,11 @@ from turtlelog.charts.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
+from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import Color
-from turtlelog.charts.plane_scene import (
-    MEDIAN_LABEL,
-    OUTLINE_LABEL,
-    find_gain_ends,
-    is_in_world,
-    list_goals,
-    list_places,
-    list_starts,
-)
-from turtlelog.charts.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.timelines import Timelines, Values, build_index
+from turtlelog.draw.rerun.timelines import Timelines, build_index
 from turtlelog.log.ros2.bag_surroundings import CELL_M, UNKNOWN, OccupancyMap, Surroundings
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
@@ -80,14 +71,14 @@ class Bounds:
 
 def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
     """Return the world's bounds, or the bounds of paths and goals that leave the world."""
-    if is_in_world(runs):
+    if plane_scene.is_in_world(runs):
         return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
     return find_way_bounds(runs)
 
 
 def find_way_bounds(runs: Sequence[Run]) -> Bounds:
     """Return the bounds of paths and goals."""
-    points = np.concatenate([*map(list_places, runs), list_goals(runs)])
+    points = np.concatenate([*map(plane_scene.list_places, runs), plane_scene.list_goals(runs)])
     return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
 
 
@@ -99,7 +90,7 @@ def draw_world(
     `half_size_m` is half the size of the plane, if it differs from the world's.
     """
     stream.log(join_path(entities.PLANE), UPWARD, static=True)
-    if is_in_world(runs):
+    if plane_scene.is_in_world(runs):
         half = WORLD_SIZE_M / 2.0
         border = rr.Boxes2D(
             centers=[(half, half)],
@@ -109,10 +100,10 @@ def draw_world(
         )
         stream.log(join_path(entities.BORDER), border, static=True)
     _draw_tracked_paths(stream, runs)
-    starts, goals = list_starts(runs), list_goals(runs)
-    _draw_marks(stream, entities.START, starts, palette.START)
+    starts, goals = plane_scene.list_starts(runs), plane_scene.list_goals(runs)
+    draw_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
     if len(goals):
-        _draw_marks(stream, entities.GOAL, goals, palette.GOAL)
+        draw_points(stream, entities.GOAL, goals, [palette.GOAL], _MARKER_RADIUS)
         _draw_tolerances(stream, runs)
     if len(starts) == 1 and len(goals) == 1:
         half_m = half_size_m or find_plane_bounds(runs).half_size_m
@@ -130,124 +121,81 @@ def draw_close_up(
 ) -> None:
     """Draw the end of each run in its colour, with its distance from the goal.
 
-    Args:
-        stream: The recording.
-        close_up: Close-up with its ends and their names.
-        run: One of the runs, whose start gives the direction of arrival.
-        prefixes: Entity prefix of each run.
-        colors: Colour of each run.
-        lettering: Size of text in the view.
+    The start of `run`, one of the runs, gives the direction of arrival.
     """
     for end in close_up.ends:
-        dot = rr.Points2D(
-            [end.xy_m],
-            radii=rr.Radius.ui_points(_END_RADIUS),
-            colors=[colors[end.run]],
-            labels=[f"ends {format_length(end.miss_m)} from the goal"],
-            show_labels=False,
+        told = f"ends {format_length(end.miss_m)} from the goal"
+        entity, color = f"{prefixes[end.run]}/{entities.END}", colors[end.run]
+        draw_points(
+            stream, entity, [end.xy_m], [color], _END_RADIUS, labels=[told], show_labels=False
         )
-        stream.log(join_path(prefixes[end.run], entities.END), dot, static=True)
     misses = list_miss_labels(close_up, lettering)
     rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
     up_m = _ABOVE * LETTERING.line * close_up.half_m
     lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
     hues = [_choose_color(line, colors) for line in lines]
-    _write_words(stream, entities.MISSES, up_m, lines, hues)
-    _write_words(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
-    strips = rr.LineStrips2D(
-        close_up.list_rings(),
-        radii=rr.Radius.ui_points(_RING_RADIUS),
-        colors=[_RING],
-    )
-    stream.log(join_path(entities.RINGS), strips, static=True)
+    _write_labels(stream, entities.MISSES, up_m, lines, hues)
+    _write_labels(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
+    draw_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
 
 
 def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[Color]) -> None:
     """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
-    dots = rr.Points2D(
-        [run.poses.xy_m[-1] for run in runs], radii=rr.Radius.ui_points(_ENDS_RADIUS), colors=colors
-    )
-    stream.log(join_path(entities.ENDS), dots, static=True)
-    groups = find_gain_ends(runs)
+    ends_m = [run.poses.xy_m[-1] for run in runs]
+    draw_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
+    groups = plane_scene.find_gain_ends(runs)
     if not groups:
         return
     hues = [colors[group.middle_run] for group in groups]
     names = [f"Kp {group.gain:.3g}: " for group in groups]
-    outlines = rr.LineStrips2D(
-        [group.around_xy_m for group in groups],
-        radii=rr.Radius.ui_points(_OUTLINE_RADIUS),
-        colors=hues,
-        labels=[f"{name}{OUTLINE_LABEL}" for name in names],
-        show_labels=False,
-        draw_order=_ABOVE_ENDS,
-    )
-    stream.log(join_path(entities.OUTLINES), outlines, static=True)
-    medians = rr.Points2D(
-        [group.median_xy_m for group in groups],
-        radii=rr.Radius.ui_points(_MEDIAN_RADIUS),
-        colors=hues,
-        labels=[f"{name}{MEDIAN_LABEL}" for name in names],
-        show_labels=False,
-        draw_order=_ABOVE_ENDS,
-    )
-    stream.log(join_path(entities.MEDIANS), medians, static=True)
+    looks: dict[str, Any] = {"show_labels": False, "draw_order": _ABOVE_ENDS}
+    looks["labels"] = [f"{name}{plane_scene.OUTLINE_LABEL}" for name in names]
+    outlines = [group.around_xy_m for group in groups]
+    draw_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
+    looks["labels"] = [f"{name}{plane_scene.MEDIAN_LABEL}" for name in names]
+    medians = [group.median_xy_m for group in groups]
+    draw_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
 
 
-def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
+def draw_worst_place(
+    stream: rr.RecordingStream, worst: plane_scene.WorstPlace, color: Color
+) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
-    way = rr.LineStrips2D(
-        [[worst.path_xy_m, worst.xy_m]], radii=rr.Radius.ui_points(_WORST_RADIUS), colors=[color]
-    )
-    stream.log(join_path(entities.WORST), way, static=True)
+    way = [worst.path_xy_m, worst.xy_m]
+    draw_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
     up_m = _ABOVE * LETTERING.line * worst.half_m
-    label = label_worst_place(worst, LETTERING)
-    _write_words(stream, entities.WORST_NAME, up_m, [label], [color])
+    label = plane_scene.label_worst_place(worst, LETTERING)
+    _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
 
 
 def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
     """Draw the paths that laws track as broad lines below the driven paths."""
-    paths = list_paths(runs)
+    paths = plane_scene.list_paths(runs)
     if paths:
-        strips = rr.LineStrips2D(
-            [outline_path(path) for path in paths],
-            radii=rr.Radius.ui_points(_TRACKED_RADIUS),
-            colors=[palette.TRACKED] * len(paths),
-            draw_order=_BELOW_TRACES,
+        strips, colors = (
+            [plane_scene.outline_path(path) for path in paths],
+            [palette.TRACKED] * len(paths),
         )
-        stream.log(join_path(entities.TRACKED_PATH), strips, static=True)
-
-
-def _draw_marks(
-    stream: rr.RecordingStream,
-    entity: str,
-    points: NDArray[np.float64],
-    color: Color,
-) -> None:
-    radius = rr.Radius.ui_points(_MARKER_RADIUS)
-    stream.log(join_path(entity), rr.Points2D(points, radii=radius, colors=[color]), static=True)
+        look = {"draw_order": _BELOW_TRACES}
+        draw_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
 
 
 def _draw_names(
     stream: rr.RecordingStream,
-    start: NDArray[np.float64],
-    goal: NDArray[np.float64],
+    start: Values,
+    goal: Values,
     half_size_m: float,
 ) -> None:
     """Name start and goal, each on the side away from the path."""
     (start_x_m, start_y_m), (goal_x_m, goal_y_m) = start, goal
     aside_m = half_size_m if goal_x_m <= start_x_m else -half_size_m
     up_m = _NAME_UP * half_size_m
-    names = rr.Points2D(
-        [
-            (start_x_m + _START_ASIDE * aside_m, start_y_m + up_m),
-            (goal_x_m - _GOAL_ASIDE * aside_m, goal_y_m + up_m),
-        ],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[palette.START, palette.GOAL],
-        labels=["start", "goal"],
-        show_labels=True,
-    )
-    stream.log(join_path(entities.NAMES), names, static=True)
+    places = [
+        (start_x_m + _START_ASIDE * aside_m, start_y_m + up_m),
+        (goal_x_m - _GOAL_ASIDE * aside_m, goal_y_m + up_m),
+    ]
+    colors = [palette.START, palette.GOAL]
+    write_words(stream, entities.NAMES, places, ["start", "goal"], colors)
 
 
 def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
@@ -269,7 +217,7 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
         stream.log(join_path(entities.TOLERANCE), boxes, static=True)
 
 
-def _square(low: NDArray[np.float64], high: NDArray[np.float64], margin: float) -> Bounds:
+def _square(low: Values, high: Values, margin: float) -> Bounds:
     x_m, y_m = (low + high) / 2.0
     size_m = max(float((high - low).max()), 0.1)
     return Bounds(center_xy_m=(float(x_m), float(y_m)), half_size_m=size_m * (0.5 + margin))
@@ -293,21 +241,52 @@ def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
     return colors[label.runs[0]] if len(label.runs) == 1 else palette.START
 
 
-def _write_words(
+def _write_labels(
     stream: rr.RecordingStream,
     entity: str,
     up_m: float,
     labels: Sequence[Label],
     colors: Sequence[Color],
 ) -> None:
-    words = rr.Points2D(
-        [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels],
-        radii=rr.Radius.ui_points(0.0),
-        colors=colors,
-        labels=[label.text for label in labels],
-        show_labels=True,
-    )
-    stream.log(join_path(entity), words, static=True)
+    places = [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels]
+    write_words(stream, entity, places, [label.text for label in labels], colors)
+
+
+def write_words(
+    stream: rr.RecordingStream,
+    entity: str,
+    places: ArrayLike,
+    texts: Sequence[str],
+    colors: Sequence[Color],
+) -> None:
+    """Write each text at its place, as the label of a point without a radius."""
+    draw_points(stream, entity, places, colors, 0.0, labels=texts, show_labels=True)
+
+
+def draw_points(
+    stream: rr.RecordingStream,
+    entity: str,
+    places: ArrayLike,
+    colors: Sequence[Color] | NDArray[np.uint32],
+    radius: float,
+    **more: Any,
+) -> None:
+    """Draw static points with a radius [points]."""
+    points = rr.Points2D(places, radii=rr.Radius.ui_points(radius), colors=colors, **more)
+    stream.log(join_path(entity), points, static=True)
+
+
+def draw_strips(
+    stream: rr.RecordingStream,
+    entity: str,
+    strips: Sequence[ArrayLike],
+    colors: Sequence[Color] | NDArray[np.uint32],
+    radius: float,
+    **more: Any,
+) -> None:
+    """Draw static lines with a radius [points]."""
+    lines = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(radius), colors=colors, **more)
+    stream.log(join_path(entity), lines, static=True)
 
 
 _MAP_ORDER: Final = 5.0  # tracked paths have 15, traces 20

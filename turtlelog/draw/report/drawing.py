@@ -1,28 +1,119 @@
-"""The plane of a report, and the close-up of the goal, with turtles moved by the slider."""
+"""The figures of a report with their descriptions in words, its plane and close-up of the goal."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from turtlelog.charts.captions import describe_plane
+from turtlelog.charts import plane_scene
 from turtlelog.charts.close_up import CloseUp, format_length
-from turtlelog.charts.palette import choose_turtle_size, to_hex
-from turtlelog.charts.plane_scene import (
-    MEDIAN_LABEL,
-    OUTLINE_LABEL,
-    find_gain_ends,
-    has_grey_paths,
-    is_in_world,
-    list_goals,
-)
+from turtlelog.charts.curves import Values, choose_rows
+from turtlelog.charts.palette import Color, choose_turtle_size, to_hex
+from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.charts.robot_curves import find_break_rows, part_path
-from turtlelog.charts.tracked_path import list_paths, outline_path
-from turtlelog.draw.report.drawn import RING, Drawn, Plots, make_figure, store, thin
+from turtlelog.display import describe_count
 from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
+from turtlelog.run import Run
 
-_MOST_NAMED: Final = 4
+MOST_POINTS: Final = 2000
+"""Largest number of points of a curve: more than a screen has columns, so that omitted points are
+invisible before a zoom."""
+
+
+_FAR: Final = 1e3
+"""Magnitude from which 32-bit numbers lose a tenth of a millimetre or millisecond, so that 64 bits
+are used."""
+
+RING: Final = "#8a8a8a"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drawn:
+    """A run or ghost with its drawing style.
+
+    Attributes:
+        run: Data of the run.
+        name: Name in the legend.
+        color: Colour in every plot.
+        is_ghost: Whether it is a what-if.
+        is_plotted: Whether the plots over time also show this run.
+    """
+
+    run: Run
+    name: str
+    color: Color
+    is_ghost: bool = False
+    is_plotted: bool = True
+
+
+def _make_crosshair() -> Any:
+    models = load_library("bokeh.models")
+    return models.Span(dimension="height", line_color=RING, line_alpha=0.5)
+
+
+@dataclass(slots=True, kw_only=True)
+class Plots:
+    """The plots of a page.
+
+    Attributes:
+        roots: Figures by the id of their place.
+        config: Ids of models for the script, by their role.
+        thinned: Number of curves drawn with fewer points than were recorded.
+        points: Largest number of points of a curve.
+        kinds: Kinds of curves in the page.
+        crosshair: Line at the time under the mouse, in all plots over time.
+        alternatives: Description of each figure in words, by its place.
+    """
+
+    roots: dict[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    thinned: int = 0
+    points: int = MOST_POINTS
+    kinds: set[CurveKind] = field(default_factory=set)
+    crosshair: Any = field(default_factory=_make_crosshair)
+    alternatives: dict[str, str] = field(default_factory=dict)
+
+
+def thin(plots: Plots, columns: Sequence[NDArray[Any]], kept: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return columns with the rows that give the same drawing, in the smallest suitable type."""
+    rows = choose_rows(kept, plots.points)
+    plots.thinned += rows is not None
+    found = [np.asarray(column if rows is None else column[rows]) for column in columns]
+    return [store(column) for column in found]
+
+
+def store(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values in the smallest suitable type."""
+    largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    return np.asarray(values, dtype=np.float32 if largest < _FAR else np.float64)
+
+
+def make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
+    """Return a new figure at a place of the page."""
+    plotting = load_library("bokeh.plotting")
+    figure = plotting.figure(
+        title=title,
+        tools="pan,box_zoom,wheel_zoom,reset,save",
+        active_drag="box_zoom" if "x_range" in options else "pan",
+        sizing_mode="stretch_width",
+        styles={"background-color": "var(--ground)"},
+        **options,
+    )
+    figure.toolbar.logo = None
+    figure.toolbar.autohide = True
+    # A tenth of a millimetre is written in full, not as a power of ten.
+    figure.yaxis.formatter.power_limit_low = -4
+    figure.title.text_font_size = "14px"
+    plots.roots[place] = figure
+    plots.alternatives[place] = title
+    plots.config["figures"].append(figure.id)
+    return figure
+
+
+_MOST_TOLD: Final = 4
 """Largest number of ends with distances; with more ends, distances would hide each other."""
 
 
@@ -44,7 +135,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             poses_of[key].append(values)
     poses_of["color"] = [to_hex(one.color) for one in drawn]
     poses_of["dash"] = ["dashed" if one.is_ghost else "solid" for one in drawn]
-    is_grey = has_grey_paths([one.run for one in drawn])
+    is_grey = plane_scene.has_grey_paths([one.run for one in drawn])
     poses_of["way"] = [RING] * len(drawn) if is_grey else poses_of["color"]
     ways = models.ColumnDataSource(data=poses_of)
     plots.config["ways"] = ways.id
@@ -85,7 +176,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
 
 
 def _measure_size(drawn: Sequence[Drawn]) -> float:
-    if is_in_world([one.run for one in drawn]):
+    if plane_scene.is_in_world([one.run for one in drawn]):
         return WORLD_SIZE_M
     places = np.concatenate([one.run.poses.xy_m for one in drawn])
     return max(float(np.ptp(places, axis=0).max()), 0.1)
@@ -94,17 +185,17 @@ def _measure_size(drawn: Sequence[Drawn]) -> float:
 def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> list[Any]:
     """Draw the static parts; return the artists that the view must contain."""
     still = []
-    if shown is None and is_in_world([one.run for one in drawn]):
+    if shown is None and plane_scene.is_in_world([one.run for one in drawn]):
         still.append(
             figure.quad(
                 left=[0.0], right=[WORLD_SIZE_M], bottom=[0.0], top=[WORLD_SIZE_M],
                 fill_alpha=0.0, line_color=RING,
             )
         )  # fmt: skip
-    for path in list_paths([one.run for one in drawn]):
-        x_m, y_m = outline_path(path).T
+    for path in plane_scene.list_paths([one.run for one in drawn]):
+        x_m, y_m = plane_scene.outline_path(path).T
         figure.line(store(x_m), store(y_m), color=RING, alpha=0.5, line_width=5)
-    goals = list_goals([one.run for one in drawn])
+    goals = plane_scene.list_goals([one.run for one in drawn])
     if len(goals):
         cross = figure.scatter(*goals.T, marker="cross", size=16, color=RING, line_width=2.5)
         still += [] if shown else [cross]
@@ -135,12 +226,17 @@ def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
     colors = [to_hex(one.color) for one in drawn]
     x_m, y_m = np.array([one.run.poses.xy_m[-1] for one in drawn]).T
     figure.scatter(x_m, y_m, size=5, color=colors)
-    for group in find_gain_ends([one.run for one in drawn]):
+    for group in plane_scene.find_gain_ends([one.run for one in drawn]):
         color = colors[group.middle_run]
-        figure.line(*group.around_xy_m.T, color=color, line_width=1.5, legend_label=OUTLINE_LABEL)
+        figure.line(
+            *group.around_xy_m.T,
+            color=color,
+            line_width=1.5,
+            legend_label=plane_scene.OUTLINE_LABEL,
+        )
         figure.scatter(
             *group.median_xy_m.reshape(2, 1), marker="diamond", size=13, line_color="white",
-            fill_color=color, legend_label=MEDIAN_LABEL,
+            fill_color=color, legend_label=plane_scene.MEDIAN_LABEL,
         )  # fmt: skip
 
 
@@ -150,7 +246,7 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
     colors = [to_hex(drawn[end.run].color) for end in ends]
     x_m, y_m = zip(*(end.xy_m for end in ends), strict=True)
     figure.scatter(x_m, y_m, size=9, color=colors)
-    some = ends if len(ends) <= _MOST_NAMED else (ends[0], ends[-1])
+    some = ends if len(ends) <= _MOST_TOLD else (ends[0], ends[-1])
     told = [one for n, one in enumerate(some) if not _is_near(one, some[:n], shown)]
     for number, end in enumerate(told):
         # The nearest is labelled on the left, all others on the right: turtles come from one side.
@@ -166,3 +262,52 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
 def _is_near(end: Any, others: Sequence[Any], shown: CloseUp) -> bool:
     """Return whether the text of an end would overlap another: within 8 % of the view's height."""
     return any(abs(end.xy_m[1] - other.xy_m[1]) < 0.16 * shown.half_m for other in others)
+
+
+_MOST_NAMED: Final = 6
+"""Largest number of runs that are described one by one; with more, a listener forgets the first."""
+
+
+def describe_plot(title: str, curves: Sequence[tuple[str, Values]]) -> str:
+    """Return a description of a plot over time: start, end and range of each run's curve.
+
+    The title contains the unit of the values; values that are not finite are gaps.
+    """
+    finite = [(name, values[np.isfinite(values)]) for name, values in curves]
+    known = [(name, values) for name, values in finite if len(values)]
+    if not known:
+        return f"{title}: no values."
+    if len(known) <= _MOST_NAMED:
+        said = [f"{name}: {_describe_values(values)}" for name, values in known]
+        return f"{title} over time. {'; '.join(said)}."
+    values = np.concatenate([values for _, values in known])
+    return (
+        f"{title} over time of {describe_count(len(known), 'run')},"
+        f" between {_write(values.min())} and {_write(values.max())}."
+    )
+
+
+def _describe_values(values: Values) -> str:
+    return (
+        f"from {_write(values[0])} to {_write(values[-1])},"
+        f" between {_write(values.min())} and {_write(values.max())}"
+    )
+
+
+def _write(value: float) -> str:
+    return f"{value + 0.0:.4g}"  # + 0.0: no negative zero
+
+
+def describe_plane(title: str, ends: Sequence[tuple[str, Values]]) -> str:
+    """Return a description of a plane: start and end of each run with its poses [m]."""
+    if len(ends) > _MOST_NAMED:
+        return f"{title}: the paths of {describe_count(len(ends), 'run')} in the plane."
+    said = [
+        f"{name} drives from {_write_place(xy_m[0])} to {_write_place(xy_m[-1])} m"
+        for name, xy_m in ends
+    ]
+    return f"{title}. {'; '.join(said)}."
+
+
+def _write_place(xy_m: Values) -> str:
+    return f"({xy_m[0]:.4g}, {xy_m[1]:.4g})"

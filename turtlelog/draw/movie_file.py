@@ -12,14 +12,17 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.libraries import load_library
+
+load_library("matplotlib")
+
 from turtlelog.charts.curves import Values
-from turtlelog.charts.time_axes import TIMELINE, find_phase_zeros
+from turtlelog.charts.plotted_curves import TIMELINE, find_phase_zeros
 from turtlelog.compare import order_by_gain
-from turtlelog.draw.movie.picture import Picture, draw_pictures
+from turtlelog.draw.movie_picture import Picture, draw_pictures
 from turtlelog.draw.output_files import replace_file
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
-from turtlelog.libraries import load_library
 from turtlelog.run import Run
 
 _SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}
@@ -185,12 +188,7 @@ def plan_film(
 ) -> Film:
     """Return the times of a movie's pictures, from the first pose of any run to the last pose.
 
-    Args:
-        runs: Runs, at least one.
-        timeline: `sim_time`, from each run's first sample; or the timeline of a later phase, such
-            as `translate_time`, from the start of this phase.
-        length_s: Length of the movie [s]. Default: real time, up to 10 s.
-        pictures_per_s: Picture rate [1/s].
+    The arguments are as in `write_movie`.
 
     Raises:
         ShowError: If a run has no such timeline.

@@ -3,9 +3,8 @@
 Static content is drawn once; for each picture, moving content is drawn over a copy of it.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,6 +16,7 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
+from turtlelog.charts import plane_scene, plotted_curves
 from turtlelog.charts.close_up import (
     CloseUp,
     Lettering,
@@ -25,31 +25,14 @@ from turtlelog.charts.close_up import (
 )
 from turtlelog.charts.curves import Curve, Values, choose_rows
 from turtlelog.charts.many_runs import shorten_run_names
-from turtlelog.charts.plane_scene import (
-    find_origin,
-    label_coordinate,
-    list_goals,
-    list_starts,
-    move_near,
-)
-from turtlelog.charts.plotted_curves import (
-    COMPARED,
-    choose_kinds,
-    has_own,
-    list_own,
-    list_plot_levels,
-    list_plotted,
-)
 from turtlelog.charts.robot_curves import part_path
-from turtlelog.charts.time_axes import TIMELINE, find_range, locate_run
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
-from turtlelog.charts.tracked_path import list_paths, outline_path
-from turtlelog.draw.figures.page import LOOKS, choose_run_lines, label_runs, use_looks
+from turtlelog.draw.figures.page import LOOKS, choose_run_lines, fix_style, label_runs, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
 from turtlelog.run import Run
 
 if TYPE_CHECKING:
-    from turtlelog.draw.movie.movie_file import Film
+    from turtlelog.draw.movie_file import Film
 
 Picture = NDArray[np.uint8]
 """Pixels of a picture, shape (height, width, 3): red, green and blue."""
@@ -77,9 +60,7 @@ _TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
 _FAINT: Final = 0.22
 """Opacity of the path that is not driven yet."""
 
-_BESIDE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.5", "linewidth": 1.2, "linestyle": ":", "zorder": 1.5}
-)
+_BESIDE: Final = fix_style(color="0.5", linewidth=1.2, linestyle=":", zorder=1.5)
 """Style of ideal responses and references."""
 
 _TURTLE: Final = np.array([(1.0, 0.0), (-0.7, 0.62), (-0.35, 0.0), (-0.7, -0.62)])
@@ -160,13 +141,13 @@ def draw_pictures(
     on_picture: Callable[[int, int], None] | None = None,
 ) -> Iterator[Picture]:
     """Yield the pictures of a film, each of a given width and height [pixels]."""
-    origin_m = find_origin(runs)
-    runs, _ = move_near(runs)
+    origin_m = plane_scene.find_origin(runs)
+    runs, _ = plane_scene.move_near(runs)
     with use_looks(_LOOKS):
         figure = Figure(figsize=_INCH, dpi=size[0] / _INCH[0])
         canvas = FigureCanvasAgg(figure)
         stage = _set_stage(figure, runs, film)
-        x_label, y_label = map(label_coordinate, "xy", origin_m)
+        x_label, y_label = map(plane_scene.label_coordinate, "xy", origin_m)
         figure.axes[0].set(xlabel=x_label, ylabel=y_label)
         canvas.draw()
         still = canvas.copy_from_bbox(figure.bbox)
@@ -191,7 +172,7 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: "Film") -> _Stage:
     stage = _Stage(
         figure=figure,
         film=film,
-        places=[locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
+        places=[plotted_curves.locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
     )
     close_up = find_named_close_up(runs)
     _set_plane(stage, runs, looks)
@@ -208,14 +189,14 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: "Film") -> _Stage:
 
 def _set_plane(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look]) -> None:
     axes = stage.figure.add_axes(_PLANE)
-    goals = list_goals(runs)
-    outlines = [outline_path(path) for path in list_paths(runs)]
+    goals = plane_scene.list_goals(runs)
+    outlines = [plane_scene.outline_path(path) for path in plane_scene.list_paths(runs)]
     for outline in outlines:
         axes.plot(*outline.T, color="0.85", linewidth=5.0, zorder=1)
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
         axes.plot(*part_path(run).T, **look, alpha=_FAINT)
         stage.trails.append(_start_trail(axes, run, zero_ns, look))
-    axes.plot(*list_starts(runs).T, "s", ms=8.0, color="0.3", zorder=3)
+    axes.plot(*plane_scene.list_starts(runs).T, "s", ms=8.0, color="0.3", zorder=3)
     if len(goals):
         axes.plot(*goals.T, "x", ms=13.0, mew=2.5, color="black", zorder=3)
     points = np.concatenate([*(run.poses.xy_m for run in runs), *outlines, goals])
@@ -246,7 +227,9 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
     """Return the names of two plots: signals of the loops, in declared order."""
     controlled = [plot for run in runs for plot in list_controlled(run)]
     found = dict.fromkeys([*controlled, *_USUAL])
-    return [name for name in found if any(has_own(run, TIME_PLOTS[name]) for run in runs)][:2]
+    return [
+        name for name in found if any(plotted_curves.has_own(run, TIME_PLOTS[name]) for run in runs)
+    ][:2]
 
 
 def _set_curve(
@@ -256,7 +239,9 @@ def _set_curve(
     plot = TIME_PLOTS[name]
     for number, (run, zero_ns) in enumerate(zip(runs, stage.film.zeros_ns, strict=True)):
         look = looks[number]
-        for found in list_plotted(run, plot, choose_kinds(number, len(runs)) or COMPARED):
+        for found in plotted_curves.list_plotted(
+            run, plot, plotted_curves.choose_kinds(number, len(runs)) or plotted_curves.COMPARED
+        ):
             time_s, values = _thin(found.curve, zero_ns)
             step: Look = {"drawstyle": "steps-post"} if found.curve.holds else {}
             if found.kind not in ("run", "measured"):
@@ -267,11 +252,11 @@ def _set_curve(
             stage.curves.append(
                 _Growing(line=line, time_s=time_s, points=np.column_stack([time_s, values]))
             )
-    levels = dict.fromkeys(level.value for level in list_plot_levels(runs, plot))
+    levels = dict.fromkeys(level.value for level in plotted_curves.list_plot_levels(runs, plot))
     for level in levels if len(levels) == 1 else ():
         axes.axhline(level, color="0.45", linewidth=1.0, zorder=1)
-    own = [curve.values for run in runs for curve in list_own(run, plot)]
-    limits = find_range(own, list_plot_levels(runs, plot))
+    own = [curve.values for run in runs for curve in plotted_curves.list_own(run, plot)]
+    limits = plotted_curves.find_range(own, plotted_curves.list_plot_levels(runs, plot))
     if limits is not None:
         axes.set_ylim(limits)
     axes.set_title(plot.label, loc="left", pad=4.0)
@@ -356,7 +341,7 @@ def _show_goal(stage: _Stage, goal: _Goal, number: int) -> None:
 def _tell_film(film: "Film") -> str:
     """Return the zero of the time, if it is not the first sample, and the speed of the movie."""
     phase = film.timeline.removesuffix("_time").removeprefix("phase.")
-    zero = "" if film.timeline == TIMELINE else f" from the start of {phase}"
+    zero = "" if film.timeline == plotted_curves.TIMELINE else f" from the start of {phase}"
     pace = f"{film.pace:.0f}" if film.pace >= 10.0 else f"{film.pace:.2g}"
     return zero + ("" if abs(film.pace - 1.0) < 0.005 else f", {pace} times real time")
 
