@@ -265,6 +265,21 @@ def test_structures_that_the_log_does_not_tell_apart_are_both_covered() -> None:
     assert "before the time constant" in found.doubts[0]
 
 
+@pytest.mark.parametrize("acceleration", [2.0, 3.0])
+@pytest.mark.parametrize("seed", [2, 7])
+def test_a_time_constant_that_only_rounds_ramps_leaves_the_total_delay_known(
+    seed: int, acceleration: float
+) -> None:
+    """The slope of such a time constant shows no error where the best one is 0."""
+    truth = Limited(acceleration=acceleration, lag_s=1e-3)
+    found = tl.identify_robot(turn_on_the_spot(truth, LOG, seed)).turn_rate
+    total, lag = known(found.total_delay_s), known(found.lag_s)
+    assert total.low <= truth.dead_time_s + truth.lag_s <= total.high
+    assert total.low > 0.067
+    assert total.high < 0.09
+    assert lag.low <= truth.lag_s <= lag.high
+
+
 def test_a_robot_that_one_lag_explains_has_neither_limits_nor_doubts() -> None:
     found = tl.identify_robot(turn_on_the_spot(Limited(), LOG, 2)).turn_rate
     limits = found.rate_limit, found.bound, found.deadband, found.friction, found.reverse_gain

@@ -17,7 +17,7 @@ from tests.identify.plant_robots import (
 )
 from tests.known import known
 from turtlelog.identify import AxisModel, build_robot_scenario
-from turtlelog.identify.axis_values import NORMAL_95
+from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.run import Run
 
 SEED = 5

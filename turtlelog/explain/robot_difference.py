@@ -32,8 +32,8 @@ from turtlelog.explain.robot_parts import (
     read_robot_log,
     share_unseen_bounds,
 )
+from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, NAMES, Axis
-from turtlelog.identify.axis_values import NORMAL_95
 from turtlelog.identify.motion_prediction import predict_response
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.measure import measure_run

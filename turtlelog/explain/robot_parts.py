@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, Axis, measure_axis_steps, read_axis_motion
-from turtlelog.identify.axis_values import NORMAL_95
 from turtlelog.identify.held_response import HeldInput
 from turtlelog.identify.robot_identification import identify_robot
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel

@@ -1,7 +1,7 @@
 """Gain, dead time and time constant of one axis, by least squares on the steps between poses."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -44,10 +44,25 @@ _LONGEST_JUMP: Final = 5
 _LAG_STEP_S: Final = 1e-4
 """Difference for derivatives with respect to the time constant [s]."""
 
+_LAG_RESOLUTION: Final = 0.05
+"""Share of the longest possible time constant to which it is searched, and of a step between poses
+where the search begins: a twentieth of an interval changes no advice."""
+
+NORMAL_95: Final = 1.96
+"""Standard deviations on either side that contain 95 % of normal noise."""
+
 _MOST_ROUNDS: Final = 40
 
 _ROUND_ENDS: Final = 1e-9
 """Share of the cost that another round must save to continue."""
+
+_SAME: Final = 1e-6
+"""Share of the cost by which two searches that end in the same minimum may differ: a thousand times
+what ends a search."""
+
+_TIED: Final = 10.0
+"""Difference of the cost, in the noise of another structure, up to which the own noise may change
+the order of two minima: odds of 150 to 1."""
 
 _MOST_LESSONS: Final = 6
 """Largest number of times that the noise is learnt from the residual of the fit with the noise
@@ -155,6 +170,11 @@ class AxisFit:
     is_outlier: NDArray[np.bool_]
     whitening: Whitening
 
+    @property
+    def badness(self) -> float:
+        """Misfit to the own steps: twice the negative log-likelihood."""
+        return self.cost + self.whitening.log_size
+
 
 def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
     """Return the best first-order fit.
@@ -185,7 +205,17 @@ def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[flo
     """
     model = StepModel(fit.model.motions, structure)
     tried = [_descend(model, _fit_gain(fit, model, start), fit.whitening.apply) for start in starts]
-    return finish_fit(model, min(tried, key=lambda found: found[1])[0])
+    ends = [finish_fit(model, one) for one in list_ends(tried)]
+    return _measure_lag(min(ends, key=lambda end: end.badness))
+
+
+def list_ends(tried: Sequence[tuple[Values, float]]) -> Iterator[Values]:
+    """Yield the parameters with the smallest cost, and those that their own noise may prefer."""
+    least = before = min(cost for _, cost in tried)
+    for row, (parameters, cost) in enumerate(sorted(tried, key=lambda found: found[1])):
+        if row == 0 or (cost - before > _SAME * cost and cost - least <= _TIED):
+            yield parameters
+        before = cost
 
 
 def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values:
@@ -205,7 +235,50 @@ def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values
 def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
     """Return the best fit of the same structure from other start parameters, with its own noise."""
     near = np.append(start[: LAG + 1], fit.parameters[EXTRA:])
-    return finish_fit(fit.model, _descend(fit.model, near, fit.whitening.apply)[0])
+    return _measure_lag(finish_fit(fit.model, _descend(fit.model, near, fit.whitening.apply)[0]))
+
+
+def _measure_lag(fit: AxisFit) -> AxisFit:
+    """Return a fit with the error of a time constant that may be 0, where its slope shows none.
+
+    Behind a limited acceleration, a time constant rounds the ends of ramps: its effect grows with
+    its square. Therefore the cost of longer time constants gives the error, and what these do to
+    the other parameters.
+    """
+    lag_s, variance = float(fit.parameters[LAG]), float(fit.covariance[LAG, LAG])
+    if not fit.model.structure.rounds_by_lag or lag_s**2 > NORMAL_95**2 * variance:
+        return fit
+    longest = _find_longest_lag(fit)
+    if longest is None:
+        return fit
+    moved = longest - fit.parameters
+    moved[TOTAL] += moved[LAG]
+    # The interval is symmetrical, and contains 0.
+    moved *= max(lag_s / float(moved[LAG]), 1.0) / NORMAL_95
+    others = np.delete(np.arange(len(moved)), LAG)
+    slopes = fit.whitening.apply(fit.model.linearise(fit.parameters)[1][:, others])
+    covariance = np.outer(moved, moved)
+    covariance[np.ix_(others, others)] += _estimate_covariance(fit.white, slopes)[0]
+    return replace(fit, covariance=covariance)
+
+
+def _find_longest_lag(fit: AxisFit) -> Values | None:
+    """Return the parameters with the longest time constant that the motion allows; None if any."""
+    most = fit.cost + NORMAL_95**2 * fit.dispersion
+    inside, outside = fit.parameters, None
+    step_s = _LAG_RESOLUTION * float(np.median(fit.model.duration_s))
+    while outside is None or step_s > _LAG_RESOLUTION * float(inside[LAG]):
+        start = inside.copy()
+        start[LAG] += step_s
+        if start[LAG] > LARGEST_DEAD_TIME_S:
+            return None
+        tried, cost = _descend(fit.model, start, fit.whitening.apply, fixed=(LAG,))
+        if cost <= most:
+            inside = tried
+        else:
+            outside = tried
+        step_s *= 2.0 if outside is None else 0.5
+    return inside
 
 
 def finish_fit(model: StepModel, parameters: Values) -> AxisFit:

@@ -1,19 +1,26 @@
 """The values of an axis with their intervals, from a fit."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
 
-from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, TOTAL, AxisFit, fit_without_lag
+from turtlelog.identify.axis_fit import (
+    DEAD_TIME,
+    EXTRA,
+    GAIN,
+    LAG,
+    NORMAL_95,
+    TOTAL,
+    AxisFit,
+    fit_without_lag,
+)
 from turtlelog.identify.axis_motion import UNITS, Axis
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.identify.robot_structure import FIRST_ORDER
-
-NORMAL_95: Final = 1.96
-"""Standard deviations on either side that contain 95 % of normal noise."""
 
 _SHORT_LAG: Final = 2.0
 """Time constant in steps between poses up to which it may be 0."""
@@ -45,11 +52,11 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
     spread = spread if spread > _ROUNDING * float(np.sum(moved**2)) else 0.0
     structure = fit.model.structure
     names = {name: place for place, name in enumerate(structure.names, EXTRA)}
-    total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), float(errors[TOTAL]))
+    total = _estimate_delay(fit, float(parameters[DEAD_TIME] + parameters[LAG]), (1.0, 0.0))
     dead_time, lag = _allow_no_lag(
         fit,
-        _estimate(float(parameters[DEAD_TIME]), _measure_dead_time_error(fit)),
-        _estimate(float(parameters[LAG]), float(errors[LAG])),
+        _estimate_delay(fit, float(parameters[DEAD_TIME]), (1.0, -1.0)),
+        _estimate_delay(fit, float(parameters[LAG]), (0.0, 1.0)),
     )
     # Dead time and time constant are not negative, so neither exceeds their sum.
     return AxisModel(
@@ -89,11 +96,28 @@ _ROUNDING: Final = 1e-18
 """Share of the squares of the steps below which differences are rounding alone [1]."""
 
 
-def _measure_dead_time_error(fit: AxisFit) -> float:
-    """Return the standard error of the dead time: total delay minus time constant [s]."""
-    of_delays = fit.covariance[np.ix_([TOTAL, LAG], [TOTAL, LAG])]
-    signs = np.array([1.0, -1.0])
-    return float(np.sqrt(max(signs @ of_delays @ signs, 0.0)))
+def _estimate_delay(fit: AxisFit, value: float, weights: Sequence[float]) -> Estimate:
+    """Return a delay with its interval.
+
+    A time constant that only rounds the ends of ramps may be 0, but not less. So what depends on it
+    has an interval with two unequal sides.
+
+    Args:
+        fit: Fit of the axis.
+        value: Value of the delay [s].
+        weights: Shares of total delay and time constant in it.
+    """
+    of_delays, shares = fit.covariance[np.ix_([TOTAL, LAG], [TOTAL, LAG])], np.array(weights)
+    variance, error = float(shares @ of_delays @ shares), float(np.sqrt(max(of_delays[1, 1], 0.0)))
+    if not fit.model.structure.rounds_by_lag or error <= 0.0:
+        return _estimate(value, float(np.sqrt(max(variance, 0.0))))
+    by_lag = float(shares @ of_delays[1]) / error
+    rest = NORMAL_95**2 * max(variance - by_lag**2, 0.0)
+    shorter = min(float(fit.parameters[LAG]) / error, NORMAL_95)
+    moves = (NORMAL_95 * by_lag, -shorter * by_lag)
+    low = value - float(np.sqrt(rest + min(*moves, 0.0) ** 2))
+    high = value + float(np.sqrt(rest + max(*moves, 0.0) ** 2))
+    return Estimate(value=value, low=max(low, 0.0), high=high, unit="s")
 
 
 def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Estimate, Estimate]:

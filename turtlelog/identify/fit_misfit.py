@@ -22,11 +22,6 @@ from turtlelog.identify.robot_noise import LEAST_STEP, Whitening, fit_noise
 from turtlelog.identify.robot_structure import Structure
 
 
-def measure_badness(fit: AxisFit) -> float:
-    """Return the misfit of a fit to its own steps: twice the negative log-likelihood."""
-    return fit.cost + fit.whitening.log_size
-
-
 def measure_reductions(
     fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
 ) -> list[tuple[float, float]]:

@@ -23,7 +23,6 @@ from turtlelog.identify.axis_motion import (
     get_commands,
 )
 from turtlelog.identify.axis_values import describe_fit
-from turtlelog.identify.fit_misfit import measure_badness
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.run import Run
@@ -141,7 +140,7 @@ def find_opposite(
     explains = found.explained is not None and found.explained >= _OPPOSITE_EXPLAINS
     if not explains or _find_doubt(found, other):
         return None
-    if fit is not None and measure_badness(fit) - measure_badness(other) < _OPPOSITE_CLEARLY:
+    if fit is not None and fit.badness - other.badness < _OPPOSITE_CLEARLY:
         return None
     gain = found.gain
     told = "" if gain is None else f"{-gain.value:.3f} ({-gain.high:.3f} to {-gain.low:.3f})"

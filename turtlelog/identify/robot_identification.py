@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import IdentifyError, ReplayError
-from turtlelog.identify.axis_fit import AxisFit, NoGainError, fit_axis
+from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, fit_axis
 from turtlelog.identify.axis_motion import (
     AXES,
     NAMES,
@@ -19,7 +19,7 @@ from turtlelog.identify.axis_motion import (
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.axis_values import NORMAL_95, describe_fit
+from turtlelog.identify.axis_values import describe_fit
 from turtlelog.identify.doubts import cover_parts, cover_rivals, find_correlation_delay
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.refused_axes import (

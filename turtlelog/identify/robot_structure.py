@@ -96,6 +96,11 @@ class Structure:
         return self.order.startswith("limited") or self.bound == "rate"
 
     @property
+    def rounds_by_lag(self) -> bool:
+        """Whether the time constant only rounds the ends of ramps, which it otherwise delays."""
+        return self.order in {"limited_within", "limited_wheels"}
+
+    @property
     def is_possible(self) -> bool:
         """Whether its parts are compatible: a rate limit needs a first-order lag without ramps.
 
