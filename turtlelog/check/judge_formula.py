@@ -141,7 +141,8 @@ class _Judge:
             # informative.
             value_s, failed_s = None, None if found.holds else self._find_moment(found.limit)
         told = self._describe(found)
-        if begun_s > 0.0 and not told.reason and not check.phase and _names_others(names):
+        has_others = any(name in SIGNALS and name not in COMMANDED for name in names)
+        if begun_s > 0.0 and not told.reason and not check.phase and has_others:
             told = replace(told, reason=f"judged from the first command on, at {begun_s:.3f} s")
         return replace(told, value_s=value_s, first_violation_s=failed_s)
 
@@ -207,11 +208,6 @@ class _Judge:
                 operator = root.operators[0]
                 return find_metric_violation(self._run, metric, operator, limit, grown=self._grown)
         return metric.at_s
-
-
-def _names_others(names: Sequence[str]) -> bool:
-    """Return whether some names are signals other than those of commands."""
-    return any(name in SIGNALS and name not in COMMANDED for name in names)
 
 
 def _has_several(formula: Expression) -> bool:

@@ -155,7 +155,11 @@ def _require_known(tables: dict[str, Any], *, source: str) -> dict[str, Any]:
 
 def parse_tolerances(tables: Mapping[str, Any], *, source: str = "tolerances") -> Tolerances:
     """Return the tolerances in the tables `signals` and `metrics`; either may be missing."""
-    own = {kind: _parse_kind(kind, tables.get(kind, {}), source) for kind in _KINDS}
+    own = {}
+    for kind in _KINDS:
+        table = tables.get(kind, {})
+        _require_table(table, f"{source}: {kind}", error=CompareError)
+        own[kind] = {name: _parse_tolerance(kind, name, one, source) for name, one in table.items()}
     try:
         return Tolerances(**own)
     except CompareError as err:
@@ -358,11 +362,6 @@ def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:
         colon = "." if re.search(r": (?:checks\.|read)", place) else ": "
         raise CheckError(f"{place}{colon}{key}: expected text, found {describe_value(text)}")
     return text
-
-
-def _parse_kind(kind: str, table: Any, source: str) -> dict[str, Tolerance]:
-    _require_table(table, f"{source}: {kind}", error=CompareError)
-    return {name: _parse_tolerance(kind, name, entry, source) for name, entry in table.items()}
 
 
 def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance:

@@ -304,16 +304,13 @@ class FileRows:
         self._enter(chunk, self._kept.add(chunk))
 
     def _enter(self, chunk: ReadFiles, place: int) -> None:
-        row = self._stored.add(chunk.count, partial(self._load, place))
+        row = self._stored.add(chunk.count, lambda: self._kept.read(place).pack())
         for label, state in chunk.files.items():
             rows = row + state.first, state.count
             if not state.count:
                 known = self._files[label]
                 rows = known.first, known.count
             self._files[label] = FileState(state.size, state.mtime_ns, state.sha256, *rows)
-
-    def _load(self, place: int) -> Columns:
-        return self._kept.read(place).pack()
 
     def assemble(
         self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order

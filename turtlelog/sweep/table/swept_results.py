@@ -213,7 +213,10 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     count = stored.row_count
     if not count:
         raise LogError(f"{path}: the table has no rows")
-    has_failed = _find_failed(columns.get("failed"), count)
+    has_failed = np.zeros(count, dtype=bool)
+    if "failed" in columns:
+        failures: Any = columns["failed"].cells
+        has_failed = np.asarray(failures.is_valid().to_numpy(), dtype=bool)
     with name_file(path, expected="a table of a sweep"):
         metrics = [_build_metric(columns, name, has_failed) for name in asked]
     if patterns is None:
@@ -318,14 +321,6 @@ def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
         return is_constant, _FIRST.index(last) if last in _FIRST else len(_FIRST)
 
     return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
-
-
-def _find_failed(column: ResultColumn | None, count: int) -> NDArray[np.bool_]:
-    """Return which rows failed and have no run."""
-    if column is None:
-        return np.zeros(count, dtype=bool)
-    cells: Any = column.cells
-    return np.asarray(cells.is_valid().to_numpy(), dtype=bool)
 
 
 def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
