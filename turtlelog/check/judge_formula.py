@@ -246,12 +246,7 @@ def find_metric_violation(
 
 
 def _find_growth(
-    run: Run,
-    name: str,
-    operator: str,
-    limit: float,
-    settings: MeasureSettings | None,
-    grown: Grown,
+    run: Run, name: str, operator: str, limit: float, settings: MeasureSettings | None, grown: Grown
 ) -> float:
     first = int(np.searchsorted(run.poses.time_ns, run.start_ns, side="left"))
     last = len(run.poses) - 1

@@ -35,10 +35,7 @@ from turtlelog.scenario.dotted_keys import describe_value, name_key
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "trajectory", "read")
-_KEYS: Final = {
-    "signals": ("abs", "rel", "time_s", "reason"),
-    "metrics": ("abs", "rel", "reason"),
-}
+_KEYS: Final = {"signals": ("abs", "rel", "time_s", "reason"), "metrics": ("abs", "rel", "reason")}
 
 MOST_PARTS: Final = 20_000
 """Largest number of names, numbers and operators in all formulas. `always(speed < 1)` has 4 and
@@ -400,11 +397,7 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
 
 
 def _require_table(
-    table: Any,
-    place: str,
-    known: Sequence[str] = (),
-    *,
-    error: type[TurtlelogError] = CheckError,
+    table: Any, place: str, known: Sequence[str] = (), *, error: type[TurtlelogError] = CheckError
 ) -> None:
     """Raise an error for a value that is no table, or for a key that is not known."""
     if not isinstance(table, Mapping):

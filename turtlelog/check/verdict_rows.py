@@ -55,11 +55,7 @@ def plan_verdict_table(
     The judge of files must be picklable. `is_partial`: whether an incomplete recording may pass.
     """
     held = hashlib.sha256(describe_values(spec).encode()).hexdigest()
-    facts = {
-        "specification": held,
-        "reading": describe_values(choice),
-        "partial": str(is_partial),
-    }
+    facts = {"specification": held, "reading": describe_values(choice), "partial": str(is_partial)}
     if spec.reference is not None:
         facts["reference"] = hash_recording(spec.reference)
     return RecordingTable(

@@ -233,10 +233,7 @@ def describe_no_metric(pattern: str, known: Iterable[str]) -> str:
 
 
 def measure_run(
-    run: Run,
-    settings: MeasureSettings | None = None,
-    *,
-    only: Collection[str] | None = None,
+    run: Run, settings: MeasureSettings | None = None, *, only: Collection[str] | None = None
 ) -> Metrics:
     """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
 

@@ -158,10 +158,7 @@ def _require_empty(folder: Path) -> None:
 
 
 def _simulate(
-    sweep: "Sweep",
-    rows: "SweptRows",
-    jobs: "int | Executor | None",
-    watch: "_Telling",
+    sweep: "Sweep", rows: "SweptRows", jobs: "int | Executor | None", watch: "_Telling"
 ) -> None:
     """Simulate the remaining rows; the first two run alone to measure the time per row."""
     watch(rows.count)

@@ -74,9 +74,7 @@ def get_heading_error(course: RunContext) -> float:
 
 
 @course_metric(
-    "final.heading_error",
-    "deg",
-    "Magnitude of the reference heading minus the heading at the end.",
+    "final.heading_error", "deg", "Magnitude of the reference heading minus the heading at the end."
 )
 def measure_heading_error(course: RunContext) -> Outcome:
     """Return the magnitude of the heading error."""

@@ -177,12 +177,7 @@ class SweptResults:
         ]
         keys, values = [key for key, _ in changes], [value for _, value in changes]
         return build_row_scenario(
-            self.base,
-            keys,
-            values,
-            self.row_numbers[row],
-            source=f"{self.path}",
-            trust_law=False,
+            self.base, keys, values, self.row_numbers[row], source=f"{self.path}", trust_law=False
         )
 
     def tell_row(self, row: int) -> str:
