@@ -25,7 +25,6 @@ from turtlelog.sweep.table.result_table import (
     ResultColumn,
     StoredTable,
     list_row_numbers,
-    list_values,
     open_result_table,
 )
 
@@ -325,7 +324,7 @@ def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
     is_whole = column.type == "whole" and not cells.null_count
     if is_whole and np.array_equal(cells.to_numpy(), np.arange(count)):
         return range(count)
-    return list_row_numbers(list_values(column), count)
+    return list_row_numbers(list_cells(column.cells), count)
 
 
 def _build_metric(
