@@ -200,12 +200,15 @@ class BandReader:
         """Return the band of the deciding comparison, with its other end, if any."""
         links = [*_split(self._leaf.node)]
         decisive = next(link for link in links if format_expression(link) == decided_by)
-        measured = self._choose_measured(decisive)
-        bare = _read_magnitude(measured) or measured
+        # The side that changes with time; the first side if both change.
+        left, right = decisive.operands
+        measured = left if names_signals(left, self._signals) else right
+        is_magnitude, bare = False, measured
+        if isinstance(measured, Call) and measured.function == "abs":
+            is_magnitude, bare = True, measured.arguments[0]
         shown = self._evaluate(bare)
         if shown is None:
             return None
-        is_magnitude = bare is not measured
         ends = self._find_ends(links, measured, is_magnitude=is_magnitude)
         if ends is None:
             return None
@@ -260,11 +263,6 @@ class BandReader:
             name in self._signals or not isinstance(self._values[name], tuple) for name in names
         )
 
-    def _choose_measured(self, link: Comparison) -> Node:
-        """Return the side that changes with time; the first side if both change."""
-        left, right = link.operands
-        return left if names_signals(left, self._signals) else right
-
     def _read_link(self, link: Comparison, measured: Node) -> tuple[str, Values | None]:
         operator: str = link.operators[0]
         if link.operands[0] != measured:
@@ -299,11 +297,6 @@ class BandReader:
         known = list_signals(self._run.declaration)
         names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
         return any(known[name].resampling == "hold" for name in names if name in known)
-
-
-def _read_magnitude(node: Node) -> Node | None:
-    """Return the argument of `abs`; None for anything else."""
-    return node.arguments[0] if isinstance(node, Call) and node.function == "abs" else None
 
 
 def _is_constant(node: Node) -> bool:

@@ -171,12 +171,7 @@ def _is_same(found: Metric, expected: Metric) -> bool:
     return abs(found.value - expected.value) <= max(least, part * abs(expected.value))
 
 
-def _describe_apart(
-    run: Run,
-    again: Run,
-    reference: MetricsFile,
-    found: Metric,
-) -> tuple[str, ...]:
+def _describe_apart(run: Run, again: Run, reference: MetricsFile, found: Metric) -> tuple[str, ...]:
     """Return that the present software does not reproduce a file's values, with the differences."""
     name, file, expected = found.id, Path(reference.file).name, reference.metrics[found.id]
     values = [one.status.value if one.value is None else one.value for one in (expected, found)]

@@ -15,12 +15,7 @@ from turtlelog.check.formula_trace import (
     find_span,
     read_signals,
 )
-from turtlelog.check.robustness import (
-    CriticalPart,
-    find_violation,
-    read_margin,
-    walk_formula,
-)
+from turtlelog.check.robustness import CriticalPart, find_violation, read_margin, walk_formula
 from turtlelog.check.vocabulary import (
     ROBOT_VALUES,
     TRAJECTORY_VALUES,

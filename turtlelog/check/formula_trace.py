@@ -294,7 +294,8 @@ def align_steps(functions: list[Steps]) -> tuple[Times, list[Values]]:
     merged = np.concatenate(times)
     merged.sort(kind="stable")  # merges sorted runs
     union = merged[np.append(merged[1:] != merged[:-1], True)]
-    return union, [_spread(function, union) for function in functions]
+    pieces = [function.time_ns.searchsorted(union, side="right") - 1 for function in functions]
+    return union, [one.values[piece] for one, piece in zip(functions, pieces, strict=True)]
 
 
 def combine_steps(combine: Callable[[Values, Values], Values], functions: list[Steps]) -> Steps:
@@ -322,7 +323,8 @@ def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
     span_ns = int(function.time_ns[-1] - function.time_ns[0])
     first_ns = min(first_ns, span_ns)  # beyond it only the last value follows
     if last_ns is None or last_ns >= span_ns:
-        return _shift(_accumulate_maximum(function), first_ns)
+        coming = np.maximum.accumulate(function.values[::-1])[::-1]
+        return _shift(Steps(time_ns=function.time_ns, values=coming), first_ns)
     if first_ns == last_ns:
         return _shift(function, first_ns)
     return _slide_window(function, first_ns, last_ns)
@@ -345,11 +347,6 @@ def compute_until(
     return combine_steps(np.minimum, [slide_maximum(right, first_ns, last_ns), unbounded])
 
 
-def _spread(function: Steps, time_ns: Times) -> Values:
-    pieces = np.searchsorted(function.time_ns, time_ns, side="right") - 1
-    return function.values[pieces]
-
-
 def _drop_repeats(function: Steps) -> Steps:
     """Leave out steps that change nothing, if there are many."""
     changes = function.values[1:] != function.values[:-1]
@@ -357,11 +354,6 @@ def _drop_repeats(function: Steps) -> Steps:
         return function
     kept = np.concatenate(([True], changes))
     return Steps(time_ns=function.time_ns[kept], values=function.values[kept])
-
-
-def _accumulate_maximum(function: Steps) -> Steps:
-    values = np.maximum.accumulate(function.values[::-1])[::-1]
-    return Steps(time_ns=function.time_ns, values=values)
 
 
 def _shift(function: Steps, earlier_ns: int) -> Steps:

@@ -141,7 +141,8 @@ class _Judge:
             # informative.
             value_s, failed_s = None, None if found.holds else self._find_moment(found.limit)
         told = self._describe(found)
-        if begun_s > 0.0 and not told.reason and not check.phase and _names_others(names):
+        has_others = any(name in SIGNALS and name not in COMMANDED for name in names)
+        if begun_s > 0.0 and not told.reason and not check.phase and has_others:
             told = replace(told, reason=f"judged from the first command on, at {begun_s:.3f} s")
         return replace(told, value_s=value_s, first_violation_s=failed_s)
 
@@ -209,11 +210,6 @@ class _Judge:
         return metric.at_s
 
 
-def _names_others(names: Sequence[str]) -> bool:
-    """Return whether some names are signals other than those of commands."""
-    return any(name in SIGNALS and name not in COMMANDED for name in names)
-
-
 def _has_several(formula: Expression) -> bool:
     """Return whether a formula contains more than one comparison."""
     links = [node.operators for node in iterate_nodes(formula.root) if isinstance(node, Comparison)]
@@ -250,12 +246,7 @@ def find_metric_violation(
 
 
 def _find_growth(
-    run: Run,
-    name: str,
-    operator: str,
-    limit: float,
-    settings: MeasureSettings | None,
-    grown: Grown,
+    run: Run, name: str, operator: str, limit: float, settings: MeasureSettings | None, grown: Grown
 ) -> float:
     first = int(np.searchsorted(run.poses.time_ns, run.start_ns, side="left"))
     last = len(run.poses) - 1

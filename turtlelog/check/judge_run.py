@@ -70,12 +70,7 @@ def check_runs(
     for file, run in runs:
         count += 1
         yield from judge_run(
-            spec,
-            reference,
-            run,
-            file=file,
-            allow_partial=allow_partial,
-            trajectories=trajectories,
+            spec, reference, run, file=file, allow_partial=allow_partial, trajectories=trajectories
         )
     if not count:
         raise CheckError(f"{spec.source}: no recording to check")
@@ -421,10 +416,7 @@ def _judge_length(run: Run, reference: Run, window_s: float, file: str) -> Check
 
 
 def _match_metrics(
-    run: Run,
-    reference: Mapping[str, Metric],
-    tolerance: Tolerance | Tolerances | None,
-    file: str,
+    run: Run, reference: Mapping[str, Metric], tolerance: Tolerance | Tolerances | None, file: str
 ) -> list[CheckResult]:
     if isinstance(tolerance, Tolerances):
         if tolerance.signals:

@@ -35,10 +35,7 @@ from turtlelog.scenario.dotted_keys import describe_value, name_key
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "trajectory", "read")
-_KEYS: Final = {
-    "signals": ("abs", "rel", "time_s", "reason"),
-    "metrics": ("abs", "rel", "reason"),
-}
+_KEYS: Final = {"signals": ("abs", "rel", "time_s", "reason"), "metrics": ("abs", "rel", "reason")}
 
 MOST_PARTS: Final = 20_000
 """Largest number of names, numbers and operators in all formulas. `always(speed < 1)` has 4 and
@@ -155,7 +152,11 @@ def _require_known(tables: dict[str, Any], *, source: str) -> dict[str, Any]:
 
 def parse_tolerances(tables: Mapping[str, Any], *, source: str = "tolerances") -> Tolerances:
     """Return the tolerances in the tables `signals` and `metrics`; either may be missing."""
-    own = {kind: _parse_kind(kind, tables.get(kind, {}), source) for kind in _KINDS}
+    own = {}
+    for kind in _KINDS:
+        table = tables.get(kind, {})
+        _require_table(table, f"{source}: {kind}", error=CompareError)
+        own[kind] = {name: _parse_tolerance(kind, name, one, source) for name, one in table.items()}
     try:
         return Tolerances(**own)
     except CompareError as err:
@@ -360,11 +361,6 @@ def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:
     return text
 
 
-def _parse_kind(kind: str, table: Any, source: str) -> dict[str, Tolerance]:
-    _require_table(table, f"{source}: {kind}", error=CompareError)
-    return {name: _parse_tolerance(kind, name, entry, source) for name, entry in table.items()}
-
-
 def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance:
     if not is_known(kind, name):
         raise CompareError(f"{source}: {kind}.{name_key(name)}: {_suggest(kind, name, entry)}")
@@ -401,11 +397,7 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
 
 
 def _require_table(
-    table: Any,
-    place: str,
-    known: Sequence[str] = (),
-    *,
-    error: type[TurtlelogError] = CheckError,
+    table: Any, place: str, known: Sequence[str] = (), *, error: type[TurtlelogError] = CheckError
 ) -> None:
     """Raise an error for a value that is no table, or for a key that is not known."""
     if not isinstance(table, Mapping):

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from sys import intern
 from typing import Any, Final
@@ -11,8 +11,9 @@ from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Spec
 from turtlelog.errors import CheckError, LibraryError
 from turtlelog.log import ReadChoice
+from turtlelog.log.parquet_file import list_cells
 from turtlelog.sweep import RecordingTable, describe_values, hash_recording
-from turtlelog.sweep.table.result_table import list_values, open_result_table
+from turtlelog.sweep.table.result_table import open_result_table
 from turtlelog.sweep.table.stored_rows import ERROR, FILE, Cell, Key, Row
 
 _KEYS: Final = (
@@ -55,11 +56,7 @@ def plan_verdict_table(
     The judge of files must be picklable. `is_partial`: whether an incomplete recording may pass.
     """
     held = hashlib.sha256(describe_values(spec).encode()).hexdigest()
-    facts = {
-        "specification": held,
-        "reading": describe_values(choice),
-        "partial": str(is_partial),
-    }
+    facts = {"specification": held, "reading": describe_values(choice), "partial": str(is_partial)}
     if spec.reference is not None:
         facts["reference"] = hash_recording(spec.reference)
     return RecordingTable(
@@ -91,8 +88,7 @@ def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]
         columns = table.read(names, group)
         for first in range(0, count, _ROWS_AT_ONCE):
             part = {
-                one.name: list_values(replace(one, cells=one.cells[first : first + _ROWS_AT_ONCE]))
-                for one in columns
+                one.name: list_cells(one.cells[first : first + _ROWS_AT_ONCE]) for one in columns
             }
             rows: Iterator[Any] = zip(*(part[name] for name in names), strict=True)
             found = (dict(zip(names, row, strict=True)) for row in rows)

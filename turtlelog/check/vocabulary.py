@@ -176,10 +176,7 @@ def describe_nearest(text: str, known: Sequence[str]) -> str:
 
 _MOST_SIGNALS: Final = 4
 
-_OF_SIGNAL: Final = {
-    "heading": ("heading_error",),
-    "along_track": ("along_track", "cross_track"),
-}
+_OF_SIGNAL: Final = {"heading": ("heading_error",), "along_track": ("along_track", "cross_track")}
 _OF_END: Final = ("distance", "heading_error")
 _OF_RUN: Final = ("distance", "speed", "turn_rate")
 _OF_NAME: Final = {

@@ -116,7 +116,10 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     if _has_courses(run):  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = _find_changing_rows(poses)
-    poses = poses if len(rows) == len(poses) else _take_poses(poses, rows)
+    if len(rows) < len(poses):
+        is_kept = np.zeros(len(poses), dtype=np.bool_)
+        is_kept[rows] = True
+        poses = take_rows(poses, is_kept)
     if len(poses) < 3:
         return ()
     steps = measure_steps(poses)
@@ -170,12 +173,6 @@ def _face_before(
     return ahead_m * cos - aside_m * sin, ahead_m * sin + aside_m * cos, turned_rad
 
 
-def _take_poses(poses: PoseColumns, rows: NDArray[np.int64]) -> PoseColumns:
-    is_kept = np.zeros(len(poses), dtype=np.bool_)
-    is_kept[rows] = True
-    return take_rows(poses, is_kept)
-
-
 def describe_breaks(run: Run) -> dict[str, str]:
     """Return a sentence on `jumps` and one on `gaps`, for each that is not empty."""
     found = {}
@@ -184,16 +181,13 @@ def describe_breaks(run: Run) -> dict[str, str]:
     if gaps := find_gaps(run):
         longest = max(gaps, key=lambda gap: gap.end_ns - gap.start_ns)
         which = "" if len(gaps) == 1 else "the longest "
+        length_s = (longest.end_ns - longest.start_ns) / 1e9
         found["gaps"] = (
-            f"{describe_count(len(gaps), 'gap')}, {which}{_format_s(longest)} without a pose from"
+            f"{describe_count(len(gaps), 'gap')}, {which}{length_s:.2f} s without a pose from"
             f" {(longest.start_ns - run.start_ns) / 1e9:.1f} s; usual are"
             f" {longest.usual_ns / 1e6:.0f} ms"
         )
     return found
-
-
-def _format_s(gap: PoseGap) -> str:
-    return f"{(gap.end_ns - gap.start_ns) / 1e9:.2f} s"
 
 
 def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool) -> str:

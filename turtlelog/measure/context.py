@@ -75,9 +75,12 @@ class MeasureSettings:
     goal_tolerance_m: float | None = None
 
     def __post_init__(self) -> None:
-        _require_fraction(self.band)
-        if self.goal_tolerance_m is not None:
-            _require_positive("goal_tolerance_m", "metres", self.goal_tolerance_m)
+        if not (_is_number(self.band) and 0.0 < self.band < 1.0):
+            raise MeasureError(
+                "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not"
+                f" {self.band!r}"
+            )
+        _require_length(self.goal_tolerance_m)
         for value in _list_values(self.initial):
             if value is not None and not _is_number(value):
                 raise MeasureError(f"initial: expected a number, found {value!r}")
@@ -119,16 +122,9 @@ class MeasureSettings:
                     raise MeasureError(f"{name}: expected a loop {listed}, found {loop!r}")
 
 
-def _require_fraction(band: object) -> None:
-    if not (_is_number(band) and 0.0 < cast("float", band) < 1.0):
-        raise MeasureError(
-            f"band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not {band!r}"
-        )
-
-
-def _require_positive(name: str, what: str, value: object) -> None:
-    if not (_is_number(value) and cast("float", value) > 0.0):
-        raise MeasureError(f"{name}: expected {what} > 0, found {value!r}")
+def _require_length(near_m: float | None) -> None:
+    if near_m is not None and not (_is_number(near_m) and near_m > 0.0):
+        raise MeasureError(f"goal_tolerance_m: expected metres > 0, found {near_m!r}")
 
 
 def _is_number(value: object) -> bool:

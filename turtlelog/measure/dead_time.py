@@ -217,15 +217,13 @@ def _choose(motion: LoopMotion, first: int, *, may_lag: bool) -> DeadTime | Miss
     fits &= sure[:, first:].mean(axis=1, keepdims=True) >= _KNOWN
     exact = np.flatnonzero(fits.all(axis=1))
     if len(exact) > 1:
-        return Missing(status=Status.UNDETERMINED, reason=_describe_alike(exact))
+        alike = f"dead times of {_list_ticks(exact)} ticks fit alike"
+        reason = f"the commands hardly change: {alike}"
+        return Missing(status=Status.UNDETERMINED, reason=reason)
     stretches = [(0, int(exact[0]))] if len(exact) else _split_exactly(fits)
     if stretches:
         return _describe_exact(motion, errors, stretches, first)
     return _fit_least_squares(motion, errors, may_lag=may_lag)
-
-
-def _describe_alike(ticks: NDArray[np.int64]) -> str:
-    return f"the commands hardly change: dead times of {_list_ticks(ticks)} ticks fit alike"
 
 
 def _list_ticks(ticks: NDArray[np.int64]) -> str:
@@ -238,7 +236,7 @@ def _describe_exact(
     motion: LoopMotion, errors: Values, stretches: list[tuple[int, int]], first: int
 ) -> DeadTime:
     began, ticks = stretches[-1]
-    size = _compute_rms(errors[:, max(began, first) :])
+    size: Values = np.sqrt(np.mean(errors[:, max(began, first) :] ** 2, axis=1))
     return DeadTime(
         ticks=ticks,
         residual=float(size[ticks]),
@@ -334,11 +332,6 @@ def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
     for first, after in pairwise([*gaps.tolist(), len(tick)]):
         since[first:after] = tick[first:after] - tick[first]
     return since < LARGEST_TICKS
-
-
-def _compute_rms(errors: Values) -> Values:
-    rms: Values = np.sqrt(np.mean(errors**2, axis=1))
-    return rms
 
 
 def _compute_margin(size: Values, best: int) -> float:

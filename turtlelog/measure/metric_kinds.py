@@ -8,10 +8,11 @@ and compiled in the batch of `sweep`, for a million rows. Other metrics may use 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from math import degrees
 from types import MappingProxyType
-from typing import Final, Literal, TypedDict, TypeVar, Unpack
+from typing import Any, Final, Literal, TypedDict, TypeVar, Unpack
 
 from turtlelog.display import fit_line
 from turtlelog.measure.context import RunContext
@@ -226,34 +227,27 @@ def loop_metric(
 
 
 def curve_metric(
-    name: str,
-    unit: str,
-    meaning: str,
-    *,
-    needs_whole: bool = True,
-    needs_step: bool = False,
-    applies: Callable[[ControlLoop], bool] = lambda _: True,
-    **traits: Unpack[Traits],
+    name: str, unit: str, meaning: str, *, needs_step: bool = False, **more: Any
 ) -> Callable[[_OfCurve], _OfCurve]:
     """Enter a function of a curve, a `Response`, as a metric of every loop to which it applies.
 
-    The function runs in ordinary Python and compiled.
+    The function runs in ordinary Python and compiled. Further arguments are those of `loop_metric`.
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
-        LOOP_METRICS[name] = LoopMetricKind(
-            unit=unit,
-            compute=lambda _, response: read_outcome(numbers(response)),
-            meaning=meaning,
-            traits=traits,
-            needs_whole=needs_whole,
-            applies=applies,
-            needs_step=needs_step,
-            numbers=numbers,
-        )
+        def compute(_: RunContext, response: Response) -> Result:
+            return read_outcome(numbers(response))
+
+        loop_metric(name, unit, meaning, **more)(compute)
+        kind = LOOP_METRICS[name]
+        LOOP_METRICS[name] = replace(kind, needs_step=needs_step, numbers=numbers)
         return numbers
 
     return enter
+
+
+step_metric = partial(curve_metric, needs_step=True, applies=has_step)
+"""As `curve_metric`, for loops that answer a step."""
 
 
 def run_metric(
@@ -277,13 +271,8 @@ def course_metric(
     """
 
     def enter(numbers: _OfCourse) -> _OfCourse:
-        RUN_METRICS[name] = MetricKind(
-            unit=unit,
-            compute=lambda course: read_outcome(numbers(course)),
-            meaning=meaning,
-            numbers=numbers,
-            **traits,
-        )
+        run_metric(name, unit, meaning, **traits)(lambda course: read_outcome(numbers(course)))
+        RUN_METRICS[name] = replace(RUN_METRICS[name], numbers=numbers)
         return numbers
 
     return enter

@@ -1,7 +1,7 @@
 """The metrics of a run by id: the one table for measuring, comparison and checks."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
@@ -13,7 +13,7 @@ import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the regi
 from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.measure.context import MeasureSettings, RunContext
-from turtlelog.measure.metric import NO_POSES, Metric, Metrics, Missing, Result, Status
+from turtlelog.measure.metric import NO_POSES, Found, Metric, Metrics, Missing, Result, Status
 from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, MetricKind
 from turtlelog.run import Run, require_run
 from turtlelog.run.loops import ControlLoop, Declaration, is_loop_name
@@ -233,10 +233,7 @@ def describe_no_metric(pattern: str, known: Iterable[str]) -> str:
 
 
 def measure_run(
-    run: Run,
-    settings: MeasureSettings | None = None,
-    *,
-    only: Collection[str] | None = None,
+    run: Run, settings: MeasureSettings | None = None, *, only: Collection[str] | None = None
 ) -> Metrics:
     """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
 
@@ -299,16 +296,12 @@ def _measure(context: RunContext, name: str, kind: MetricKind) -> Metric:
     if kind.needs_poses and not len(context.run.poses):
         result: Result = NO_POSES
     else:
-        result = _require_finite(kind.compute, context)
+        result = kind.compute(context)
+        if isinstance(result, Found) and not math.isfinite(result.value):
+            reason = "the value is beyond the largest float"
+            result = Missing(status=Status.TOO_LARGE, reason=reason)
     if isinstance(result, Missing):
         return Metric(
             id=name, value=None, unit=kind.unit, status=result.status, reason=result.reason
         )
     return Metric(id=name, value=result.value, unit=kind.unit, at_s=result.at_s)
-
-
-def _require_finite(compute: Callable[[RunContext], Result], context: RunContext) -> Result:
-    result = compute(context)
-    if isinstance(result, Missing) or math.isfinite(result.value):
-        return result
-    return Missing(status=Status.TOO_LARGE, reason="the value is beyond the largest float")

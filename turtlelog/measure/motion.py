@@ -149,14 +149,17 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
     ends = slice(first, steps.stop + 1)
     heading_rad, xy_m = poses.heading_rad[ends], poses.xy_m[ends]
     if loop.command == "turn_rate":
-        moved, rounding = _measure_turns(heading_rad, _find_half_steps(poses.heading_rad)[ends])
+        moved = subtract_headings(heading_rad[1:], heading_rad[:-1])
+        half = _find_half_steps(poses.heading_rad)[ends]
+        rounding = half[:-1] + half[1:] + _EXACT
         command = samples.turn_rate_rad_s
     else:
-        is_kept &= _find_free(xy_m[1:], plant)
+        is_kept &= ((xy_m[1:] > plant.low_m) & (xy_m[1:] < plant.high_m)).all(axis=1)  # no wall
         measure = _measure_arcs if plant.name == LAGGED else _measure_moves
         moved, rounding = measure(xy_m, heading_rad, _find_half_steps(poses.xy_m)[ends])
         command = samples.speed_m_s
     rows = first + np.flatnonzero(is_kept)
+    usual_ticks = compute_median(subtract_neighbours(sample_tick)) if len(sample_tick) > 1 else 1.0
     return LoopMotion(
         time_ns=poses.time_ns[rows],
         tick=tick[rows],
@@ -168,14 +171,9 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         loop=loop,
         way=float(np.abs(moved).sum()),
         sample_tick=sample_tick,
-        apart=_find_usual_distance(sample_tick),
+        apart=max(usual_ticks, 1.0),
         command=_find_wanted(run, loop, command),
     )
-
-
-def _find_usual_distance(tick: NDArray[np.int64]) -> float:
-    """Return the median distance between ticks, at least 1."""
-    return max(compute_median(subtract_neighbours(tick)), 1.0) if len(tick) > 1 else 1.0
 
 
 def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Values:
@@ -285,12 +283,6 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
     return np.r_[0, np.cumsum(steps)], 1, usual_ns / 1e9
 
 
-def _measure_turns(heading_rad: Values, half: Values) -> tuple[Values, Values]:
-    """Return how far the robot turns in each step, and the rounding error."""
-    moved = subtract_headings(heading_rad[1:], heading_rad[:-1])
-    return moved, half[:-1] + half[1:] + _EXACT
-
-
 def _measure_moves(xy_m: Values, heading_rad: Values, half: Values) -> tuple[Values, Values]:
     # turtlesim turns first, then moves along the new heading.
     return _measure_along(xy_m, heading_rad[1:], half)
@@ -317,12 +309,6 @@ def _find_half_steps(values: Values) -> Values:
         return np.zeros_like(values)
     half: Values = 0.5 * np.abs(np.spacing(values.astype(np.float32))).astype(np.float64)
     return half
-
-
-def _find_free(xy_m: Values, plant: Plant) -> NDArray[np.bool_]:
-    """Return which positions are away from the walls."""
-    free = (xy_m > plant.low_m) & (xy_m < plant.high_m)
-    return np.asarray(free[:, 0] & free[:, 1])
 
 
 CERTAIN: Final = 10.0

@@ -310,7 +310,7 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
         smooth[first:last] = np.median(three, axis=0)
     height = np.abs(values - smooth)
     rows = _find_apart(height)
-    if not len(rows) or _count_changes(values, rows) < _LEAST_CHANGES:
+    if not len(rows) or np.count_nonzero(np.diff(np.delete(values, rows))) < _LEAST_CHANGES:
         return none
     least = np.maximum(
         LOCAL_SPANS * _find_spans(smooth, rows), GRAINS * find_quantisation_step(values)
@@ -364,10 +364,6 @@ def _find_apart(height: Values) -> NDArray[np.int64]:
     is_apart = height[order[:-1]] > _APART * height[order[1:]]
     count = int(np.flatnonzero(is_apart)[-1]) + 1 if is_apart.any() else 0
     return np.sort(order[:count])
-
-
-def _count_changes(values: Values, rows: NDArray[np.int64]) -> int:
-    return int(np.count_nonzero(subtract_neighbours(np.delete(values, rows))))
 
 
 def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:

@@ -185,7 +185,9 @@ def find_response(
     stretch = find_first_stretch(run, loop)
     if not stretch:
         return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
-    controlled = _read_controlled(run, loop, signal)
+    controlled = None if signal is None else signal.values
+    if loop.signal == "distance" and loop.reference == "recorded":
+        controlled = read_controlled_distance(run)
     wanted = read_reference(run, loop)
     if controlled is None or wanted is None:
         return Missing(status=Status.ABSENT, reason=_describe_unknown(run, loop))
@@ -267,13 +269,6 @@ def _describe_unknown(run: Run, loop: ControlLoop) -> str:
     if loop.reference == "path" and run.path is not None and run.path.speed_m_s is None:
         return "the path has no speed, which would say where the robot should be when"
     return f"the reference {loop.reference} of {loop.signal} is not known"
-
-
-def _read_controlled(run: Run, loop: ControlLoop, signal: Signal | None) -> Values | None:
-    """Return the controlled signal at every pose."""
-    if loop.signal == "distance" and loop.reference == "recorded":
-        return read_controlled_distance(run)
-    return None if signal is None else signal.values
 
 
 def _refer_to_start(

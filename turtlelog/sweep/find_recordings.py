@@ -108,7 +108,11 @@ class _Walk:
                     yield path
                     continue
                 try:
-                    inside = sorted(path.iterdir(), key=_rank, reverse=True)
+                    inside = sorted(
+                        path.iterdir(),
+                        key=lambda one: (split_numbers(one.name), one.name),
+                        reverse=True,
+                    )
                 except OSError:
                     yield path
                 else:
@@ -136,10 +140,6 @@ class _Walk:
         if name.endswith(".csv"):
             return not _is_table_of_runs(path)
         return not (name.endswith(".parquet") and _is_result_table(path))
-
-
-def _rank(path: Path) -> tuple[object, ...]:
-    return split_numbers(path.name), path.name
 
 
 def _is_folder(path: Path) -> bool:

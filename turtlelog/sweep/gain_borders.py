@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import TurtlelogError
-from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.table.swept_results import (
@@ -178,16 +177,14 @@ def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopMod
         if model.reason:
             return f"theory draws no line: {model.reason}"
         if hides_stability(parameters):
-            hidden = [text for text in model.left_out if _hides(text, parameters)]
+            hidden = [
+                text
+                for text, key in ((text, text.partition(" = ")[0]) for text in model.left_out)
+                if hides_stability({key: parameters[key]})
+            ]
             return f"theory draws no line, as it leaves out {', '.join(hidden)}"
         return model
     return f"theory draws no line: {reason}"
-
-
-def _hides(text: str, parameters: Mapping[str, Parameter]) -> bool:
-    """Return whether a part that theory leaves out, as `key = value`, may stabilise the loop."""
-    key = text.partition(" = ")[0]
-    return hides_stability({key: parameters[key]})
 
 
 def _compute(model: LoopModel) -> ColumnLimits:

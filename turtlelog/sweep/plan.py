@@ -344,7 +344,11 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
         is_any = is_sampled and found[3] is None and not _are_whole(*found.groups())
         steps = (_span if is_any else _build_steps)(*found.groups(), place=place)
         return KeyValues(key=key, text=rest, values=steps, is_open=found[3] is None)
-    values = [_parse_value(one.strip(), place=place) for one in rest.split(",")]
+    try:
+        texts = [f"value={one.strip()}" for one in rest.split(",")]
+        values = [parse_assignments([one], source=place)["value"] for one in texts]
+    except ScenarioError as err:
+        raise SweepError(f"{place}: a value is missing between commas") from err
     if choose_type(values) == "text" and not all(isinstance(one, str) for one in values):
         raise SweepError(f"{place}: expected numbers, texts or truths alone, found {rest[:60]!r}")
     return KeyValues(key=key, text=rest, values=values)
@@ -388,11 +392,3 @@ def _span(first: str, last: str, _: str | None, *, place: str) -> EqualSteps:
 
 def _are_whole(*texts: str | None) -> bool:
     return not any(sign in text for text in texts if text for sign in ".eE")
-
-
-def _parse_value(text: str, *, place: str) -> Any:
-    try:
-        (value,) = parse_assignments([f"value={text}"], source=place).values()
-    except ScenarioError as err:
-        raise SweepError(f"{place}: a value is missing between commas") from err
-    return value

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, overload
+from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.errors import LogError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
@@ -158,10 +158,7 @@ def _require_empty(folder: Path) -> None:
 
 
 def _simulate(
-    sweep: "Sweep",
-    rows: "SweptRows",
-    jobs: "int | Executor | None",
-    watch: "_Telling",
+    sweep: "Sweep", rows: "SweptRows", jobs: "int | Executor | None", watch: "_Telling"
 ) -> None:
     """Simulate the remaining rows; the first two run alone to measure the time per row."""
     watch(rows.count)
@@ -233,13 +230,9 @@ class _Chunks(Sequence[RowChunk]):
     def __len__(self) -> int:
         return len(self._cuts)
 
-    @overload
-    def __getitem__(self, place: int) -> RowChunk: ...
-    @overload
-    def __getitem__(self, place: slice) -> list[RowChunk]: ...
-    def __getitem__(self, place: int | slice) -> RowChunk | list[RowChunk]:
+    def __getitem__(self, place: Any) -> Any:
         if isinstance(place, slice):
-            return [self[number] for number in range(*place.indices(len(self)))]
+            return [self._cut(*cut) for cut in self._cuts[place]]
         return self._cut(*self._cuts[place])
 
 

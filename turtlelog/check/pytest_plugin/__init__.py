@@ -166,7 +166,7 @@ def pytest_runtest_makereport(
 
 def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str] | None:
     """Write the message for a failed comparison of a metric."""
-    if "turtlelog.measure.metric" not in _list_homes(left, right):
+    if "turtlelog.measure.metric" not in {type(left).__module__, type(right).__module__}:
         return None
     return explain_comparison(op, left, right)
 
@@ -179,7 +179,3 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     line = config.stash[SUMMARY].format_line()
     if line:
         terminalreporter.write_line(line)
-
-
-def _list_homes(*values: object) -> set[str]:
-    return {type(value).__module__ for value in values}

@@ -76,11 +76,7 @@ def _get_periods(context: RunContext, rows: Rows) -> Values | Missing:
 
 
 @_period_metric(
-    "sample",
-    "sample_rate",
-    "Hz",
-    "Samples per second, from the first to the last.",
-    better=None,
+    "sample", "sample_rate", "Hz", "Samples per second, from the first to the last.", better=None
 )
 def compute_rate(periods_s: Values) -> float | None:
     """Return the number of rows per second over the whole length [Hz]; None if no time passes."""

@@ -5,7 +5,7 @@ from typing import Final
 
 from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.metric import FOUND, Outcome, Status, add_reason
-from turtlelog.measure.metric_kinds import curve_metric, has_sides, has_step
+from turtlelog.measure.metric_kinds import curve_metric, has_sides, has_step, step_metric
 from turtlelog.measure.reductions import (
     Values,
     find_crossing_rows,
@@ -66,12 +66,10 @@ def find_duration(curve: Response) -> Outcome:
     return curve.time_s[-1], math.nan, FOUND
 
 
-@curve_metric(
+@step_metric(
     "delay_time",
     "s",
     "Time until the {signal} reaches 50 % of the step.",
-    needs_step=True,
-    applies=has_step,
     is_awaited=True,
     needs_whole=False,
 )
@@ -83,12 +81,10 @@ def find_delay_time(curve: Response) -> Outcome:
     return half_s, curve.start_s + half_s, FOUND
 
 
-@curve_metric(
+@step_metric(
     "rise_time",
     "s",
     "Time from first reaching 10 % of the step to first reaching 90 %.",
-    needs_step=True,
-    applies=has_step,
     is_awaited=True,
     needs_whole=False,
 )
@@ -102,13 +98,8 @@ def find_rise_time(curve: Response) -> Outcome:
     return end_s - begin_s, curve.start_s + end_s, FOUND
 
 
-@curve_metric(
-    "peak",
-    "{value}",
-    "Furthest value of the {signal} in the direction of the step.",
-    needs_step=True,
-    applies=has_step,
-    better=None,
+@step_metric(
+    "peak", "{value}", "Furthest value of the {signal} in the direction of the step.", better=None
 )
 def find_peak(curve: Response) -> Outcome:
     """Return the furthest value in the direction of the step."""
@@ -116,14 +107,8 @@ def find_peak(curve: Response) -> Outcome:
     return curve.values[row], curve.start_s + curve.time_s[row], FOUND
 
 
-@curve_metric(
-    "peak_time",
-    "s",
-    "Time until the {signal} is at its peak.",
-    needs_step=True,
-    applies=has_step,
-    better=None,
-    is_awaited=True,
+@step_metric(
+    "peak_time", "s", "Time until the {signal} is at its peak.", better=None, is_awaited=True
 )
 def find_peak_time(curve: Response) -> Outcome:
     """Return the time of the furthest value."""
@@ -131,12 +116,11 @@ def find_peak_time(curve: Response) -> Outcome:
     return curve.time_s[row], curve.start_s + curve.time_s[row], FOUND
 
 
-@curve_metric(
+@step_metric(
     "overshoot",
     "%",
     "Furthest {signal} beyond the {goal}, as a share of the step; negative if the {signal} stays"
     " short.",
-    needs_step=True,
     floor=0.0,
     grows=True,
     applies=has_sides,
@@ -148,13 +132,11 @@ def measure_overshoot(curve: Response) -> Outcome:
     return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
 
-@curve_metric(
+@step_metric(
     "undershoot",
     "%",
     "Furthest {signal} behind its initial value, as a share of the step; negative if the {signal}"
     " is always beyond that value.",
-    needs_step=True,
-    applies=has_step,
     floor=0.0,
     grows=True,
 )
@@ -164,12 +146,10 @@ def measure_undershoot(curve: Response) -> Outcome:
     return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
 
-@curve_metric(
+@step_metric(
     "settling_time",
     "s",
     "Time after which the {signal} stays within 2 % (or `band`) of the step around the {goal}.",
-    needs_step=True,
-    applies=has_step,
     is_awaited=True,
     needs_whole=False,
 )
@@ -209,11 +189,10 @@ def count_crossings(curve: Response) -> Outcome:
     return float(len(rows)), at_s, FOUND
 
 
-@curve_metric(
+@step_metric(
     "decay_ratio",
     "1",
     "Second overshoot of the {goal} as a share of the first.",
-    needs_step=True,
     needs_whole=False,
     applies=has_sides,
 )
@@ -225,12 +204,11 @@ def measure_decay_ratio(curve: Response) -> Outcome:
     return ratio, curve.start_s + curve.time_s[row], FOUND
 
 
-@curve_metric(
+@step_metric(
     "stable",
     "1",
     "1 if the oscillation of the {signal} around the {goal} dies out, 0 if it continues or grows.",
     better="higher",
-    needs_step=True,
     needs_whole=False,
     applies=has_sides,
 )

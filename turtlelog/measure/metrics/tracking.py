@@ -36,8 +36,7 @@ its lap goes one sample beyond the next lap's first corner: 16 mm at 1 m/s."""
 
 def _has_lag(loop: ControlLoop) -> bool:
     """Return whether the reference depends on time. The reference of a distance does not."""
-    is_error = loop.signal == "distance" or (loop.signal, loop.reference) == ("cross_track", "path")
-    return loop.moves and not is_error
+    return loop.moves and loop.signal != "distance" and not _has_corners(loop)
 
 
 def _has_corners(loop: ControlLoop) -> bool:

@@ -74,9 +74,7 @@ def get_heading_error(course: RunContext) -> float:
 
 
 @course_metric(
-    "final.heading_error",
-    "deg",
-    "Magnitude of the reference heading minus the heading at the end.",
+    "final.heading_error", "deg", "Magnitude of the reference heading minus the heading at the end."
 )
 def measure_heading_error(course: RunContext) -> Outcome:
     """Return the magnitude of the heading error."""
@@ -161,7 +159,8 @@ def _find_heading_error(context: RunContext, at_s: float | None) -> float | None
     signal = context.get_signal("heading")
     if signal is None or (run.declaration.loops and not len(run.samples)):
         return None
-    heading_rad = _read_at(time_s, signal.values, at_s)
+    last_s = time_s[-1] if at_s is None else at_s
+    heading_rad = float(np.interp(last_s, time_s, signal.values))
     return wrap_angle(_read_reference_at(time_s, reference, at_s) - heading_rad)
 
 
@@ -182,11 +181,6 @@ def _find_row(time_s: Values, at_s: float | None) -> int:
     if at_s is None:
         return len(time_s) - 1
     return max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
-
-
-def _read_at(time_s: Values, values: Values, at_s: float | None) -> float:
-    """Return a linearly interpolated value; after the end or without a time, the last value."""
-    return float(values[-1]) if at_s is None else float(np.interp(at_s, time_s, values))
 
 
 def _tell_time(context: RunContext) -> float:

@@ -149,13 +149,14 @@ def tabulate_recordings(
         results = map_in_processes(work, chunks, jobs, name=_name_chunk)
         for chunk in watch(results, sum(map(len, chunks))):
             rows.add(chunk)
-        made = rows.assemble([one.label for one in found], table.kind, table.facts, table.order)
-        write_result_table(made.table, output)
+        labels = [one.label for one in found]
+        made, failed, errors = rows.assemble(labels, table.kind, table.facts, table.order)
+        write_result_table(made, output)
         is_complete = True
     finally:
         kept.close(is_complete=is_complete or not kept.places)
     return TabulatedFiles(
-        output=output, files=len(found), read=rows.read, failed=made.failed, errors=made.errors
+        output=output, files=len(found), read=rows.read, failed=failed, errors=errors
     )
 
 

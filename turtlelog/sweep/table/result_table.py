@@ -237,11 +237,6 @@ def read_result_table(
     return open_result_table(path, kind=kind).load(columns)
 
 
-def list_values(column: ResultColumn) -> list[Any]:
-    """Return Arrow cells as Python values."""
-    return list_cells(column.cells)
-
-
 def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
     """Return row numbers: the cells of the column `row` if they are unique, or else 0, 1, 2 ...
 
@@ -301,7 +296,7 @@ class StoredTable:
 
     def load(self, columns: Sequence[str] | None = None) -> ResultTable:
         """Return the table with Python values as cells; by default all columns."""
-        found = [replace(one, cells=list_values(one)) for one in self.read(columns)]
+        found = [replace(one, cells=list_cells(one.cells)) for one in self.read(columns)]
         return ResultTable(
             kind=self.kind, columns=tuple(found), facts=self.facts, version=self.version
         )
@@ -311,7 +306,7 @@ class StoredTable:
         group = 0
         while row >= self.group_rows[group]:
             row, group = row - self.group_rows[group], group + 1
-        found = {one.name: list_values(one)[row] for one in self.read(names, group)}
+        found = {one.name: list_cells(one.cells)[row] for one in self.read(names, group)}
         return [found[name] for name in names]
 
     def find_row(self, number: int) -> int:

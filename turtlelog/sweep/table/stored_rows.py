@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.libraries import load_library
+from turtlelog.log.parquet_file import list_cells
 from turtlelog.sweep.table.kept_parts import KeptParts
 from turtlelog.sweep.table.result_table import (
     ResultColumn,
@@ -18,7 +19,6 @@ from turtlelog.sweep.table.result_table import (
     build_numbers,
     build_texts,
     cut_groups,
-    list_values,
 )
 
 Cell = str | int | float | None
@@ -285,7 +285,8 @@ class FileRows:
     def _enter_former(self, former: StoredTable, group: int) -> None:
         """Find the files of a group of rows in the existing table."""
         row = self._stored.add(former.group_rows[group], partial(_load_group, former, group))
-        heads = map(list_values, former.read([key.name for key in HEAD[:4]], group))
+        columns = former.read([key.name for key in HEAD[:4]], group)
+        heads = (list_cells(column.cells) for column in columns)
         for label, size, mtime_ns, sha256 in zip(*heads, strict=True):
             known = self._files.get(label)
             first, count = (row, 0) if known is None else (known.first, known.count)
@@ -304,7 +305,7 @@ class FileRows:
         self._enter(chunk, self._kept.add(chunk))
 
     def _enter(self, chunk: ReadFiles, place: int) -> None:
-        row = self._stored.add(chunk.count, partial(self._load, place))
+        row = self._stored.add(chunk.count, lambda: self._kept.read(place).pack())
         for label, state in chunk.files.items():
             rows = row + state.first, state.count
             if not state.count:
@@ -312,13 +313,13 @@ class FileRows:
                 rows = known.first, known.count
             self._files[label] = FileState(state.size, state.mtime_ns, state.sha256, *rows)
 
-    def _load(self, place: int) -> Columns:
-        return self._kept.read(place).pack()
-
     def assemble(
         self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order
-    ) -> "FileTable":
-        """Return the table of files with these labels, whose rows are loaded on demand."""
+    ) -> tuple[ResultTable, int, tuple[tuple[str, str], ...]]:
+        """Return the table of files with these labels, whose rows are loaded on demand.
+
+        Further results are the number of unreadable files, and label and reason of the first ones.
+        """
         states = [self._files[label] for label in labels]
         counts = np.array([state.count for state in states], np.intp)
         which = np.repeat(np.arange(len(states)), counts)
@@ -331,20 +332,9 @@ class FileRows:
             *(_repeat(key, [getattr(one, key.name) for one in states], which) for key in _STATE),
             *build_result_columns(rows, (ERROR, *order(looked.keys, looked.used))),
         )
-        return FileTable(
-            table=ResultTable(kind=kind, columns=columns, facts=facts),
-            failed=looked.failed,
-            errors=tuple((labels[file], text) for file, text in looked.errors),
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FileTable:
-    """A table of files, the number of unreadable ones, and label and reason of the first ones."""
-
-    table: ResultTable
-    failed: int
-    errors: tuple[tuple[str, str], ...]
+        table = ResultTable(kind=kind, columns=columns, facts=facts)
+        errors = tuple((labels[file], text) for file, text in looked.errors)
+        return table, looked.failed, errors
 
 
 @dataclass(slots=True)

@@ -25,7 +25,6 @@ from turtlelog.sweep.table.result_table import (
     ResultColumn,
     StoredTable,
     list_row_numbers,
-    list_values,
     open_result_table,
 )
 
@@ -177,12 +176,7 @@ class SweptResults:
         ]
         keys, values = [key for key, _ in changes], [value for _, value in changes]
         return build_row_scenario(
-            self.base,
-            keys,
-            values,
-            self.row_numbers[row],
-            source=f"{self.path}",
-            trust_law=False,
+            self.base, keys, values, self.row_numbers[row], source=f"{self.path}", trust_law=False
         )
 
     def tell_row(self, row: int) -> str:
@@ -213,7 +207,10 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
     count = stored.row_count
     if not count:
         raise LogError(f"{path}: the table has no rows")
-    has_failed = _find_failed(columns.get("failed"), count)
+    has_failed = np.zeros(count, dtype=bool)
+    if "failed" in columns:
+        failures: Any = columns["failed"].cells
+        has_failed = np.asarray(failures.is_valid().to_numpy(), dtype=bool)
     with name_file(path, expected="a table of a sweep"):
         metrics = [_build_metric(columns, name, has_failed) for name in asked]
     if patterns is None:
@@ -320,14 +317,6 @@ def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
     return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
 
 
-def _find_failed(column: ResultColumn | None, count: int) -> NDArray[np.bool_]:
-    """Return which rows failed and have no run."""
-    if column is None:
-        return np.zeros(count, dtype=bool)
-    cells: Any = column.cells
-    return np.asarray(cells.is_valid().to_numpy(), dtype=bool)
-
-
 def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
     if column is None:
         return range(count)
@@ -335,7 +324,7 @@ def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
     is_whole = column.type == "whole" and not cells.null_count
     if is_whole and np.array_equal(cells.to_numpy(), np.arange(count)):
         return range(count)
-    return list_row_numbers(list_values(column), count)
+    return list_row_numbers(list_cells(column.cells), count)
 
 
 def _build_metric(

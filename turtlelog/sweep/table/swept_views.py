@@ -204,18 +204,15 @@ def _hold_others(
 ) -> SweptView:
     notes, held, seeds = [], dict(held), 1
     for axis in results.axes:
-        if axis in shown or axis in held:
-            continue
-        if results.is_sampled:
+        if axis in shown or axis in held or results.is_sampled:
             continue
         if axis.keys == (SEED,):
             seeds = len(axis)
         else:
             held[axis], how = find_usual_place(results, axis)
             if len(axis) > 1:
-                notes.append(
-                    f"{axis.tell_row(_find_row(axis, held[axis]))} ({how}); --at holds another"
-                )
+                row = int((axis.places == held[axis]).argmax())
+                notes.append(f"{axis.tell_row(row)} ({how}); --at holds another")
     chosen = np.ones(results.row_count, dtype=bool)
     for axis, place in held.items():
         chosen &= axis.places == place
@@ -239,10 +236,6 @@ def find_usual_place(results: SweptResults, axis: SweptAxis) -> tuple[int, str]:
     if base in axis.values:
         return axis.values.index(base), "as in the base"
     return (len(axis) - 1) // 2, "the middle of its values"
-
-
-def _find_row(axis: SweptAxis, place: int) -> int:
-    return int(np.flatnonzero(axis.places == place)[0])
 
 
 def fill_cells(view: SweptView, metric: SweptMetric) -> SweptCells:
