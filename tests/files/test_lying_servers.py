@@ -14,7 +14,7 @@ from tests.files import lying_server as lies
 from tests.files.lying_server import Answer, LyingServer, Request
 from tests.files.range_server import RangeServer
 from turtlelog.cli.app import main
-from turtlelog.files import RemotePath, http_file, limit_downloads, requests
+from turtlelog.files import RemotePath, limit_downloads, remote_file, requests
 from turtlelog.files.urls import parse_size
 
 LEAST_TAKEN = 3 * 2**20
@@ -23,7 +23,7 @@ LEAST_TAKEN = 3 * 2**20
 
 @pytest.fixture(autouse=True)
 def short_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_file, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(remote_file, "PATIENCE_S", 0.3)
     monkeypatch.setattr(requests, "_WAITS_S", (0.0,))
 
 

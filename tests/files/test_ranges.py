@@ -9,7 +9,7 @@ from tests.files.conftest import SIGNED
 from tests.files.range_server import Fault, RangeServer
 from turtlelog.errors import LogError
 from turtlelog.files import RemoteNote, RemotePath, requests
-from turtlelog.files.ranges import RangeStream
+from turtlelog.files.remote_file import RangeStream
 from turtlelog.log import read_columns
 
 

@@ -179,6 +179,6 @@ def test_a_path_of_a_url_keeps_it_whole() -> None:
 def test_local_files_load_no_fsspec() -> None:
     code = (
         "import sys, turtlelog as tl; tl.read_run('recordings/paper/kp4.mcap');"
-        " assert not {'fsspec', 'aiohttp', 'turtlelog.files.ranges'} & set(sys.modules)"
+        " assert not {'fsspec', 'aiohttp', 'turtlelog.files.remote_file'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

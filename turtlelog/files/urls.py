@@ -18,7 +18,7 @@ from turtlelog.errors import RemoteError, UsageError
 from turtlelog.escapes import URL, show_url
 
 if TYPE_CHECKING:
-    from turtlelog.files.ranges import RemoteFile
+    from turtlelog.files.remote_file import RemoteFile
 
 _TOPIC: Final = re.compile(r"(.*?):(/[A-Za-z_~{][\w/~{}]*)([?#].*)?", re.DOTALL)
 """Pattern that splits the URL of a file, a ROS topic, and the text behind both."""
@@ -172,7 +172,7 @@ class RemotePath(_LocalPath):
         if self._failure is not None:
             raise self._failure
         if self._file is None:
-            from turtlelog.files.ranges import RemoteFile
+            from turtlelog.files.remote_file import RemoteFile
 
             try:
                 self._file = RemoteFile(self.url, self.max_download)

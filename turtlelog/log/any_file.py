@@ -1,6 +1,7 @@
 """Reading of any file as a run. The file's content determines its kind."""
 
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Unpack, cast
@@ -99,13 +100,7 @@ _OWN_ROBOT: Final = POSE.name.split("/")[1]
 
 
 def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
-    """Return a run with the requested goal.
-
-    A run with samples is refused, because it has its own goal.
-
-    Raises:
-        LogError: If the run has samples.
-    """
+    """Return a run with the requested goal. A run with samples, which has its own, is refused."""
     if choice.goal is None:
         return run
     if len(run.samples):
@@ -159,7 +154,12 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
     path, topic = split_topic(path)
     choice = choice or ReadChoice()
     if topic is not None:
-        return _require_topic(read_file_info(path, choice), topic)
+        info = read_file_info(path, choice)
+        names = [found.topic for found in info.topics]
+        if match_topic(topic, names) not in names:
+            listed = ", ".join(names)[:300] or "none"
+            raise LogError(f"{info.file}: expected a topic {topic}, found {listed}")
+        return info
     has_tables, is_log = _recognise(path)
     if not has_tables and not is_log:
         if path.is_dir():
@@ -214,14 +214,6 @@ def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
     return replace(run, notes={**run.notes, UNUSED: unused}) if unused else run
 
 
-def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
-    names = {found.topic for found in info.topics}
-    if match_topic(topic, names) not in names:
-        listed = ", ".join(found.topic for found in info.topics)[:300] or "none"
-        raise LogError(f"{info.file}: expected a topic {topic}, found {listed}")
-    return info
-
-
 def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
     """Return the run in a file or bag by turtlelog; None for third-party files.
 
@@ -234,14 +226,8 @@ def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
     try:
         return recording.read_if_own(files[0], allow_partial=allow_partial)
     except LogError:
-        if is_bag_file(files[0]) and _is_foreign(files[0]):
-            return None
+        if is_bag_file(files[0]):
+            with suppress(LogError):
+                if read_info(files[0]).format_version is None:
+                    return None
         raise
-
-
-def _is_foreign(path: Path) -> bool:
-    """Return whether a file that is not readable as a recording is clearly a third-party file."""
-    try:
-        return read_info(path).format_version is None
-    except LogError:
-        return False

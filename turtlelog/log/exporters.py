@@ -2,7 +2,6 @@
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -24,8 +23,6 @@ from turtlelog.run import TABLES, Run, tabulate_run
 from turtlelog.run.tables import iterate_arrow
 
 _LONGEST_NAME: Final = 255  # bytes; the limit of file systems
-
-_DEFAULT_TABLE: Final = "poses"
 
 _ROWS: Final = 4096
 """Number of rows converted to Python values at once; these take five times as many bytes."""
@@ -167,23 +164,18 @@ def _export(
 ) -> tuple[Path, ...]:
     if table is not None and table not in TABLES:
         raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")
-    if path.suffix.lower() == suffix:
-        with replace_when_complete(path) as temporary, _name_place(path):
-            write(run, table or _DEFAULT_TABLE, temporary)
-        return (path,)
     names = tuple(TABLES) if table is None else (table,)
-    with create_folder(path) as folder, _name_place(path):
-        for name in names:
-            write(run, name, folder / f"{name}{suffix}")
-    return tuple(path / f"{name}{suffix}" for name in names)
-
-
-@contextmanager
-def _name_place(path: Path) -> Iterator[None]:
     try:
-        yield
+        if path.suffix.lower() == suffix:
+            with replace_when_complete(path) as temporary:
+                write(run, table or "poses", temporary)
+            return (path,)
+        with create_folder(path) as folder:
+            for name in names:
+                write(run, name, folder / f"{name}{suffix}")
     except UnicodeEncodeError as err:
         raise name_write_error(path, err) from err
+    return tuple(path / f"{name}{suffix}" for name in names)
 
 
 def _write_csv(run: Run, table: str, path: Path) -> None:

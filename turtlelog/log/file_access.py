@@ -59,6 +59,15 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
         raise LogError(f"{path}: expected {expected}, found {describe_error(err)}") from err
 
 
+@contextmanager
+def name_place(place: str) -> Iterator[None]:
+    """Put a place within a file before the text of a LogError."""
+    try:
+        yield
+    except LogError as err:
+        raise LogError(f"{place}: {err}") from err
+
+
 def open_file(path: str | Path) -> BinaryIO:
     """Open a file for reading. Pipes, which may block, and devices, which may not end, are refused.
 

@@ -163,25 +163,27 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
         LogError: If the file cannot be read, is neither MCAP nor SQLite, or is damaged.
     """
     with open_storage(path) as opened:
-        is_sqlite = isinstance(opened, SqliteSource)
-        survey = (
-            _survey_sqlite(opened)
-            if isinstance(opened, SqliteSource)
-            else survey_file(opened, allow_partial=allow_partial)
-        )
-        span_ns = survey.span_ns
-        reasons = survey.catalogue.list_reasons()
+        if isinstance(opened, SqliteSource):
+            survey = Survey(catalogue=opened.catalogue, is_finished=True)
+            survey.counts, survey.span_ns = opened.count_messages()
+        else:
+            survey = survey_file(opened, allow_partial=allow_partial)
+        span_ns, reasons = survey.span_ns, survey.catalogue.list_reasons()
+        notes = describe_recovery(survey.records)
+        if not survey.is_finished:
+            notes["partial"] = describe_damages(survey.damages)
+        storage = "sqlite3" if isinstance(opened, SqliteSource) else "mcap"
         info = RecordingInfo(
             file=str(path),
             format_version=None,
-            source="sqlite3" if is_sqlite else "ros1" if survey.is_ros1 else "mcap",
+            source="ros1" if storage == "mcap" and survey.is_ros1 else storage,
             name=strip_suffixes(make_path(path)),
             complete=survey.is_finished,
             duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
             span_ns=span_ns,
             topics=_list_topics(survey, reasons),
             not_understood=tuple(f"{topic}: {reason}" for topic, reason in reasons.items()),
-            notes=_describe_losses(survey),
+            notes=notes,
         )
         return _add_head(info, survey)
 
@@ -198,7 +200,8 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
     tables, is_complete = parse_scenario_file(attachments)
     is_whole = survey.is_finished and not describe_recovery(survey.records)
     counts = {topic.topic: topic.count for topic in info.topics}
-    held = {name for name, topic in _PLACES.items() if counts.get(topic.name)}
+    places = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_xy_m": GOAL}
+    held = {name for name, topic in places.items() if counts.get(topic.name)}
     held |= {"parameters"} if tables else set()
     return replace(
         info,
@@ -212,10 +215,6 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         absent=head.absent if is_whole else add_lost(head, held),
         notes={**head.notes, **info.notes},
     )
-
-
-_PLACES: Final = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_xy_m": GOAL}
-"""Topics of a turtlelog recording, by the fields of `Run`."""
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
@@ -237,13 +236,6 @@ def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
     absent = [name for name, topic in places.items() if topic is None or topic.name not in held]
     is_readable = any(not found.reason for found in present)
     return tuple(absent if is_readable else ["poses", "commands", *absent])
-
-
-def _describe_losses(survey: Survey) -> dict[str, str]:
-    notes = describe_recovery(survey.records)
-    if not survey.is_finished:
-        notes["partial"] = describe_damages(survey.damages)
-    return notes
 
 
 def _list_topics(survey: Survey, reasons: Mapping[str, str]) -> tuple[TopicInfo, ...]:
@@ -287,11 +279,6 @@ def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
         if not allow_partial:
             raise
         return _survey_damaged(stream)
-
-
-def _survey_sqlite(source: SqliteSource) -> Survey:
-    counts, span_ns = source.count_messages()
-    return Survey(catalogue=source.catalogue, is_finished=True, counts=counts, span_ns=span_ns)
 
 
 def _survey_damaged(stream: BinaryIO) -> Survey:

@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_write_error, replace_when_complete
+from turtlelog.log.file_access import name_place, name_write_error, replace_when_complete
 from turtlelog.log.message_encoding import ChannelRecords, Numbers, encode_records
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.version import __version__
@@ -111,10 +111,8 @@ def _encode_topics(
             raise LogError(f"topic {name}: expected once, found {names.count(name)} times")
     channels = describe_topics([(columns.topic, columns.type) for columns in topics], definitions)
     for columns, (schema, channel) in zip(topics, channels, strict=True):
-        try:
+        with name_place(f"topic {columns.topic}"):
             yield encode_records(columns, schema, channel)
-        except LogError as err:
-            raise LogError(f"topic {columns.topic}: {err}") from err
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

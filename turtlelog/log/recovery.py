@@ -1,7 +1,7 @@
 """Recovery of unfinished or damaged files and bags."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -133,30 +133,38 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
             found = closing.enter_context(open_damaged(source))
             if not isinstance(target, RemotePath) and target.exists() and source.samefile(target):
                 raise LogError(f"expected another file to write to, found the same: {target}")
-            summary = None if found.bag else _salvage_summary(found)
+            summary, size = None, found.place.stat().st_size
+            if found.bag is None:
+                with open_place(found) as stream:
+                    summary = salvage_summary(stream)
         with replace_when_complete(target) as temporary, temporary.open("wb") as output:
-            if found.bag:
-                report = _recover_sqlite(source, found, output)
+            if found.bag is None:
+                copied = _copy_mcap(source, found, output, summary)
             else:
-                report = _recover_mcap(source, found, output, summary)
+                catalogue = found.bag.catalogue
+                known = tuple(catalogue.schemas.values()), tuple(catalogue.channels.values())
+                walk = _walk_sqlite(source, found.bag, found.place)
+                copied = _copy_records(walk, found.stored_size, output, *known)
+            if found.fault is not None:
+                copied.lose(Loss(start=size, end=size, reason=found.fault))
+            report = _build_report(str(source), copied, summary)
+            if found.bag is not None:
+                # A bag has no message counts, but a tree of pages without a gap is complete.
+                report = replace(report, missing={} if report.complete else None)
+            note = format_recovery(report.lost, report.missing, report.unchecked)
+            copied.rewriter.finish({} if report.complete else {RECOVERY: note})
     return report
 
 
-def _salvage_summary(found: Damaged) -> FileSummary | None:
-    with open_place(found) as stream:
-        return salvage_summary(stream)
-
-
-def _recover_mcap(
+def _copy_mcap(
     source: Path, found: Damaged, output: BinaryIO, summary: FileSummary | None
-) -> RecoveryReport:
-    size = found.place.stat().st_size
+) -> "_Copied":
     known = ((), ()) if summary is None else (summary.schemas, summary.channels)
 
     def copy() -> _Copied:
         copied = _copy_records(_walk(source, found), found.stored_size, output, *known)
         if copied.data_end is not None and summary is None:
-            reason = "the summary is damaged or missing"
+            reason, size = "the summary is damaged or missing", found.place.stat().st_size
             copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
         return copied
 
@@ -168,29 +176,7 @@ def _recover_mcap(
         first = copied.rewriter.numbering
         known = (tuple(first.first_schemas.values()), tuple(first.first_channels.values()))
         copied = copy()
-    if found.fault is not None:
-        copied.lose(Loss(start=size, end=size, reason=found.fault))
-    return _finish(_build_report(str(source), copied, summary), copied)
-
-
-def _recover_sqlite(source: Path, found: Damaged, output: BinaryIO) -> RecoveryReport:
-    assert found.bag is not None
-    catalogue = found.bag.catalogue
-    known = tuple(catalogue.schemas.values()), tuple(catalogue.channels.values())
-    walk = _walk_sqlite(source, found.bag, found.place)
-    copied = _copy_records(walk, found.stored_size, output, *known)
-    if found.fault is not None:
-        size = found.place.stat().st_size
-        copied.lose(Loss(start=size, end=size, reason=found.fault))
-    report = _build_report(str(source), copied, None)
-    # A bag has no message counts, but a tree of pages without a gap is complete.
-    return _finish(replace(report, missing={} if report.complete else None), copied)
-
-
-def _finish(report: RecoveryReport, copied: "_Copied") -> RecoveryReport:
-    note = format_recovery(report.lost, report.missing, report.unchecked)
-    copied.rewriter.finish({} if report.complete else {RECOVERY: note})
-    return report
+    return copied
 
 
 def _find_file(source: Path) -> Path:
@@ -296,10 +282,17 @@ def _walk_sqlite(source: Path, bag: SqliteSource, place: Path) -> Iterator[Secti
 
 def _build_report(file: str, copied: _Copied, summary: FileSummary | None) -> RecoveryReport:
     rewriter, span_ns = copied.rewriter, copied.rewriter.span_ns
-    lost = [*copied.lost, *(_describe_unknown(rewriter, number) for number in rewriter.unknown)]
+    lost = [*copied.lost]
+    for number, count in rewriter.unknown.items():
+        place = rewriter.first_unknown[number]
+        reason = f"expected a description of channel {number}, found only its messages: {count}"
+        lost.append(Loss(start=place, end=place, reason=reason))
     missing = _count_missing(copied, summary, is_whole=not lost)
     if span_ns is None:
-        raise _describe_nothing(file, rewriter, lost)
+        why = lost[0].reason if lost else "it has none"
+        if rewriter.unknown:
+            why = f"nothing describes the channels of its {rewriter.unknown.total()} messages"
+        raise LogError(f"{file}: no message can be recovered: {why}")
     for loss in (copied.mismatch, copied.summary):
         if loss is not None:
             is_harmless = not lost and missing == {}
@@ -327,17 +320,3 @@ def _count_missing(
         known = channels.get(number)
         expected[f"channel {number}" if known is None else known.topic] += count
     return dict(sorted((expected - copied.rewriter.recovered).items()))
-
-
-def _describe_nothing(file: str, rewriter: Rewriter, lost: Sequence[Loss]) -> LogError:
-    if rewriter.unknown:
-        why = f"nothing describes the channels of its {rewriter.unknown.total()} messages"
-    else:
-        why = lost[0].reason if lost else "it has none"
-    return LogError(f"{file}: no message can be recovered: {why}")
-
-
-def _describe_unknown(rewriter: Rewriter, number: int) -> Loss:
-    place, count = rewriter.first_unknown[number], rewriter.unknown[number]
-    reason = f"expected a description of channel {number}, found only its messages: {count}"
-    return Loss(start=place, end=place, reason=reason)

@@ -216,27 +216,26 @@ class Rewriter:
         known[body[:2]] = digest
 
     def _take_record(self, opcode: int, body: bytes) -> None:
+        """Write a header, metadata or an attachment."""
         if opcode == Opcode.HEADER:
             self._begin(parse_exact_record(Header, body))
-        elif opcode == Opcode.METADATA:
-            self._count_note()
-            metadata = parse_exact_record(Metadata, body)
-            self._begin()
-            self._write_small()
-            self._file.add_metadata(metadata.name, metadata.metadata)
-        elif opcode == Opcode.ATTACHMENT:
-            self._count_note()
-            attachment = parse_exact_record(Attachment, body)
-            self._begin()
-            self._write_small()
-            self._file.add_attachment_record(attachment)
-
-    def _count_note(self) -> None:
+            return
         self._notes += 1
         if self._notes > _MOST_NOTES:
             raise LogError(
                 f"expected up to {_MOST_NOTES} metadata records and attachments, found more"
             )
+        note: Metadata | Attachment
+        if opcode == Opcode.METADATA:
+            note = parse_exact_record(Metadata, body)
+        else:
+            note = parse_exact_record(Attachment, body)
+        self._begin()
+        self._write_small()
+        if isinstance(note, Metadata):
+            self._file.add_metadata(note.name, note.metadata)
+        else:
+            self._file.add_attachment_record(note)
 
     def _begin(self, header: Header | None = None) -> None:
         """Write the header first. If the source's header is lost, write a header by turtlelog."""

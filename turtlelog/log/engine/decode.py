@@ -50,19 +50,16 @@ def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     Raises:
         LogError: If a message does not have the topic's type.
     """
-    try:
-        if plan.json is not None:
-            return _read_objects(plan.json, plan.decode, block, starts)
-        if plan.layout is None:
-            return _read_differing(plan, block, starts)
-        return _read_fixed(plan.layout, block.data, starts)
-    except LogError as err:
-        raise LogError(f"{block.unit} {block.byte}: topic {plan.topic}: {err}") from err
+    if plan.json is not None:
+        return _read_objects(plan.json, plan.decode, block, starts)
+    if plan.layout is None:
+        return _read_differing(plan, block, starts)
+    columns = FixedColumns(plan.layout, len(starts))
+    columns.fill(block.data, starts, 0)
+    return columns.finish()
 
 
-def unpack_messages(
-    block: Block, starts: Offsets, allowance: Allowance, topic: str
-) -> tuple[Block, Offsets]:
+def unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tuple[Block, Offsets]:
     """Decompress messages that rosbag2 compressed one by one; return others unchanged.
 
     The first byte shows whether a message is compressed: it is 0 for plain CDR, and not 0 for zstd.
@@ -88,8 +85,7 @@ def unpack_messages(
             largest = allowance.largest_chunk
             data = unpack_chunk("zstd", packed, size, largest=largest, spend=spend)
         except LogError as err:
-            place = f"{block.unit} {block.byte}: topic {topic}: message {number}"
-            raise LogError(f"{place}: {err}") from err
+            raise LogError(f"message {number}: {err}") from err
         heads["length"][number] = COUNTED_HEAD + len(data)
         new_starts[number] = len(unpacked)
         unpacked += heads[number].tobytes()
@@ -107,10 +103,7 @@ def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block,
         return block, starts
     from turtlelog.log.ros1 import convert_ros1  # only files of ROS 1 need it
 
-    try:
-        data, places = convert_ros1(plan.fields, block.data, starts)
-    except LogError as err:
-        raise LogError(f"{block.unit} {block.byte}: topic {plan.topic}: {err}") from err
+    data, places = convert_ros1(plan.fields, block.data, starts)
     return replace(block, data=data, offsets={}, rest=()), places
 
 
@@ -181,20 +174,6 @@ def _allocate(kinds: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]) -> Row
     }
 
 
-def fill_rows(
-    plan: TopicPlan, block: Block, starts: Offsets, columns: FixedColumns, first: int
-) -> bool:
-    """Copy messages of a topic into its columns, as `FixedColumns.fill` does.
-
-    Raises:
-        LogError: As for `decode_rows`.
-    """
-    try:
-        return columns.fill(block.data, starts, first)
-    except LogError as err:
-        raise LogError(f"{block.unit} {block.byte}: topic {plan.topic}: {err}") from err
-
-
 def make_empty_rows(plan: TopicPlan) -> Rows:
     """Return the columns of a topic without messages."""
     block = Block(data=b"", byte=0, offsets={}, rest=())
@@ -208,23 +187,8 @@ def pick_rows(
     return {name: values[chosen] for name, values in rows.items()}
 
 
-def keep_columns(rows: Rows, kept: Collection[str] | None) -> Rows:
-    """Return the columns with some names, None for all."""
-    return rows if kept is None else {name: rows[name] for name in rows if name in kept}
-
-
-def _read_fixed(layout: Layout, data: bytes, starts: Offsets) -> Rows:
-    columns = FixedColumns(layout, len(starts))
-    columns.fill(data, starts, 0)
-    return columns.finish()
-
-
 def _gather_fixed(layout: Layout, data: bytes, starts: Offsets) -> NDArray[np.void]:
-    """Return messages with their headers, one after the other.
-
-    Raises:
-        LogError: If a message does not have the topic's type.
-    """
+    """Return messages with their headers, one after the other."""
     size = layout.little.itemsize
     if starts[-1] > len(data) - size:
         # The last message is too short; the check needs only the header and reports it.

@@ -24,8 +24,7 @@ _MOST_PARTS: Final = 2**18
 References to objects with references multiply, even without fields. Reading this number of parts
 takes 0.5 s; a text of 1 MB has fewer objects."""
 
-_KINDS: Final[tuple[JsonKind, ...]] = ("number", "integer", "boolean", "string")
-_EXPECTED: Final[Mapping[str, str]] = MappingProxyType(
+_EXPECTED: Final[Mapping[JsonKind, str]] = MappingProxyType(
     {
         "number": "a number",
         "integer": "a whole number",
@@ -33,6 +32,7 @@ _EXPECTED: Final[Mapping[str, str]] = MappingProxyType(
         "string": "a text",
     }
 )
+"""Kinds of values in words."""
 _NUMBERS: Final = MappingProxyType({"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf})
 """Texts that represent numbers missing in JSON, in protobuf's JSON."""
 
@@ -83,11 +83,6 @@ def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
     return tuple(fields.values())
 
 
-def keep_flat(fields: Sequence[JsonField]) -> tuple[JsonField, ...]:
-    """Return the fields that are numbers and texts."""
-    return tuple(field for field in fields if field.kind != "any")
-
-
 def decode_objects(
     fields: Sequence[JsonField],
     messages: Sequence[bytes],
@@ -95,12 +90,7 @@ def decode_objects(
 ) -> dict[str, Column]:
     """Return the fields of messages as columns, by dotted name.
 
-    Args:
-        fields: Requested fields.
-        messages: Messages, one by one.
-        decode: Function that decodes a message and its index into an object. None: messages are
-            JSON.
-
+    Without `decode`, a function from the index and bytes of a message to an object, they are JSON.
     Missing numbers are NaN, missing texts empty, other missing values None. Columns of integers or
     truth values with missing values become float columns.
 
@@ -136,8 +126,9 @@ class _Schema:
             yield JsonField(path=path, kind=_find_kind(schema))
             return
         if len(path) > DEEPEST:
-            expected = "expected types that end, found one that holds itself"
-            raise LogError(f"schema {self._name}: {expected}")
+            raise LogError(
+                f"schema {self._name}: expected types that end, found one that holds itself"
+            )
         for key, inner in properties.items():
             yield from self.list_fields(inner, (*path, key))
 
@@ -156,8 +147,7 @@ class _Schema:
                 schema = choices[0]
             else:
                 return schema
-        expected = "expected references that end, found one to itself"
-        raise LogError(f"schema {self._name}: {expected}")
+        raise LogError(f"schema {self._name}: expected references that end, found one to itself")
 
     def _spend(self, count: int) -> None:
         self._left -= count
@@ -183,8 +173,7 @@ def _find_kind(schema: Mapping[str, Any]) -> JsonKind:
     kinds = [kind for kind in (named if isinstance(named, list) else [named]) if kind != "null"]
     if set(kinds) == {"integer", "number"}:
         kinds = ["number"]
-    known = [kind for kind in _KINDS if kinds == [kind]]
-    return known[0] if known else "any"
+    return next((kind for kind in _EXPECTED if kinds == [kind]), "any")
 
 
 def _decode(row: int, data: bytes) -> dict[str, Any]:
@@ -218,11 +207,7 @@ def _take(field: JsonField, row: int, found: Any) -> Any:
 
 
 def _convert(field: JsonField, row: int, value: Any) -> Any:
-    """Convert a value for its column.
-
-    Raises:
-        LogError: If the value has another kind.
-    """
+    """Convert a value, which must have the kind of the field, for its column."""
     kind, is_number = field.kind, isinstance(value, int | float) and not isinstance(value, bool)
     if kind == "any":
         return value

@@ -15,6 +15,7 @@ from typing import Any, Final
 from turtlelog.errors import LogError
 from turtlelog.log.engine.json_messages import LONGEST_MESSAGE, JsonField, JsonKind
 from turtlelog.log.engine.message_types import DEEPEST, LONGEST_TEXT, MOST_FIELDS
+from turtlelog.log.file_access import name_place
 
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5
 """Wire types; groups are refused, because proto3 does not have them."""
@@ -141,15 +142,13 @@ def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
     if len(data) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
     described: dict[str, list[Mapping[int, list[Any]]]] = {}
-    try:
+    with name_place(f"schema {name}"):
         for file in _collect(data).get(1, []):
             parts = _collect(file)
             package = _read_text(parts, 2)
             for message in parts.get(4, []):
                 _describe(described, f".{package}" if package else "", message, 0)
         found = _Builder(described).build(f".{name}", ())
-    except LogError as err:
-        raise LogError(f"schema {name}: {err}") from err
     if f".{name}" not in described:
         known = ", ".join(one[1:] for one in sorted(described))[:160] or "none"
         raise LogError(f"schema {name}: expected its definition, found {known}")

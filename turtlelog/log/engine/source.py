@@ -24,14 +24,11 @@ from turtlelog.log.engine.decode import (
     FixedColumns,
     Rows,
     decode_rows,
-    fill_rows,
-    keep_columns,
     pick_rows,
     rewrite_ros1,
     unpack_messages,
 )
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.json_messages import keep_flat
 from turtlelog.log.engine.limits import COLUMNS, Allowance, measure_stored
 from turtlelog.log.engine.parsing import gather_heads, read_record
 from turtlelog.log.engine.sqlite_source import SqliteSource
@@ -43,7 +40,7 @@ from turtlelog.log.engine.summary import (
     parse_summary,
     read_ends,
 )
-from turtlelog.log.file_access import DamageError
+from turtlelog.log.file_access import DamageError, name_place
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -55,6 +52,9 @@ _Job = tuple[ChunkEntry, bytes, Mapping[str, int]]
 
 _THREADS: Final = min(os.cpu_count() or 1, 4)
 _AHEAD: Final = 2**25  # bytes of chunks that are unpacked before they are needed
+
+_MOST_REASONS: Final = 3
+"""Largest number of topics that an error lists with their reasons."""
 
 EVER: Final = 2**64
 """A log time after all others [ns]."""
@@ -229,13 +229,10 @@ class Selection:
         Raises:
             LogError: If a topic requested by name cannot be decoded.
         """
-        plans = {}
         known = catalogue.topics
-        for topic in sorted(known if self.topics is None else self.topics.intersection(known)):
-            plan = self.choose_plan(catalogue, topic)
-            if plan is not None:
-                plans[topic] = plan
-        return plans
+        names = sorted(known if self.topics is None else self.topics.intersection(known))
+        plans = ((topic, self.choose_plan(catalogue, topic)) for topic in names)
+        return {topic: plan for topic, plan in plans if plan is not None}
 
     def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
         """Return the plan of a topic; None if it is not requested.
@@ -249,12 +246,12 @@ class Selection:
         if plan.reason and self.topics is not None and not self.is_lenient:
             raise LogError(plan.describe_reason())
         if self.is_flat and plan.sequence is not None:
-            expected = "fields of numbers and texts"
             raise LogError(
-                f"topic {topic}: expected {expected}, found the sequence {plan.sequence}"
+                f"topic {topic}: expected fields of numbers and texts, found the sequence"
+                f" {plan.sequence}"
             )
         if self.is_flat and plan.json is not None:
-            flat = keep_flat(plan.json)
+            flat = tuple(field for field in plan.json if field.kind != "any")
             plan = replace(plan, json=flat, row_size=measure_object(flat))
         return None if plan.reason else plan
 
@@ -341,27 +338,47 @@ def read_piece(
     """
     found = {}
     for topic, channels in catalogue.group_channels(offsets, block.byte).items():
-        starts = _merge([offsets[channel] for channel in channels])
+        parts = [offsets[channel] for channel in channels]
+        starts = parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts))
         plan = selection.choose_plan(catalogue, topic)
         if plan is None or not len(starts):
             continue
-        found_messages = unpack_messages(block, starts, catalogue.allowance, topic)
-        unpacked, starts = rewrite_ros1(plan, *found_messages)
-        if selection.is_counted:
-            catalogue.allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
-        if topic in wholes and block.before is not None:
-            first = block.before.get(topic, 0)
-            if fill_rows(plan, unpacked, starts, wholes[topic], first):
-                continue
-        rows = keep_columns(decode_rows(plan, unpacked, starts), selection.kept.get(topic))
-        if not selection.is_ever:
-            times = rows[LOG_TIME]
-            rows = pick_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
-        if len(rows[LOG_TIME]):
+        whole = None if block.before is None else wholes.get(topic)
+        rows = _read_topic(plan, block, starts, selection, catalogue.allowance, whole)
+        if rows and len(rows[LOG_TIME]):
             found[topic] = rows
     counts = {channel: len(starts) for channel, starts in offsets.items()}
     share = sum(counts.values()) / max(sum(map(len, block.offsets.values())), 1)
     return Piece(rows=found, size=int(len(block.data) * share), counts=counts)
+
+
+def _read_topic(
+    plan: TopicPlan,
+    block: Block,
+    starts: Offsets,
+    selection: Selection,
+    allowance: Allowance,
+    whole: FixedColumns | None,
+) -> Rows:
+    """Return the requested messages of a topic; empty if they went into the columns `whole`."""
+    place = f"{block.unit} {block.byte}: topic {plan.topic}"
+    with name_place(place):
+        messages = unpack_messages(block, starts, allowance)
+        unpacked, starts = rewrite_ros1(plan, *messages)
+    if selection.is_counted:
+        allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
+    with name_place(place):
+        first = 0 if block.before is None else block.before.get(plan.topic, 0)
+        if whole is not None and whole.fill(unpacked.data, starts, first):
+            return {}
+        rows = decode_rows(plan, unpacked, starts)
+    kept = selection.kept.get(plan.topic)
+    if kept is not None:
+        rows = {name: rows[name] for name in rows if name in kept}
+    if selection.is_ever:
+        return rows
+    times = rows[LOG_TIME]
+    return pick_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
 
 
 _LISTS: Final = 2
@@ -400,10 +417,6 @@ def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
                 future.cancel()
 
 
-def _merge(offsets: list[Offsets]) -> Offsets:
-    return offsets[0] if len(offsets) == 1 else np.sort(np.concatenate(offsets))
-
-
 def _split(
     offsets: Mapping[int, Offsets], most_rows: int | None
 ) -> Sequence[Mapping[int, Offsets]]:
@@ -413,9 +426,8 @@ def _split(
     borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
     stretches: Sequence[dict[int, Offsets]] = [{} for _ in range(len(borders) + 1)]
     for channel, of in offsets.items():
-        for stretch, part in zip(
-            stretches, np.split(of, np.searchsorted(of, borders)), strict=True
-        ):
+        parts = np.split(of, np.searchsorted(of, borders))
+        for stretch, part in zip(stretches, parts, strict=True):
             if len(part):
                 stretch[channel] = part
     return stretches
@@ -431,7 +443,3 @@ def _check_counts(
                 f"byte {source.summary_start}: channel {channel}: expected {expected} messages"
                 f" as the statistics say, found {counts[channel]}"
             )
-
-
-_MOST_REASONS: Final = 3
-"""Largest number of topics that an error lists with their reasons."""

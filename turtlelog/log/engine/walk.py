@@ -7,6 +7,7 @@ unfinished or damaged files.
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import BinaryIO, Final
 
 from mcap.opcode import Opcode
@@ -40,16 +41,7 @@ from turtlelog.log.engine.limits import (
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
 _LONGEST_NAME: Final = 64  # bytes of the name of a compression
 _RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
-_LONE: Final = frozenset(
-    {
-        Opcode.HEADER,
-        Opcode.SCHEMA,
-        Opcode.CHANNEL,
-        Opcode.MESSAGE,
-        Opcode.METADATA,
-        Opcode.DATA_END,
-    }
-)
+_LONE: Final = _RUNS | {Opcode.HEADER, Opcode.DATA_END}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +92,7 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     for found in _walk_records(window):
         if isinstance(found, Loss):
             damaged = True
-        elif not damaged and not found.is_chunk and found.data[0] == Opcode.DATA_END:
+        elif not damaged and _find_opcode(found) == Opcode.DATA_END:
             yield from _check_data(window, found)
             continue
         yield found
@@ -141,7 +133,8 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
             window.allowance.spend(DAMAGES, losses)
             sections = [one for one in found if isinstance(one, Section)]
             window.allowance.spend(CHUNKS, sum(one.is_chunk for one in sections))
-            window.allowance.spend(NOTES, sum(_is_attachment(one) for one in sections))
+            notes = [one for one in sections if _find_opcode(one) == Opcode.ATTACHMENT]
+            window.allowance.spend(NOTES, len(notes))
         except LogError as err:
             if not all(map(window.allowance.count_left, (CHUNKS, DAMAGES, NOTES))):
                 yield Loss(start=start, end=window.size, reason=str(err))
@@ -156,8 +149,8 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
             kind = window.read(start, 1)[0]
 
 
-def _is_attachment(section: Section) -> bool:
-    return not section.is_chunk and section.data[0] == Opcode.ATTACHMENT
+def _find_opcode(section: Section) -> int:
+    return Opcode.CHUNK if section.is_chunk else section.data[0]
 
 
 def _read_record(
@@ -285,10 +278,7 @@ def _unpack(allowance: Allowance, compression: str, packed: bytes, size: int) ->
         raise LogError(f"expected a chunk of up to {largest} bytes, found {size}")
     if compression and not allowance.count_left(UNPACKED):
         allowance.spend(UNPACKED)
-
-    def spend(count: int) -> None:
-        allowance.spend(UNPACKED, count)
-
+    spend = partial(allowance.spend, UNPACKED)
     return unpack_chunk(compression, packed, size, largest=largest, spend=spend)
 
 

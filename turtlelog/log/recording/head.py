@@ -12,6 +12,7 @@ from mcap.records import Metadata
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.log.engine.walk import Loss
+from turtlelog.log.file_access import name_place
 from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.run import Clock
@@ -313,10 +314,8 @@ def sum_up_record(record: Mapping[str, str]) -> str:
 
 def _parse_declaration(record: Mapping[str, str]) -> Declaration:
     text = _get(record, "declaration")
-    try:
+    with name_place(f"metadata {HEAD}: declaration"):
         return _keep_declaration(text) if len(text) <= _USUAL else parse_declaration(text)
-    except LogError as err:
-        raise LogError(f"metadata {HEAD}: declaration: {err}") from err
 
 
 _keep_declaration = lru_cache(maxsize=32)(parse_declaration)

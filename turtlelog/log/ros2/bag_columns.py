@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_access import name_place
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.ros2.bag_topics import ACKERMANN_TYPES, JOINTS
 from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps
@@ -288,9 +289,8 @@ def order_topic(
         if columns.type != choice.type:
             raise LogError(f"topic {choice.topic}: expected {choice.type}, found {columns.type}")
         try:
-            tables.append(extract(choice.type, columns.fields))
-        except LogError as err:
-            raise LogError(f"topic {choice.topic}: {err}") from err
+            with name_place(f"topic {choice.topic}"):
+                tables.append(extract(choice.type, columns.fields))
         except KeyError as err:
             raise columns.describe_missing(err.args[0]) from err
     return order_rows(
