@@ -248,15 +248,10 @@ def find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) 
 
 
 def measure_errors(actual: Values, predicted: Values) -> Values:
-    """Return the errors in distance [m] and turn [rad] at the end of each piece.
+    """Return the errors in distance [m] and turn [rad] at the end of each piece, shape (2, n).
 
-    Args:
-        actual: States at the beginnings and ends of pieces, shape (2, n, 3).
-        predicted: Predicted states, shape (2, n, 3). The predictions are moved so that they begin
-            at the actual state.
-
-    Returns:
-        Errors, shape (2, n).
+    Both states have the shape (2, n, 3), for beginnings and ends of pieces. The predictions are
+    moved so that they begin at the actual state.
     """
     turn_rad = actual[0, :, 2] - predicted[0, :, 2]
     cosine, sine = np.cos(turn_rad), np.sin(turn_rad)

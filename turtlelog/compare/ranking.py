@@ -1,7 +1,7 @@
 """Ranking of runs: conditions that must agree before a run is called the best."""
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -136,8 +136,8 @@ class Ranking:
         for condition, who in runs.items():
             by_runs.setdefault(who, []).append(condition)
         notes += [
-            f"Not known of {who}: {join_words(found)}. The ranking takes {_choose_pronoun(found)}"
-            " for equal."
+            f"Not known of {who}: {join_words(found)}. The ranking takes"
+            f" {_choose_verb(found, 'it', 'them')} for equal."
             for who, found in by_runs.items()
             if self.is_fair
         ]
@@ -152,17 +152,8 @@ def _choose_verb(names: Sequence[str], one: str, many: str) -> str:
     return one if len({*names}) == 1 and names[0] != "limits" else many
 
 
-def _choose_pronoun(names: Sequence[str]) -> str:
-    return _choose_verb(names, "it", "them")
-
-
 def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
-    """Return the conditions of a run.
-
-    Args:
-        run: Run whose goal, start and plant replace those of the scenario.
-        parameters: Parameters of the run's scenario with defaults, as far as known.
-    """
+    """Return the conditions of a run with these parameters, with defaults as far as known."""
     first = [*run.samples.pose_sequence[:1], 0][0]
     x_m, y_m = map(float, run.poses.xy_m[first])
     path, plant, limits = (_take_table(run, parameters, name) for name in _TABLES)
@@ -185,18 +176,13 @@ def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
 
 def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys | None:
     """Return the keys of a condition; None if the condition is unknown."""
+    closed = closes_by_itself(str(parameters.get("path.kind")))  # as is meant without the key
     found = tuple(
         (key, value if isinstance(value, str | int | float) else str(value))
         for key, value in sorted(parameters.items())
-        if key.startswith(_TABLES[condition]) and not _is_usual(key, value, parameters)
+        if key.startswith(_TABLES[condition]) and not (key == "path.closed" and value is closed)
     )
     return found if found or run.scenario_is_complete else None
-
-
-def _is_usual(key: str, value: Any, parameters: Mapping[str, Any]) -> bool:
-    """Return whether a key has the value that is meant without it, e.g. a polygon is closed."""
-    kind = parameters.get("path.kind")
-    return key == "path.closed" and value is closes_by_itself(str(kind))
 
 
 def _find_reach(parameters: Mapping[str, Any], distance_m: float) -> tuple[float, float]:
@@ -266,13 +252,11 @@ def _describe_partly(
     condition: str, known: Sequence[Conditions], rows: Collection[int]
 ) -> ConditionDifference:
     """Return a condition that is unknown for some runs, with its keys as text for the others."""
-    values = [
+    values = (
         None if row in rows else _write_condition(condition, found)
         for row, found in enumerate(known)
-    ]
-    return ConditionDifference(
-        condition=condition, key=condition, values=tuple(values), is_unknown=True
     )
+    return _differ(condition, values, is_unknown=True)
 
 
 def _write_condition(condition: str, found: Conditions) -> str:
@@ -326,11 +310,7 @@ def _get_table(condition: str, found: Conditions) -> Keys | None:
 def _judge_goal(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
     goals = [found.goal for found in known]
     if None in goals:
-        return [
-            ConditionDifference(
-                condition=condition, key=condition, values=tuple(goals), is_unknown=True
-            )
-        ]
+        return [_differ(condition, goals, is_unknown=True)]
     places = [goal for goal in goals if goal]
     is_same = len(places) in {0, len(goals)} and _are_near(known, places)
     return [] if is_same else [_differ(condition, goals)]
@@ -341,8 +321,12 @@ def _judge_start(condition: str, known: Sequence[Conditions]) -> list[ConditionD
     return [] if _are_near(known, starts) else [_differ(condition, starts)]
 
 
-def _differ(condition: str, values: Sequence[Any]) -> ConditionDifference:
-    return ConditionDifference(condition=condition, key=condition, values=tuple(values))
+def _differ(
+    condition: str, values: Iterable[Any], *, is_unknown: bool = False
+) -> ConditionDifference:
+    return ConditionDifference(
+        condition=condition, key=condition, values=tuple(values), is_unknown=is_unknown
+    )
 
 
 def _are_near(

@@ -276,7 +276,8 @@ def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
         breaks += [len(rows)] if rows else []
         rows += [(one.name, *_list_cells(band)) for band in one.bands]
         before = f"{one.name}: " if len(found) > 1 else ""
-        notes += [before + text for text in _list_sentences(one)]
+        told = (*(level.text for level in one.noise), *(band.text for band in one.bands))
+        notes += [before + text for text in (*filter(None, told), *one.notes)]
     seeds = f", {first.seeds} seeds" if first.seeds else ""
     return Table(
         title=(
@@ -284,27 +285,17 @@ def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
             f" the recorded commands{seeds}"
         ),
         columns=(
-            Column(title="run"),
-            Column(title="error"),
-            Column(title="unit"),
+            *(Column(title=title) for title in ("run", "error", "unit")),
             Column(title="after", unit="s"),
             Column(title="pieces"),
-            Column(title="median", digits=3),
-            Column(title="largest", digits=3),
-            Column(title="simulated", digits=3),
+            *(Column(title=title, digits=3) for title in ("median", "largest", "simulated")),
             Column(title="within", unit="%", digits=0),
-            Column(title="above"),
-            Column(title="below"),
+            *(Column(title=title) for title in ("above", "below")),
         ),
         rows=tuple(rows),
         notes=tuple(notes),
         breaks=tuple(breaks),
     )
-
-
-def _list_sentences(one: RobotComparison) -> list[str]:
-    noise = [level.text for level in one.noise if level.text]
-    return [*noise, *(band.text for band in one.bands), *one.notes]
 
 
 def _list_cells(band: ErrorBand) -> tuple[Cell, ...]:
@@ -358,11 +349,8 @@ def compare_noise(
 ) -> NoiseLevel | None:
     """Return the noise level of a recorded robot; None if there are too few errors.
 
-    Args:
-        quantity: Quantity of the errors.
-        after_s: Prediction time of the errors of `short` [s].
-        short: Recorded errors, shape (n,), and simulated ones, shape (seeds, n).
-        long: The same errors after a time several times longer, at which a wrong model shows.
+    `short` has the recorded errors after a time, shape (n,), and the simulated ones, shape (seeds,
+    n); `long` has them after a time several times longer, at which a wrong model shows.
     """
     if len(short[0]) < _FEWEST or not len(long[0]):
         return None

@@ -274,9 +274,8 @@ def list_usual_of_run(run: Run | RunSummary) -> tuple[str, ...]:
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
     """Return the ids of the metrics that characterise runs of these laws.
 
-    The metrics describe the final state and the response of the loops that turn the robot; for laws
-    without such loops, the response of all loops. The final position shows the response of the
-    driving loops. For laws without a goal, the distance driven is included.
+    They describe the final state and the response of the loops that turn the robot; for laws
+    without such loops, of all loops. For laws without a goal, the distance driven is included.
     """
     chosen: dict[str, None] = {}
     for declaration in declarations:
@@ -358,13 +357,11 @@ def _require_name(name: str, known: Sequence[str], source: str) -> None:
 
 
 def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
-    lacks = []
-    for name in sorted(values):
-        if values[name] is None:
-            metric = summary.find_metric(name)
-            lacks.append(
-                f"{name} is {metric.status.value}" if metric is not None else f"{name} is not known"
-            )
+    missing = {name: summary.find_metric(name) for name in sorted(values) if values[name] is None}
+    lacks = [
+        f"{name} is {'not known' if metric is None else metric.status.value}"
+        for name, metric in missing.items()
+    ]
     return ", ".join(lacks) or "the expression has no value"
 
 

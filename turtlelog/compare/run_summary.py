@@ -56,9 +56,6 @@ def list_lacks(run: Run) -> tuple[str, ...]:
     return tuple(name for name, holds in HOLDINGS.items() if not holds(run))
 
 
-_MAPPINGS: Final = ("parameters", "metrics", "notes")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
     """A run without its columns, so that thousands fit into memory. A summary can be pickled.
@@ -90,7 +87,7 @@ class RunSummary:
     goal_end: GoalEnd | None = None
 
     def __post_init__(self) -> None:
-        for name in _MAPPINGS:
+        for name in ("parameters", "metrics", "notes"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __reduce__(self) -> tuple[Any, tuple[dict[str, Any]]]:
@@ -210,19 +207,12 @@ def _share(value: Any) -> Any:
     return _keep_text(value) if isinstance(value, str) else value
 
 
-@lru_cache(maxsize=1024)
-def _keep_text(text: str) -> str:
-    return text
+def _return_same(value: Any) -> Any:
+    return value
 
 
-@lru_cache(maxsize=1024)
-def _share_conditions(conditions: Conditions | None) -> Conditions | None:
-    return conditions
-
-
-@lru_cache(maxsize=64)
-def _share_declaration(declaration: Declaration) -> Declaration:
-    return declaration
+_keep_text, _share_conditions = (lru_cache(maxsize=1024)(_return_same) for _ in range(2))
+_share_declaration = lru_cache(maxsize=64)(_return_same)
 
 
 def summarise_run(
@@ -238,11 +228,12 @@ def summarise_measured(
 ) -> RunSummary:
     """Return the summary of a run, with all its parameters or with its gains only."""
     known = complete_parameters(run) if with_parameters else run.parameters
+    gains = run.declaration.list_gains()
     return RunSummary(
         name=run.name,
         source=run.source,
         stop_reason=run.stop_reason,
-        parameters=known if with_parameters else _take_gains(run, known),
+        parameters=known if with_parameters else {key: known[key] for key in gains if key in known},
         metrics=metrics,
         file=file,
         notes={**run.notes, **_describe_jumps(run, metrics)},
@@ -266,10 +257,6 @@ def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
 
     moved_m = sum(jump.excess_m for jump in find_jumps(run))
     return {} if moved_m < _SHOWN * path.value else {"jumps": describe_breaks(run)["jumps"]}
-
-
-def _take_gains(run: Run, known: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
-    return {key: known[key] for key in run.declaration.list_gains() if key in known}
 
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None

@@ -257,12 +257,13 @@ def drop_absent(summaries: Sequence[RunSummary], ids: Collection[str]) -> tuple[
     """
     if not any(found.is_lawless for found in summaries):
         return tuple(ids)
-    return tuple(name for name in ids if any(_is_held(found, name) for found in summaries))
-
-
-def _is_held(summary: RunSummary, name: str) -> bool:
-    metric = summary.metrics.get(name)
-    return metric is not None and metric.status is not Status.ABSENT
+    held = {
+        name
+        for found in summaries
+        for name, metric in found.metrics.items()
+        if metric.status is not Status.ABSENT
+    }
+    return tuple(name for name in ids if name in held)
 
 
 def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
@@ -308,7 +309,11 @@ def _leave_out_goal(summary: RunSummary) -> RunSummary:
 
 def _list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
     """Return the gain columns: one column if all loops of each run have the same gain."""
-    known = [found for found in summaries if _list_known_gains(found)]
+    known = [
+        found
+        for found in summaries
+        if any(found.parameters.get(key) is not None for key in found.declaration.list_gains())
+    ]
     if not known:
         return []
     if all(has_one_gain(found) for found in known):
@@ -323,11 +328,6 @@ def _list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
 
 def _head_gain(title: str, units: Sequence[str]) -> Column:
     return Column(title=title, unit=units[0] if len({*units}) == 1 else "")
-
-
-def _list_known_gains(summary: RunSummary) -> list[str]:
-    keys = summary.declaration.list_gains()
-    return [key for key in keys if summary.parameters.get(key) is not None]
 
 
 def _title_gains(declaration: Declaration) -> dict[str, ControlLoop]:
@@ -359,8 +359,9 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
     for summary in summaries:
         for key, value in summary.parameters.items():
             values.setdefault(key, set()).add(repr(value))
+    whole = [found for found in summaries if found.conditions and found.conditions.is_whole]
     for key, default in _list_defaults(values).items():
-        if any(key not in found.parameters and _is_complete(found) for found in summaries):
+        if any(key not in found.parameters for found in whole):
             values[key].add(repr(default))
     differing = [key for key, found in values.items() if len(found) > 1 and key not in shown]
     first = [key for key in ranking.keys if key in differing]
@@ -378,11 +379,6 @@ def _list_defaults(keys: Collection[str]) -> dict[str, object]:
         for found in fields(values)
         if (key := f"{table}.{found.name}") in keys and found.default is not MISSING
     }
-
-
-def _is_complete(summary: RunSummary) -> bool:
-    """Return whether a run contains its whole scenario."""
-    return summary.conditions is not None and summary.conditions.is_whole
 
 
 def order_parameters(

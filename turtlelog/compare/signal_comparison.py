@@ -4,7 +4,7 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,22 +31,53 @@ ALIGNMENTS: Final = ("first_sample", "phase:NAME", "recorded", "sample")
 """Ways to align runs; NAME stands for a phase of their law."""
 
 
-class CommonClock(Protocol):
-    """The clock on which two runs are compared."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TimeClock:
+    """Nanoseconds from time zero of each run; `span` has the first and last compared ones."""
 
-    @property
-    def tells_time(self) -> bool:
-        """Whether the units of the clock are nanoseconds, so that tolerances in time apply."""
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """First and last compared time in the units of the clock, both included."""
+    runs: tuple[Run, Run]
+    zeros_ns: tuple[int, int]
+    span: tuple[int, int]
+    tells_time: bool = True
+    """Whether the units of the clock are nanoseconds, so that tolerances in time apply."""
 
     def place_signal(self, signal: Signal, run: Run) -> Signal:
         """Return the signal of one of the two runs, with its rows on this clock."""
+        zero_ns = self.zeros_ns[0 if run is self.runs[0] else 1]
+        return _smooth(dataclasses.replace(signal, time_ns=signal.time_ns - zero_ns))
 
     def read_ns(self, unit: int) -> int:
         """Return the time of a unit of this clock [ns]."""
+        return unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SampleClock:
+    """Numbers of samples; poses are those that samples read, times those of the reference."""
+
+    time_ns: Times
+    tells_time: bool = False
+
+    @property
+    def span(self) -> tuple[int, int]:
+        return 0, len(self.time_ns) - 1
+
+    def place_signal(self, signal: Signal, run: Run) -> Signal:
+        rows = np.arange(len(self.time_ns))
+        read = rows
+        if signal.kind.source != "sample":
+            # Of what was sensed as well, for what a sample read did not drop out.
+            read_ns = run.poses.time_ns[run.samples.pose_sequence[rows]]
+            read = np.searchsorted(signal.time_ns, read_ns)
+        placed = dataclasses.replace(signal, time_ns=rows, values=signal.values[read])
+        return _smooth(placed)
+
+    def read_ns(self, unit: int) -> int:
+        return int(self.time_ns[unit])
+
+
+CommonClock = _TimeClock | _SampleClock
+"""The clock on which two runs are compared."""
 
 
 def could_be_alignment(text: str) -> bool:
@@ -78,51 +109,6 @@ def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
     zeros_ns = (_find_phase_ns(reference, alignment), _find_phase_ns(run, alignment))
     # What stands before is not compared: before the first sample nothing was controlled yet.
     return _align_by_time((reference, run), zeros_ns, 0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _TimeClock:
-    """Nanoseconds from time zero of each run."""
-
-    runs: tuple[Run, Run]
-    zeros_ns: tuple[int, int]
-    span: tuple[int, int]
-    tells_time: bool = True
-
-    def place_signal(self, signal: Signal, run: Run) -> Signal:
-        zero_ns = self.zeros_ns[0 if run is self.runs[0] else 1]
-        return _smooth(dataclasses.replace(signal, time_ns=signal.time_ns - zero_ns))
-
-    def read_ns(self, unit: int) -> int:
-        return unit
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _SampleClock:
-    """Numbers of samples.
-
-    Poses are those that the samples read; times are those of the reference.
-    """
-
-    time_ns: Times
-    tells_time: bool = False
-
-    @property
-    def span(self) -> tuple[int, int]:
-        return 0, len(self.time_ns) - 1
-
-    def place_signal(self, signal: Signal, run: Run) -> Signal:
-        rows = np.arange(len(self.time_ns))
-        read = rows
-        if signal.kind.source != "sample":
-            # Of what was sensed as well, for what a sample read did not drop out.
-            read_ns = run.poses.time_ns[run.samples.pose_sequence[rows]]
-            read = np.searchsorted(signal.time_ns, read_ns)
-        placed = dataclasses.replace(signal, time_ns=rows, values=signal.values[read])
-        return _smooth(placed)
-
-    def read_ns(self, unit: int) -> int:
-        return int(self.time_ns[unit])
 
 
 def _smooth(signal: Signal) -> Signal:
@@ -210,12 +196,11 @@ class SignalTube:
     """A signal of a run and its tolerance band around a reference, on the compared rows.
 
     Attributes:
-        time_ns: Time in the run [ns], shape (n,), not decreasing.
-        values: Values of the run, in the signal's unit, shape (n,).
-        reference: Reference value with which each row is compared, shape (n,).
-        low: Lower end of the band, shape (n,).
-        high: Upper end of the band, shape (n,).
-        excess: Distance beyond the tolerance, shape (n,); zero or negative within the tolerance.
+        time_ns: Time in the run, not decreasing.
+        values: Values of the run, in the signal's unit.
+        reference: Reference value with which each row is compared.
+        low, high: Ends of the band.
+        excess: Distance beyond the tolerance; zero or negative within the tolerance.
     """
 
     time_ns: NDArray[np.int64]
@@ -232,13 +217,6 @@ def trace_tube(
     """Return a numeric signal compared with the reference's; None if no comparison is possible.
 
     Angles of the reference are shifted by full turns to within half a turn of the run's angles.
-
-    Args:
-        reference: Run from which differences are taken.
-        run: Other run.
-        name: Name of the signal.
-        tolerance: Allowed difference.
-        alignment: Alignment, as in `compare_runs`.
 
     Raises:
         CompareError: If `compare_runs` raises it.

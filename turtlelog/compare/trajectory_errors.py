@@ -79,7 +79,6 @@ class Alignment:
 
 def summarise_errors(errors: Values) -> ErrorStatistics:
     """Return the statistics of at least one error."""
-    squares = float((errors**2).sum())
     return ErrorStatistics(
         count=len(errors),
         rmse=float(np.sqrt((errors**2).mean())),
@@ -88,7 +87,7 @@ def summarise_errors(errors: Values) -> ErrorStatistics:
         std=float(errors.std()),
         min=float(errors.min()),
         max=float(errors.max()),
-        sse=squares,
+        sse=float((errors**2).sum()),
     )
 
 
@@ -104,18 +103,12 @@ def associate_trajectories(
 ) -> Associated:
     """Return the poses of both trajectories at the times of the one with fewer poses.
 
-    Each of these poses is paired with the other trajectory's nearest pose in time, or with the
-    earlier of two equally near ones. A pose whose nearest partner is too far away is left out. With
-    interpolation, the other trajectory is then interpolated at these times: the position linearly,
-    the rotation along the shortest arc (slerp). Times outside the other trajectory are left out,
-    because nothing is extrapolated.
-
-    Args:
-        reference: Reference trajectory.
-        estimate: Trajectory to compare, with times already on the clock of the reference. If both
-            have equally many poses, the times of the estimate are used.
-        most_apart_ns: Largest difference between the times of two poses [ns].
-        interpolates: Whether the trajectory with more poses is interpolated.
+    Each of these poses (with equally many, those of the estimate) is paired with the other
+    trajectory's nearest pose in time, or with the earlier of two equally near ones. A pose whose
+    nearest partner is further than `most_apart_ns` is left out. With interpolation, the other
+    trajectory is then interpolated at these times: the position linearly, the rotation along the
+    shortest arc (slerp). Times outside the other trajectory are left out, because nothing is
+    extrapolated.
     """
     is_estimate_longer = len(estimate) > len(reference)
     short, long = (reference, estimate) if is_estimate_longer else (estimate, reference)
@@ -194,12 +187,8 @@ def find_alignment(
 ) -> Alignment:
     """Return the least-squares alignment of an estimate to its reference (Umeyama 1991).
 
-    Args:
-        reference_m: Positions [m], shape (n, 3).
-        estimate_m: Associated positions [m], shape (n, 3).
-        dimensions: 2: a rotation about the vertical and a translation in the plane. 3: any rotation
-            and translation.
-        scales: Whether the scale is estimated too.
+    With 2 dimensions, the alignment is a rotation about the vertical and a translation in the
+    plane; with 3, any rotation and translation. `scales`: the scale is estimated too.
 
     Raises:
         DegenerateError: If the points leave the rotation or the scale undetermined.
@@ -269,12 +258,7 @@ def project_trajectory(trajectory: Trajectory) -> Trajectory:
 
 
 class PoseErrors(NamedTuple):
-    """Errors of poses or of pairs, row by row.
-
-    Attributes:
-        position_m: Position errors [m], shape (n,).
-        rotation_rad: Angle of the rotation between both poses, in [0, pi] [rad], shape (n,).
-    """
+    """Errors of poses or of pairs, row by row; rotations are angles in [0, pi]."""
 
     position_m: Values
     rotation_rad: Values
@@ -297,14 +281,8 @@ def choose_pairs(
     A pair ends at the first pose that is at least one delta after its first pose: in poses, in
     metres along the trajectory, or in degrees of turn summed over poses. For a delta in seconds, a
     pair ends at the nearest pose. The pair is left out if this pose is off by more than three
-    quarters of the usual step between poses.
-
-    Args:
-        trajectory: The reference or the estimate, after association.
-        delta: Length of a motion, above 0, whole for frames.
-        unit: Unit of the delta.
-        overlaps: Whether a pair begins at every pose; otherwise each pair begins at the end of the
-            last one.
+    quarters of the usual step between poses. If pairs overlap, one begins at every pose; otherwise
+    each begins at the end of the last one.
     """
     if unit == "s":
         return _pair_times(trajectory.time_ns, round(delta * 1e9), overlaps=overlaps)

@@ -61,9 +61,9 @@ class Grid:
     Without the reference's times, a run with few rows would be compared at few points only.
 
     Attributes:
-        at: Times in units of the clock, shape (n,), not decreasing.
-        run_row: The run's row at each point, shape (n,); for a point between rows, the row before.
-        later: Number of further rows of the run with the same time, shape (n,).
+        at: Times in units of the clock, not decreasing.
+        run_row: The run's row at each point, or the row before.
+        later: Number of further rows of the run with the same time.
     """
 
     at: Times
@@ -162,10 +162,7 @@ def _find_nearest_on_line(reference: Signal, rows: GridValues, half_width: int) 
 
 
 def _find_held(reference: Signal, rows: GridValues) -> Values:
-    """Return the value held at each row's time.
-
-    Rows with the same time are matched from the last one backwards.
-    """
+    """Return the value held at each row's time; rows at one time match from the last backwards."""
     last = np.maximum(np.searchsorted(reference.time_ns, rows.grid.at, side="right") - 1, 0)
     same = np.searchsorted(reference.time_ns, reference.time_ns[last], side="left")
     is_there = reference.time_ns[last] == rows.grid.at

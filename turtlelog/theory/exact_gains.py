@@ -68,13 +68,7 @@ _PARTS: Final = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopDesign:
-    """A loop whose gains are to be found.
-
-    Attributes:
-        process: Process between command and signal, with all dead time.
-        period_s: Sampling period T [s].
-        filter_s: Time constant Tf of the derivative's filter [s].
-    """
+    """A loop whose gains are to be found: its process with all dead time, and its clock."""
 
     process: Process
     period_s: float
@@ -142,7 +136,7 @@ def find_p_without_overshoot(design: LoopDesign) -> float:
             found *= (lag - gap) / lag
         return found
 
-    _, largest = _maximise(compute_loop_gain, 0.0, min([1.0, *sampled.gaps]))
+    _, largest = _maximise(compute_loop_gain, min([1.0, *sampled.gaps]))
     return largest * design.unit_gain
 
 
@@ -247,7 +241,7 @@ def find_pi_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
         return np.where(proportional > 0.0, integral, -1.0)
 
     # An integral takes phase away, so PI crosses over earlier than P alone.
-    angle, _ = _maximise(compute_integral, 0.0, _find_crossover(design, alone))
+    angle, _ = _maximise(compute_integral, _find_crossover(design, alone))
     proportional, integral = (float(value[0]) for value in compute(np.array([angle])))
     unit = design.unit_gain
     gains = PidGains(kp=unit * proportional, ki=unit * integral / design.period_s)
@@ -308,9 +302,8 @@ def _tell_no_lag(design: LoopDesign) -> str:
 def _rate(design: LoopDesign, gains: PidGains) -> float:
     """Return the overshoot as a number that can be compared, also for a loop that diverges."""
     motion = design.measure(gains, to_rest=False)
-    return (
-        _LARGEST_OVERSHOOT if motion is None else min(motion.overshoot_percent, _LARGEST_OVERSHOOT)
-    )
+    overshoot = _LARGEST_OVERSHOOT if motion is None else motion.overshoot_percent
+    return min(overshoot, _LARGEST_OVERSHOOT)
 
 
 def _find_first(
@@ -352,8 +345,9 @@ def _solve(
     return middle
 
 
-def _maximise(compute: Callable[[_Array], _Array], low: float, high: float) -> tuple[float, float]:
-    """Return the place and value of the maximum of a function with one maximum between two ends."""
+def _maximise(compute: Callable[[_Array], _Array], high: float) -> tuple[float, float]:
+    """Return the place and value of the only maximum of a function between 0 and another end."""
+    low = 0.0
     for _ in range(9):  # a 50th each time: 1e-15 of the interval
         places = np.linspace(low, high, 102)[1:-1]
         values = compute(places)

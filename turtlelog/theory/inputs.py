@@ -23,12 +23,12 @@ MAX_COUNT: Final = 100_000_000
 
 def require_gain(kp: Any) -> float:
     """Return a gain [1/s] as float; raise an error if it is not a positive number."""
-    return _require_between("kp", "a gain", kp)
+    return require_positive("kp", kp, expected="a gain")
 
 
 def require_period(period_s: Any) -> float:
     """Return a sampling period [s] as float; raise an error if it is not a positive number."""
-    return _require_between("period_s", "a sampling period", period_s)
+    return require_positive("period_s", period_s, expected="a sampling period")
 
 
 def require_dead_time(ticks: Any) -> int:
@@ -48,9 +48,14 @@ def require_level(name: str, value: Any) -> float:
     return float(value)
 
 
-def require_positive(name: str, value: Any) -> float:
+def require_positive(name: str, value: Any, *, expected: str = "a number") -> float:
     """Return a magnitude as float; raise an error if it is not a positive number."""
-    return _require_between(name, "a number", value)
+    if not _is_real(value) or not value > 0.0:
+        raise TheoryError(f"{name}: expected {expected} > 0, found {value!r}")
+    if not SMALLEST <= value <= LARGEST:
+        within = f"from {SMALLEST:g} to {LARGEST:g}"
+        raise TheoryError(f"{name}: expected {expected} {within}, found {value!r}")
+    return float(value)
 
 
 def require_not_negative(name: str, value: Any) -> float:
@@ -104,16 +109,6 @@ def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:
     if not steps.min() > 0.0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
         raise TheoryError("time_s: expected even steps forward, found uneven ones")
     return times
-
-
-def _require_between(name: str, expected: str, value: Any) -> float:
-    if not _is_real(value) or not value > 0.0:
-        raise TheoryError(f"{name}: expected {expected} > 0, found {value!r}")
-    if not SMALLEST <= value <= LARGEST:
-        raise TheoryError(
-            f"{name}: expected {expected} from {SMALLEST:g} to {LARGEST:g}, found {value!r}"
-        )
-    return float(value)
 
 
 def _require_whole(name: str, value: Any, lowest: int, highest: int) -> int:

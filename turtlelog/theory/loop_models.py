@@ -399,8 +399,5 @@ def _find_most_age(parameters: _Parameters, step_s: float) -> float:
     """
     if parameters.get("loop.trigger") != "timer":
         return 0.0
-    return 0.0 if _is_multiple(read_number(parameters, "loop.period_s"), step_s) else step_s
-
-
-def _is_multiple(time_s: float, step_s: float) -> bool:
-    return abs(time_s / step_s - round(time_s / step_s)) <= _WHOLE
+    periods = read_number(parameters, "loop.period_s") / step_s
+    return 0.0 if abs(periods - round(periods)) <= _WHOLE else step_s

@@ -175,7 +175,7 @@ def measure_step_motion(
         before = motion.furthest
         motion.hold(commands[k], commands[k + 1])
         furthest_at = k if motion.furthest > before else furthest_at
-        quiet = quiet + 1 if motion.is_at(1.0) else 0
+        quiet = quiet + 1 if motion.is_settled() else 0
         is_known = furthest_at >= 0 and k > 2 * furthest_at + patience
         if quiet > patience or (is_known and not to_rest):
             settling_time_s = (outside + 1) * period_s if quiet else None
@@ -185,9 +185,8 @@ def measure_step_motion(
         if abs(error) > LARGEST_DEVIATION:
             return None
     overshoot_percent = 100.0 * (motion.furthest - 1.0)
-    return (
-        StepMotion(overshoot_percent=overshoot_percent, settling_time_s=None) if is_known else None
-    )
+    found = StepMotion(overshoot_percent=overshoot_percent, settling_time_s=None)
+    return found if is_known else None
 
 
 class _Motion:
@@ -212,9 +211,9 @@ class _Motion:
         self._wait_s = period_s + lag_s
         self._v, self.y, self.furthest = 0.0, 0.0, 1.0
 
-    def is_at(self, level: float) -> bool:
-        """Return whether the process is at rest at a level, within a negligible overshoot."""
-        return abs(self.y - level) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
+    def is_settled(self) -> bool:
+        """Return whether the process is at rest at 1, within a negligible overshoot."""
+        return abs(self.y - 1.0) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
 
     def hold(self, *commands: float) -> None:
         """Advance by one sample, in which one command acts and then the next."""

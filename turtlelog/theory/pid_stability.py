@@ -38,14 +38,11 @@ class LoopShape:
     """A PID loop in dimensionless form.
 
     Attributes:
-        p: K Kp T, with the gain K of the process.
-        i: K Ki T^2; 0: no integral.
-        b: K Kd T / (Tf + T).
+        p, i, b: K Kp T, K Ki T^2 and K Kd T / (Tf + T), with the gain K of the process.
         a: Tf / (Tf + T), from 0 up to 1; None: no derivative.
         delay: Dead time d [samples]; with a low-pass one sample less, so the value may be -1.
         gaps: 1 - e for each pole e of lag and low-pass.
-        ahead: Weight w1, see `process`.
-        behind: Weight w2, see `process`.
+        ahead, behind: Weights w1 and w2, see `process`.
     """
 
     p: float
@@ -112,9 +109,7 @@ def find_stable_intervals(
 ) -> tuple[tuple[float, float], ...]:
     """Return the intervals of Kp T in which a loop is stable, in rising order.
 
-    Args:
-        build: Function that returns the loop for a Kp T.
-        held: Loop with the other parameters; the `p` of this loop is ignored.
+    `build` returns the loop for a Kp T; `held` has the other parameters, and its `p` is ignored.
     """
     edges = sorted({0.0, *(p for p in _list_boundaries(held) if p > 0.0)})
     found: list[tuple[float, float]] = []
@@ -164,7 +159,10 @@ def _list_coefficients(shape: LoopShape) -> list[float]:
         0.0,
     ]
     gap = 1.0 if shape.a is None else 1.0 - shape.a
-    zeros: Any = polymul(found, _list_weight_coefficients(shape))
+    both, apart = shape.ahead + shape.behind, shape.ahead - shape.behind
+    # |W|^2 on the unit circle in rising powers of x.
+    weights = [1.0, 2.0 * (apart * apart - both), 4.0 * shape.ahead * shape.behind]
+    zeros: Any = polymul(found, weights)
     own = [gap * gap, 2.0 * (shape.a or 0.0)]
     poles: Any = np.array([*[0.0] * shape.integrators, *own]) * 2.0**shape.integrators
     for gap in shape.gaps:
@@ -173,12 +171,6 @@ def _list_coefficients(shape: LoopShape) -> list[float]:
     values: list[float] = polyadd(zeros, poles).tolist()
     largest = max(map(abs, values))
     return [value / largest for value in values]
-
-
-def _list_weight_coefficients(shape: LoopShape) -> list[float]:
-    """Return |W|^2 on the unit circle in rising powers of x."""
-    both, apart = shape.ahead + shape.behind, shape.ahead - shape.behind
-    return [1.0, 2.0 * (apart * apart - both), 4.0 * shape.ahead * shape.behind]
 
 
 def _compare(shape: LoopShape, x: float) -> float:

@@ -101,11 +101,8 @@ def build_delayed(
 ) -> Any:
     """Return a continuous `control.TransferFunction` with a dead time.
 
-    Args:
-        numerator: Coefficients in falling powers of s.
-        denominator: Coefficients in falling powers of s.
-        dead_time_s: Dead time [s].
-        pade_order: Order of the Pade approximation of the dead time; 0: the dead time is left out.
+    Coefficients are in falling powers of s. `pade_order` is the order of the Pade approximation of
+    the dead time; 0: the dead time is left out.
 
     Raises:
         TheoryError: If the order is negative.
@@ -130,10 +127,8 @@ class SampledProcess:
 
     Attributes:
         gain: Gain K.
-        whole: Whole samples d of dead time.
-        part: Remaining fraction m / T of a sample of dead time.
-        ahead: Weight w1; 0 without lag.
-        behind: Weight w2; m / T without lag.
+        whole, part: Dead time as whole samples d, and the remaining fraction m / T of a sample.
+        ahead, behind: Weights w1 and w2; 0 and m / T without lag.
         lag_gap: 1 - e of the lag; None without lag.
         filter_gap: 1 - exp(-T / Tl) of the low-pass; None without low-pass.
     """
@@ -175,12 +170,7 @@ class SampledProcess:
 
 
 def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) -> SampledProcess:
-    """Return a sampled process.
-
-    Args:
-        process: Process to sample.
-        period_s: Sampling period T [s].
-        dead_time_ticks: Dead time in addition to that of the process [samples].
+    """Return a process sampled with a period, after an additional dead time.
 
     Raises:
         TheoryError: If a number is out of its range, or the total dead time exceeds 1000 samples.
@@ -246,10 +236,7 @@ def _rest(value: float) -> float:
 def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
     """Return the open loop of a sampled PID loop as a discrete `control.TransferFunction`.
 
-    The open loop is exact, because dead time is a power of z. Close the loop with
-    `control.feedback`. The derivative acts on the measurement, so the closed loop has the exact
-    response to a disturbance of the command. With P and PI, the response to the reference is exact
-    too.
+    The open loop is exact, because dead time is a power of z; see `PidLoop.to_control`.
 
     Raises:
         LibraryError: If python-control is not installed.

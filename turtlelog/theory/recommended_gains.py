@@ -87,13 +87,11 @@ def recommend_gains(
     rules: list[tuple[str, str, str, Callable[[], PidGains | str]]] = []
     if overshoot_percent is not None:
         percent = _require_overshoot(overshoot_percent)
+        find_pd = partial(exact.find_pd_of_overshoot, margin_rad=margin_rad)
         rules += [
             ("overshoot", "P", _EXACT, partial(exact.find_p_of_overshoot, design, percent)),
             ("overshoot", "PI", _EXACT, partial(exact.find_pi_of_overshoot, design, percent)),
-            (
-                *("overshoot", "PD", _EXACT),
-                partial(exact.find_pd_of_overshoot, design, percent, margin_rad),
-            ),
+            ("overshoot", "PD", _EXACT, partial(find_pd, design, percent)),
         ]
     if phase_margin_rad is not None:
         rules += [
@@ -245,9 +243,9 @@ def _compute_simc_pi(design: LoopDesign) -> PidGains:
 def _compute_simc_pd(design: LoopDesign) -> PidGains | str:
     """Return the PD gains of the SIMC rule for an integrator with lag and dead time.
 
-    The derivative time tau_D is the lag. The larger of two lags is kept. Half of the smaller lag is
-    added to the larger lag, half to the dead time. The paper recommends a derivative only if the
-    lag exceeds the dead time.
+    The derivative time tau_D is the lag: the larger of two, plus half of the smaller one, whose
+    other half is dead time. The paper recommends a derivative only if the lag exceeds the dead
+    time.
     """
     theta_s, lag_s = _reduce(design, kept=1)
     if lag_s <= theta_s:

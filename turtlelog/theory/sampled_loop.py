@@ -116,9 +116,8 @@ def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
     Raises:
         TheoryError: If a number is not finite or outside its range.
     """
-    return _compute_stability_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
-        period_s
-    )
+    loop_gain = _compute_stability_loop_gain(require_dead_time(dead_time_ticks))
+    return loop_gain / require_period(period_s)
 
 
 def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0) -> SampledLoop:
@@ -202,11 +201,10 @@ def interpolate_sampled_response(
     initial: float,
     reference: float,
 ) -> NDArray[np.float64] | None:
-    """Return the sampled loop's response at times after the step [s], shape (n,), rising.
+    """Return the sampled loop's response at rising times after the step [s], joined by lines.
 
-    The samples at 0, T, 2 T ... are joined by lines. The result is None if the loop is unstable and
-    goes beyond `LARGEST_DEVIATION` before the last time. The arguments are those of
-    `compute_sampled_step_response`.
+    The result is None if the loop is unstable and goes beyond `LARGEST_DEVIATION` before the last
+    time. The arguments are those of `compute_sampled_step_response`.
     """
     count = int(np.ceil(time_s[-1] / period_s)) + 2
     values = compute_sampled_step_response(
