@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import shlex
 import stat
 import sys
 import textwrap
@@ -17,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeVar
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.errors import UsageError, format_line
+from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
 if TYPE_CHECKING:
@@ -212,6 +213,29 @@ def _fill(line: str, indent: int) -> str:
         break_on_hyphens=False,
     )
     return f"{end}\n".join(filled)
+
+
+def quote_file(file: object) -> str:
+    """Return a file as a word of a command that a user can type."""
+    return escape_controls(shlex.quote(str(file)))
+
+
+def name_explain(file: object, law: object) -> str:
+    """Return the command that explains a run. Code that only its recording names must be trusted.
+
+    Args:
+        file: The recording.
+        law: Kind of its law; laws of the user's own are named PLACE:NAME.
+    """
+    trust = " --trust-law" if ":" in str(law) else ""
+    return f"turtlelog explain {quote_file(file)}{trust}"
+
+
+def read_law(file: Path | str) -> object:
+    """Return the kind of the law that a recording names; None for any other file."""
+    with suppress(TurtlelogError):
+        return tl.log.read_file_info(file).parameters.get("law.kind")
+    return None
 
 
 def list_written(paths: Iterable[object]) -> list[str]:

@@ -66,6 +66,7 @@ class RunSummary:
     Attributes:
         name: Name of the run.
         source: Source of the run, as in `Run`.
+        law: Kind of the law; None if unknown.
         stop_reason: Stop reason, as in `Run`.
         parameters: Parameters by dotted key (`law.kp_linear`).
         metrics: Metrics by id.
@@ -79,6 +80,7 @@ class RunSummary:
 
     name: str
     source: str
+    law: str | None = None
     stop_reason: str | None
     parameters: Mapping[str, Parameter]
     metrics: Mapping[str, Metric]
@@ -241,6 +243,7 @@ def summarise_measured(
     return RunSummary(
         name=run.name,
         source=run.source,
+        law=None if (law := run.parameters.get("law.kind")) is None else str(law),
         stop_reason=run.stop_reason,
         parameters=known if with_parameters else _take_gains(run, known),
         metrics=metrics,
@@ -265,7 +268,7 @@ def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     from turtlelog.measure.breaks import describe_breaks, find_jumps  # only bags need these
 
     moved_m = sum(jump.excess_m for jump in find_jumps(run))
-    return {} if moved_m < _SHOWN * path.value else {"jumps": describe_breaks(run)["jumps"]}
+    return {"jumps": describe_breaks(run)["jumps"]} if moved_m > _SHOWN * path.value else {}
 
 
 def _take_gains(run: Run, known: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
