@@ -182,13 +182,21 @@ _LINE: Final = 80
 """Characters in a line of sentences, and in any line without a terminal."""
 
 
-def find_width() -> int:
-    """Return the number of characters in a line of the terminal; without a terminal 80."""
-    if not sys.stdout.isatty():
-        return _LINE
-    from shutil import get_terminal_size  # not loaded where the answer is a file
+def find_width(stream: TextIO | None = None) -> int:
+    """Return the number of characters in a line of the terminal; without a terminal 80.
 
-    return get_terminal_size().columns
+    Args:
+        stream: Default: stdout.
+    """
+    stream = stream or sys.stdout
+    if not stream.isatty():
+        return _LINE
+    asked = os.environ.get("COLUMNS", "")
+    if asked.isdecimal() and int(asked):
+        return int(asked)
+    with suppress(OSError):
+        return os.get_terminal_size(stream.fileno()).columns or _LINE
+    return _LINE
 
 
 def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
@@ -196,11 +204,12 @@ def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
 
     A command at the end of a line continues after a backslash, so that it can be pasted.
     """
-    return "\n".join(_fill(escape_controls(hide_secrets(line)), indent) for line in lines)
+    width = find_width()
+    return "\n".join(_fill(escape_controls(hide_secrets(line)), indent, width) for line in lines)
 
 
-def _fill(line: str, indent: int) -> str:
-    width = min(find_width(), _LINE)
+def _fill(line: str, indent: int, width: int) -> str:
+    width = min(width, _LINE)
     head, mark, command = line.partition(": turtlelog ")
     is_alone = ", " not in command and not command.endswith(".")
     is_command = bool(mark) and is_alone and len(head) < width // 2
@@ -275,9 +284,15 @@ def cut_rows(table: "Table") -> "Table":
 
 
 def print_note(text: str) -> None:
-    """Print a note in one line, with names escaped and secrets of URLs removed."""
+    """Print a note in one line, with names escaped and secrets of URLs removed.
+
+    On a terminal, the line is wrapped like an answer.
+    """
+    line = format_line(text)
     try:
-        sys.stderr.write(format_line(text) + "\n")
+        if sys.stderr.isatty():
+            line = _fill(line, 2, find_width(sys.stderr))
+        sys.stderr.write(line + "\n")
         sys.stderr.flush()
     except OSError:
         # The result and the exit code remain valid. Python 3.14 tries again at its end, and exits
