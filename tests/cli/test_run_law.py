@@ -117,3 +117,23 @@ def test_a_budget_that_is_no_time_is_one_line(value: str, call: Call) -> None:
     line = f"--step-budget-ms {value}: must be a time above 0 in milliseconds"
     assert (answer.code, answer.out) == (2, "")
     assert answer.err == f"turtlelog: error: {line}\n"
+
+
+def test_the_command_that_explains_a_law_of_ones_own_works_as_printed(
+    call: Call, kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eleven commands; two of them explain a run."""
+    monkeypatch.chdir(tmp_path)
+    told = call("run", "--law", KIND, *GAIN, "-o", "own.mcap").flat
+    command = "turtlelog explain own.mcap --trust-law"
+    assert command in told
+    for words in (["metrics", "own.mcap"], ["info", "own.mcap"]):
+        assert command in call(*words).flat
+    assert call("explain", "own.mcap").code == 2
+    assert call(*command.split()[1:]).code == 0
+    failed = call("check", "own.mcap", "--expect", "run.duration < 1")
+    assert f"Why? {command}" in failed.flat
+    for words in (["metrics", kp4], ["info", kp4], ["check", kp4, "--expect", "run.duration < 1"]):
+        answer = call(*words).flat
+        assert "turtlelog explain" in answer
+        assert "--trust-law" not in answer

@@ -180,3 +180,18 @@ def test_numbers_of_numpy_are_json_like_any_other(capsys: pytest.CaptureFixture[
     values = [np.bool_(1), np.int64(3), np.float32(0.5), np.float32("nan"), np.arange(2)]
     print_json({"values": values})
     assert json.loads(capsys.readouterr().out) == {"values": [True, 3, 0.5, None, [0, 1]]}
+
+
+def test_notes_are_wrapped_on_a_terminal_and_keep_their_line_elsewhere(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("metrics", "nosuch.mcap", "--final", "a few words that are neither")
+    whole = call(*words).err
+    assert (whole.count("\n"), len(whole) > 80) == (1, True)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    for columns, longest in (("60", 60), ("200", 80)):
+        monkeypatch.setenv("COLUMNS", columns)
+        lines = call(*words).err.splitlines()
+        assert longest - 20 < max(map(len, lines)) <= longest
+        assert all(line.startswith("  ") for line in lines[1:])
+        assert " ".join(line.strip() for line in lines) == whole.strip()

@@ -182,7 +182,8 @@ def test_states_that_are_not_declared_are_refused() -> None:
 
 @pytest.mark.parametrize("row", [-1, 4])
 def test_sample_of_a_pose_that_is_not_there_is_refused(row: int) -> None:
-    line = f"sample.pose_sequence[3]: expected a row of the 4 poses, found {row}"
+    told = f"answers pose {row}, but the poses are numbered 0 to 3"
+    line = f"controller sample 3 (pose_sequence): {told}"
     with pytest.raises(RunError, match=match_whole(line)):
         make_run(samples=make_samples(pose_sequence=np.array([0, 1, 2, row])))
 

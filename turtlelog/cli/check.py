@@ -31,12 +31,12 @@ from turtlelog.cli.output import (
     print_note,
     print_run_notes,
     print_text,
+    quote_file,
 )
 from turtlelog.cli.scenario_options import is_recording
 from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError
-from turtlelog.escapes import escape_controls
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
@@ -303,7 +303,7 @@ def _write_first(
         part.write_text(text, encoding="utf-8")
     print_note(f"wrote {output}")
     checks = describe_count(text.count("\n[checks."), "check")
-    spec = escape_controls(shlex.quote(str(output)))
+    spec = quote_file(output)
     lines = [
         f"{output.name}: {checks} read off {file.name}, each bound with its reason.",
         f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...",

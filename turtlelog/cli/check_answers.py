@@ -22,9 +22,11 @@ from turtlelog.cli.output import (
     copy_fields,
     fill_lines,
     fit_table,
+    name_explain,
     print_json,
     print_tables,
     print_verdicts,
+    read_law,
 )
 from turtlelog.display import describe_count, format_short
 from turtlelog.escapes import escape_controls
@@ -350,4 +352,4 @@ def _advise(failed: "CheckResult", spec: "Spec") -> str:
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
     option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
-    return f"turtlelog explain {file}{option}"
+    return f"{name_explain(failed.file, read_law(failed.file))}{option}"

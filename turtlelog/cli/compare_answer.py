@@ -6,7 +6,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import align_rows, cut_rows, fill_lines, find_width
+from turtlelog.cli.output import (
+    align_rows,
+    cut_rows,
+    fill_lines,
+    find_width,
+    name_explain,
+    quote_file,
+)
 from turtlelog.display import (
     describe_count,
     format_number,
@@ -14,7 +21,6 @@ from turtlelog.display import (
     format_short,
     join_words,
 )
-from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.compare import (
@@ -250,8 +256,8 @@ def _list_next(
         metric = min(worst, key=_rank)
         row = worst[metric]
         option = "" if metric == "final.position_error" else f" --metric {metric}"
-        file = escape_controls(shlex.quote(summaries[row].file))
-        yield f"Why is {names[row]} worse? turtlelog explain {file}{option}"
+        command = name_explain(summaries[row].file, summaries[row].law)
+        yield f"Why is {names[row]} worse? {command}{option}"
     yield "For other columns: --metric IDS. For every metric: --json, or turtlelog metrics."
 
 
@@ -289,8 +295,7 @@ def format_reference(
             *parts,
             "",
             fill_lines(signals.notes),
-            "Verdicts with tolerances: turtlelog check --init "
-            + escape_controls(shlex.quote(first.file)),
+            "Verdicts with tolerances: turtlelog check --init " + quote_file(first.file),
         ]
     )
 

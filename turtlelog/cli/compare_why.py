@@ -1,6 +1,5 @@
 """`turtlelog compare --why`: causes of a metric's difference between two runs."""
 
-import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,6 +28,7 @@ from turtlelog.cli.output import (
     print_note,
     print_tables,
     print_text,
+    quote_file,
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_pictures
@@ -320,7 +320,7 @@ def _show(value: Any) -> str:
 
 
 def _list_next(files: tuple[Path, Path]) -> Iterator[str]:
-    first, second = (escape_controls(shlex.quote(str(one))) for one in files)
+    first, second = map(quote_file, files)
     yield f"Signal by signal: turtlelog compare --reference {first} {second}"
 
 

@@ -8,7 +8,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, find_width
+from turtlelog.cli.output import (
+    fill_lines,
+    find_width,
+    name_explain,
+    quote_file,
+    read_law,
+)
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 
@@ -330,12 +336,12 @@ def _list_next(
     """Yield the next commands to type."""
     words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
     if scenario is not None:
-        target = escape_controls(shlex.quote(str(scenario)))
+        target = quote_file(scenario)
         yield f"Next: turtlelog theory {target}"
         yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? turtlelog explain {escape_controls(shlex.quote(str(files[0])))}"
+        yield f"Why? {name_explain(files[0], read_law(files[0]))}"
     elif _is_scenario(model):
         yield f"Simulate it and find gains: turtlelog identify {words} --scenario robot.toml"
     if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun
-from turtlelog.cli.output import fill_lines, fit_table
+from turtlelog.cli.output import (
+    fill_lines,
+    fit_table,
+    name_explain,
+)
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 
@@ -322,7 +326,7 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
         yield f"Fix: {fix}"
     elif answer.format_version is not None:
         yield f"Next: turtlelog metrics {file}"
-        yield f"      turtlelog explain {file}"
+        yield f"      {name_explain(answer.file, answer.parameters.get('law.kind'))}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

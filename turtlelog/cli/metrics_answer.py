@@ -1,15 +1,20 @@
 """Text of `turtlelog metrics`: the end of a run first, then its loops side by side."""
 
-import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, find_width, print_tables, print_text
+from turtlelog.cli.output import (
+    fill_lines,
+    find_width,
+    name_explain,
+    print_tables,
+    print_text,
+    quote_file,
+)
 from turtlelog.display import describe_count, describe_range, format_short, join_words
-from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, Metric, Run
@@ -226,9 +231,10 @@ def _list_why(summary: "RunSummary") -> Iterator[str]:
     """Yield the command that explains why a run missed its goal."""
     if summary.goal_end is not None and summary.goal_end.verdict == "missed":
         if summary.file:
-            yield f"Why? turtlelog explain {escape_controls(shlex.quote(summary.file))}"
+            yield f"Why? {name_explain(summary.file, summary.law)}"
         else:
-            yield "Why? Record the run with -o FILE.mcap, then: turtlelog explain FILE.mcap"
+            command = name_explain("FILE.mcap", summary.law)
+            yield f"Why? Record the run with -o FILE.mcap, then: {command}"
 
 
 def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
@@ -330,12 +336,12 @@ def _list_next(summary: "RunSummary", count: int) -> list[str]:
     is_told = any(_list_why(summary))
     if not summary.file:
         return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
-    file = escape_controls(shlex.quote(summary.file))
+    file = quote_file(summary.file)
     more = f"All {count} metrics with their ids: turtlelog metrics {file} --all"
     if is_told:
         return [more]
     if not summary.is_lawless:
-        return [f"Why? turtlelog explain {file}", more]
+        return [f"Why? {name_explain(summary.file, summary.law)}", more]
     if "poses" in summary.lacks:
         return [f"Where they lead: turtlelog replay {file}", more]
     if "commands" not in summary.lacks:

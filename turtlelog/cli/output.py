@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import shlex
 import stat
 import sys
 import textwrap
@@ -17,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeVar
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.errors import UsageError, format_line
+from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
 if TYPE_CHECKING:
@@ -181,13 +182,21 @@ _LINE: Final = 80
 """Characters in a line of sentences, and in any line without a terminal."""
 
 
-def find_width() -> int:
-    """Return the number of characters in a line of the terminal; without a terminal 80."""
-    if not sys.stdout.isatty():
-        return _LINE
-    from shutil import get_terminal_size  # not loaded where the answer is a file
+def find_width(stream: TextIO | None = None) -> int:
+    """Return the number of characters in a line of the terminal; without a terminal 80.
 
-    return get_terminal_size().columns
+    Args:
+        stream: Default: stdout.
+    """
+    stream = stream or sys.stdout
+    if not stream.isatty():
+        return _LINE
+    asked = os.environ.get("COLUMNS", "")
+    if asked.isdecimal() and int(asked):
+        return int(asked)
+    with suppress(OSError):
+        return os.get_terminal_size(stream.fileno()).columns or _LINE
+    return _LINE
 
 
 def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
@@ -195,11 +204,12 @@ def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
 
     A command at the end of a line continues after a backslash, so that it can be pasted.
     """
-    return "\n".join(_fill(escape_controls(hide_secrets(line)), indent) for line in lines)
+    width = find_width()
+    return "\n".join(_fill(escape_controls(hide_secrets(line)), indent, width) for line in lines)
 
 
-def _fill(line: str, indent: int) -> str:
-    width = min(find_width(), _LINE)
+def _fill(line: str, indent: int, width: int) -> str:
+    width = min(width, _LINE)
     head, mark, command = line.partition(": turtlelog ")
     is_alone = ", " not in command and not command.endswith(".")
     is_command = bool(mark) and is_alone and len(head) < width // 2
@@ -212,6 +222,29 @@ def _fill(line: str, indent: int) -> str:
         break_on_hyphens=False,
     )
     return f"{end}\n".join(filled)
+
+
+def quote_file(file: object) -> str:
+    """Return a file as a word of a command that a user can type."""
+    return escape_controls(shlex.quote(str(file)))
+
+
+def name_explain(file: object, law: object) -> str:
+    """Return the command that explains a run. Code that only its recording names must be trusted.
+
+    Args:
+        file: The recording.
+        law: Kind of its law; laws of the user's own are named PLACE:NAME.
+    """
+    trust = " --trust-law" if ":" in str(law) else ""
+    return f"turtlelog explain {quote_file(file)}{trust}"
+
+
+def read_law(file: Path | str) -> object:
+    """Return the kind of the law that a recording names; None for any other file."""
+    with suppress(TurtlelogError):
+        return tl.log.read_file_info(file).parameters.get("law.kind")
+    return None
 
 
 def list_written(paths: Iterable[object]) -> list[str]:
@@ -251,9 +284,15 @@ def cut_rows(table: "Table") -> "Table":
 
 
 def print_note(text: str) -> None:
-    """Print a note in one line, with names escaped and secrets of URLs removed."""
+    """Print a note in one line, with names escaped and secrets of URLs removed.
+
+    On a terminal, the line is wrapped like an answer.
+    """
+    line = format_line(text)
     try:
-        sys.stderr.write(format_line(text) + "\n")
+        if sys.stderr.isatty():
+            line = _fill(line, 2, find_width(sys.stderr))
+        sys.stderr.write(line + "\n")
         sys.stderr.flush()
     except OSError:
         # The result and the exit code remain valid. Python 3.14 tries again at its end, and exits

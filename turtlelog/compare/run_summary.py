@@ -63,6 +63,7 @@ class RunSummary:
     Attributes:
         name: Name of the run.
         source: Source of the run, as in `Run`.
+        law: Kind of the law; None if unknown.
         stop_reason: Stop reason, as in `Run`.
         parameters: Parameters by dotted key (`law.kp_linear`).
         metrics: Metrics by id.
@@ -76,6 +77,7 @@ class RunSummary:
 
     name: str
     source: str
+    law: str | None = None
     stop_reason: str | None
     parameters: Mapping[str, Parameter]
     metrics: Mapping[str, Metric]
@@ -232,6 +234,7 @@ def summarise_measured(
     return RunSummary(
         name=run.name,
         source=run.source,
+        law=None if (law := run.parameters.get("law.kind")) is None else str(law),
         stop_reason=run.stop_reason,
         parameters=known if with_parameters else {key: known[key] for key in gains if key in known},
         metrics=metrics,
@@ -256,7 +259,7 @@ def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     from turtlelog.measure.breaks import describe_breaks, find_jumps  # only bags need these
 
     moved_m = sum(jump.excess_m for jump in find_jumps(run))
-    return {} if moved_m < _SHOWN * path.value else {"jumps": describe_breaks(run)["jumps"]}
+    return {"jumps": describe_breaks(run)["jumps"]} if moved_m > _SHOWN * path.value else {}
 
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None

@@ -148,8 +148,8 @@ class Run:
         if outside.any():
             row = int(outside.argmax())
             raise RunError(
-                f"sample.pose_sequence[{row}]: expected a row of the {len(self.poses)} poses,"
-                f" found {read[row]}"
+                f"controller sample {row} (pose_sequence): answers pose {read[row]}, but the poses"
+                f" are numbered 0 to {len(self.poses) - 1}"
             )
         self._require_declared()
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
