@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.charts.curves import Curve, Values, read_applied, read_command
+from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
 from turtlelog.charts.time_plots import TIME_PLOTS
@@ -57,7 +58,7 @@ _REASON_LETTERS: Final = 58
 _COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
 _EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
 _OUTLIER: Final = fix_style(color="#c62828", markersize=4.5, label="left out of the fit")
-_DEAD: Final = fix_style(color="#e69f00", alpha=0.22, linewidth=0.0, zorder=0.6, label="dead time")
+_DEAD: Final = fix_style(color=to_hex(DEAD_TIME), alpha=0.3, lw=0.0, zorder=0.6, label="dead time")
 _LAG: Final = fix_style(
     color="#56b4e9", alpha=0.25, linewidth=0.0, zorder=0.6, label="time constant"
 )
@@ -283,7 +284,12 @@ def _draw_interval(axes: Axes, dead_time: Estimate) -> None:
     if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
         return
     ends = [dead_time.low, dead_time.high]
-    looks: dict[str, Any] = {"color": "#8a5a00", "linewidth": 0.9, "marker": "|", "markersize": 5.0}
+    looks: dict[str, Any] = {
+        "color": to_hex(darken(DEAD_TIME)),
+        "lw": 0.9,
+        "marker": "|",
+        "ms": 5.0,
+    }
     label = "dead time: interval"
     axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **looks, label=label)
 
