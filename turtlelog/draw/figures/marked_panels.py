@@ -62,25 +62,15 @@ _OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "headi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Marked:
-    """A panel with the marks of one of the runs.
+    """A panel with the marks of one of the runs."""
 
-    Attributes:
-        axes: Axes of the panel.
-        curve: Curve of the run in the panel.
-        is_error: Whether the panel shows the difference from the reference.
-        is_magnitude: Whether the panel shows the magnitude.
-        is_alone: Whether no other run is in the panel.
-        has_guides: Whether lines lead from dots to the axes.
-        color: Colour of the run.
-    """
-
-    axes: Axes
-    curve: Curve
-    is_error: bool
-    is_magnitude: bool
-    is_alone: bool
-    has_guides: bool
-    color: Any
+    axes: Axes  # axes of the panel
+    curve: Curve  # curve of the run in the panel
+    is_error: bool  # whether the panel shows the difference from the reference
+    is_magnitude: bool  # whether the panel shows the magnitude
+    is_alone: bool  # whether no other run is in the panel
+    has_guides: bool  # whether lines lead from dots to the axes
+    color: Any  # colour of the run
 
     def read(self, at_s: float) -> float:
         """Return the value of the curve at a time [s], as the panel shows it."""
