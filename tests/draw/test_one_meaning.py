@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bokeh.models import BoxAnnotation
 from matplotlib.colors import to_rgb
 
 import turtlelog as tl
@@ -14,10 +15,19 @@ from tests.draw.laws import simulate_tracker
 from tests.draw.rerun.rrds import read_static, simulate_preset
 from tests.draw.robots import make_robot
 from tests.draw.test_effects_shown import simulate
-from turtlelog.charts.palette import IDEAL, Color, choose_curve_color, choose_run_colors, to_hex
+from turtlelog.charts.palette import (
+    DEAD_TIME,
+    IDEAL,
+    Color,
+    choose_curve_color,
+    choose_run_colors,
+    darken,
+    to_hex,
+)
+from turtlelog.draw.figures.rates_figure import _DEAD
 from turtlelog.draw.report.drawing import Drawn
 from turtlelog.draw.report.page_plots import draw_plots
-from turtlelog.draw.rerun.legends import _LINE_LETTERS
+from turtlelog.draw.rerun.marks import _LINE_LETTERS
 from turtlelog.draw.rerun.run_scene import build_single
 from turtlelog.run import Run
 
@@ -60,6 +70,18 @@ def test_the_ideal_loop_is_grey_in_every_picture() -> None:
     data = draw_report(run).roots["plot-heading"].renderers[0].data_source.data
     assert dict(zip(data["name"], data["color"], strict=True))["ideal"] == to_hex(IDEAL)
     assert choose_curve_color("ideal", (1, 2, 3), is_alone=False) == IDEAL
+
+
+def test_a_dead_time_has_one_colour_in_every_picture() -> None:
+    run = RUNS[1]
+    figure = tl.draw.draw_figure("heading", [run], page=tl.draw.Page(has_marks=True))
+    axes = figure.axes[0]
+    assert DEAD_TIME in {to_bytes(patch.get_facecolor()) for patch in axes.patches}
+    words = {to_bytes(text.get_color()) for text in axes.texts if "dead time" in text.get_text()}
+    assert words == {darken(DEAD_TIME)}
+    boxes = draw_report(run).roots["plot-heading"].select(type=BoxAnnotation)
+    assert to_hex(DEAD_TIME) in {box.fill_color for box in boxes}
+    assert to_bytes(_DEAD["color"]) == DEAD_TIME
 
 
 @pytest.mark.parametrize("kind", ["kp10", "tracker", "robot", "noisy"])

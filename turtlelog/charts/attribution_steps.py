@@ -8,7 +8,7 @@ from typing import Final, Literal
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import join_words
-from turtlelog.explain import Attribution, Change, Contribution, ExplainedDifference
+from turtlelog.explain import Attribution, Contribution, ExplainedDifference
 from turtlelog.explain.attribution import THIS_SEED
 from turtlelog.explain.explained_difference import SEED, Side
 
@@ -107,9 +107,18 @@ class Waterfall:
     @property
     def label(self) -> str:
         """Name of the metric with the drawn unit."""
-        words = self.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
-        unit = f" [{self.scale.unit}]" if self.scale.unit else ""
-        return f"{words.replace('.', ' ')}{unit}"
+        return label_metric(self.metric, self.scale.unit)
+
+
+def label_metric(metric: str, unit: str) -> str:
+    """Return the label of an axis for a metric, with the drawn unit."""
+    words = metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
+    return words.replace(".", " ") + (f" [{unit}]" if unit else "")
+
+
+def choose_unit(largest: float, unit: str) -> tuple[float, str]:
+    """Return the factor and the unit to draw values up to a size: mm below 1 m."""
+    return (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, "" if unit == "1" else unit)
 
 
 def draw_up_attribution(found: Attribution) -> Waterfall:
@@ -178,11 +187,9 @@ def choose_step_scale(found: Attribution) -> StepScale:
 def _choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
     """Return the unit and the decimals for drawing values that have a metric's unit."""
     largest = max(abs(value) for value in (*values, 0.0) if value is not None)
-    factor, unit = (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, unit)
+    factor, unit = choose_unit(largest, unit)
     digits = _DIGITS - 1 - (math.floor(math.log10(largest * factor)) if largest else 0)
-    return StepScale(
-        factor=factor, unit="" if unit == "1" else unit, decimals=min(max(digits, 0), 9)
-    )
+    return StepScale(factor=factor, unit=unit, decimals=min(max(digits, 0), 9))
 
 
 def _list_contributions(
@@ -228,11 +235,16 @@ def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
 def _describe_contribution(one: Contribution, total: float, scale: StepScale) -> str:
     """Return how removing a cause changes the value, and the cause's part of the logged value."""
     value = one.contribution or 0.0
-    size = scale.format_value(-value, signed=True)
-    if one.standard_error is not None:
-        size += f" ± {abs(one.standard_error * scale.factor):.2g}"
     chance = ", may be chance" if not one.is_clear else ""
+    size = _tell_size(-value, one.standard_error, scale)
     return f"{size}{_tell_part(value, total)}{chance}"
+
+
+def _tell_size(value: float, standard_error: float | None, scale: StepScale) -> str:
+    size = scale.format_value(value, signed=True)
+    if standard_error is not None:
+        size += f" ± {abs(standard_error * scale.factor):.2g}"
+    return size
 
 
 def _tell_part(value: float, total: float) -> str:
@@ -296,7 +308,7 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
                 start=at,
                 end=end,
                 name=one.name,
-                text=_describe(one, scale),
+                text=_tell_size(one.contribution or 0.0, one.standard_error, scale),
                 color=color,
             )
         )
@@ -319,10 +331,3 @@ def _make_total(side: Side, scale: StepScale, color: palette.Color) -> Attributi
 def _choose_difference_scale(found: ExplainedDifference) -> StepScale:
     """Return the unit and the decimals for all values of a difference."""
     return _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)
-
-
-def _describe(one: Change, scale: StepScale) -> str:
-    size = scale.format_value(one.contribution or 0.0, signed=True)
-    if one.standard_error is not None:
-        size += f" ± {abs(one.standard_error * scale.factor):.2g}"
-    return size

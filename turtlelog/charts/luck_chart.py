@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette
+from turtlelog.charts.attribution_steps import choose_unit, label_metric
 from turtlelog.charts.close_up import choose_rings, format_length
 from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import Color, choose_cause_colors
@@ -130,28 +131,44 @@ class LuckPicture:
 def build_luck_picture(luck: Luck) -> LuckPicture:
     """Return the content of the picture of chance in a run."""
     factor, unit = _choose_unit([curve.values for curve in luck.curves], luck.unit)
-    order = _order(luck)
+    order, places, label, at = _place_starts(luck)
     columns = [curve.values[order] * factor for curve in luck.curves]
-    recorded = np.array([math.nan if luck.recorded is None else luck.recorded]) * factor
-    limits = _find_limits([*columns, recorded], is_error=luck.metric.endswith("error"))
+    recorded = math.nan if luck.recorded is None else luck.recorded * factor
+    is_error = luck.metric.endswith("error")
+    limits = _find_limits([*columns, np.array([recorded])], is_error=is_error)
     colors = choose_cause_colors(luck.causes)
     lines = tuple(
         _build_line(luck, curve, values, colors, limits)
         for curve, values in zip(luck.curves, columns, strict=True)
     )
-    words = luck.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
     return LuckPicture(
         varied=luck.varied,
         sentences=_write_sentences(luck),
-        places=_find_places(luck),
-        place_label=_name_places(luck),
-        value_label=words.replace(".", " ") + (f" [{unit}]" if unit else ""),
+        places=places,
+        place_label=label,
+        value_label=label_metric(luck.metric, unit),
         limits=limits,
         lines=lines,
-        recorded=_place_recorded(luck, factor),
+        recorded=None if luck.recorded is None else (at, recorded),
         recorded_name=_name_recorded(luck),
         plane=_build_plane(luck),
     )
+
+
+def _place_starts(luck: Luck) -> tuple[NDArray[np.intp], Values, str, float]:
+    """Return the order of starts or seeds, their places, the axis' label, and the run's place.
+
+    Starts keep their order; seeds are sorted by the value with all effects.
+    """
+    values = luck.curves[0].values
+    if luck.varied == "seed":
+        below = 0 if luck.recorded is None else int((values <= luck.recorded).sum())
+        label = f"{len(luck.seeds)} seeds, by the value {WITH_ALL}"
+        places = np.arange(1.0, len(luck.seeds) + 1.0)
+        return np.argsort(values, kind="stable"), places, label, below + 0.5
+    turn_deg = math.degrees(float(luck.starts_rad[-1] - luck.starts_rad[0]))
+    label = f"start heading, from the recorded one [deg] (one sample turns {turn_deg:.3g} deg)"
+    return np.arange(len(values)), np.degrees(luck.starts_rad), label, 0.0
 
 
 def spread_labels(
@@ -192,7 +209,7 @@ def _top(group: Sequence[float], height: float) -> float:
 def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
     """Return the factor and unit for showing values: mm below 1 m."""
     largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in columns)
-    return (1e3, "mm") if unit == "m" and largest < 1.0 else (1.0, "" if unit == "1" else unit)
+    return choose_unit(largest, unit)
 
 
 def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
@@ -225,34 +242,6 @@ def _round(value: float, digits: int) -> str:
 
 def _count_decimals(value: float, digits: int) -> int:
     return max(digits - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
-
-
-def _order(luck: Luck) -> NDArray[np.intp]:
-    """Return starts unchanged, or seeds sorted by the value with all effects."""
-    values = luck.curves[0].values
-    return np.argsort(values, kind="stable") if luck.varied == "seed" else np.arange(len(values))
-
-
-def _find_places(luck: Luck) -> Values:
-    if luck.varied == "seed":
-        return np.arange(1.0, len(luck.seeds) + 1.0)
-    return np.degrees(luck.starts_rad)
-
-
-def _name_places(luck: Luck) -> str:
-    if luck.varied == "seed":
-        return f"{len(luck.seeds)} seeds, by the value {WITH_ALL}"
-    turn_deg = math.degrees(float(luck.starts_rad[-1] - luck.starts_rad[0]))
-    return f"start heading, from the recorded one [deg] (one sample turns {turn_deg:.3g} deg)"
-
-
-def _place_recorded(luck: Luck, factor: float) -> tuple[float, float] | None:
-    if luck.recorded is None:
-        return None
-    if luck.varied == "start":
-        return 0.0, luck.recorded * factor
-    below = int((luck.curves[0].values <= luck.recorded).sum())
-    return below + 0.5, luck.recorded * factor
 
 
 def _name_recorded(luck: Luck) -> str:

@@ -140,7 +140,7 @@ IDEAL: Final[Color] = (128, 128, 128)
 to `GROUND`."""
 
 DEAD_TIME: Final[Color] = _OKABE_ITO[4]
-"""Colour of the bar of a dead time, below the bars of the phases."""
+"""Colour of dead times: of the bar below the bars of the phases, and of spans in plots."""
 
 EVENT: Final[Color] = (176, 124, 64)
 """Colour of events."""
@@ -224,6 +224,12 @@ def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
 def tint(color: Color) -> Color:
     """Return a lighter colour for a second curve of the same run."""
     red, green, blue = (part + (255 - part) * 9 // 20 for part in color)
+    return red, green, blue
+
+
+def darken(color: Color) -> Color:
+    """Return a darker colour, for text and thin strokes on white."""
+    red, green, blue = (part * 7 // 10 for part in color)
     return red, green, blue
 
 

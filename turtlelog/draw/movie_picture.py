@@ -83,17 +83,11 @@ _USUAL: Final = ("heading", "speed")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Growing:
-    """A line that is drawn up to a given time.
+    """A line that is drawn up to a given time."""
 
-    Attributes:
-        line: Artist of matplotlib.
-        time_s: Times of the points on the timeline [s].
-        points: Points of the line, shape (n, 2).
-    """
-
-    line: Any
-    time_s: Values
-    points: Values
+    line: Any  # artist of matplotlib
+    time_s: Values  # times of the points on the timeline [s]
+    points: Values  # points of the line, shape (n, 2)
 
     def grow(self, time_s: float, tip: Values | None) -> None:
         """Show the part before a time, and a line from the end of this part to the tip."""
@@ -103,17 +97,11 @@ class _Growing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Goal:
-    """The view of the goal.
+    """The view of the goal."""
 
-    Attributes:
-        axes: Axes of the view.
-        close_up: Content of the view.
-        words: Distances of the runs, shown when they have arrived.
-    """
-
-    axes: Axes
-    close_up: CloseUp
-    words: list[Artist]
+    axes: Axes  # axes of the view
+    close_up: CloseUp  # content of the view
+    words: list[Artist]  # distances of the runs, shown when they have arrived
 
 
 @dataclass(slots=True, kw_only=True)

@@ -26,23 +26,14 @@ _MOST_IN_BLOCKS: Final = 32
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Column:
-    """A column as text.
+    """A column as text."""
 
-    Attributes:
-        titles: Lines of the column's title.
-        unit: Unit in brackets; empty without a unit.
-        cells: Text of each row.
-        is_numeric: Whether the column is aligned to the right.
-        is_joined: Whether the column must stay next to the previous column.
-        width: Available width [characters]; longer text is broken into lines.
-    """
-
-    titles: tuple[str, ...]
-    unit: str
-    cells: tuple[str, ...]
-    is_numeric: bool
-    is_joined: bool
-    width: int
+    titles: tuple[str, ...]  # lines of the column's title
+    unit: str  # unit in brackets; empty without a unit
+    cells: tuple[str, ...]  # text of each row
+    is_numeric: bool  # whether the column is aligned to the right
+    is_joined: bool  # whether the column must stay next to the previous column
+    width: int  # available width [characters]; longer text is broken into lines
 
     @property
     def least_width(self) -> int:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -85,7 +86,8 @@ def draw_gains(
         note = f"the first {_MOST_LOOPS} of {len(columns)} loops; --metric LOOP.METRIC chooses"
         figure.supxlabel(note, fontsize=7.0, color="0.4")
         columns = columns[:_MOST_LOOPS]
-    rows = list(dict.fromkeys(one.name for one in found if one.loop in _list_shown(columns)))
+    shown_loops = {"", *(loop.name for loop in columns)}
+    rows = list(dict.fromkeys(one.name for one in found if one.loop in shown_loops))
     width = figure.get_figwidth()
     is_stacked = width < _COLUMN_INCH * len(columns)
     shape = (len(rows) * len(columns), 1) if is_stacked else (len(rows), len(columns))
@@ -146,10 +148,6 @@ class LoopGains:
     gains: Values
     limits: tuple[GainLimits, ...]
     step: tuple[float, float] | None = None
-
-
-def _list_shown(columns: Sequence[LoopGains]) -> set[str]:
-    return {"", *(loop.name for loop in columns)}
 
 
 def _find_values(
@@ -289,10 +287,8 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: strip_figure.MetricValues) 
             axes.plot(gains, times_s, **_THEORY, label="ideal loop: 4 τ")
         if loop.step is not None:
             size, limit = loop.step
-            times_s = [
-                compute_saturated_settling_time(float(gain), step=size, limit=limit)
-                for gain in gains
-            ]
+            settle = partial(compute_saturated_settling_time, step=size, limit=limit)
+            times_s = [settle(float(gain)) for gain in gains]
             axes.plot(gains, times_s, **_LIMITED, label="ideal loop, limited")
     elif found.name == "overshoot":
         for one in loop.limits[:_MOST_LINES]:
@@ -336,9 +332,7 @@ def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
     for run in runs:
         gains.append(_read_gain(run.declaration.find_loop(name), run))
         for model in model_run_loops(run):
-            if model.loop.name != name or not math.isfinite(gains[-1]):
-                continue
-            if model.reason:
+            if model.loop.name != name or model.reason or not math.isfinite(gains[-1]):
                 continue
             pid, settings = model.require()
             process, period_s = settings["process"], settings["period_s"]

@@ -18,6 +18,7 @@ from turtlelog.charts.characteristics import (
 )
 from turtlelog.charts.curves import Curve, read_curve
 from turtlelog.charts.many_runs import cut_alike
+from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plotted_curves import find_rest
 from turtlelog.draw.figures.page import Page, fix_style, label_runs, style_runs
 from turtlelog.draw.figures.placed_words import GUIDE_ORDER, Table, Word, write_words
@@ -31,7 +32,7 @@ extremes, because a table would cover the curves."""
 
 _GUIDE: Final = fix_style(linestyle=(0, (1, 1.6)), linewidth=0.7, zorder=GUIDE_ORDER)
 _PAUSE: Final = fix_style(facecolor="0.90", edgecolor="none", zorder=0.4)
-_DEAD: Final = fix_style(facecolor="#f2d9c4", edgecolor="none", zorder=0.4)
+_DEAD: Final = fix_style(facecolor=to_hex(DEAD_TIME), alpha=0.3, edgecolor="none", zorder=0.4)
 _BAND: Final = fix_style(facecolor="0.93", edgecolor="none", zorder=0.45)
 
 _ROOM: Final = 0.04
@@ -43,7 +44,7 @@ thinner than the curve's line."""
 _LEAST_PAUSE: Final = 0.005
 """Smallest visible pause as a share of an axis: a third of a millimetre in a column."""
 
-_DEAD_WORDS: Final = "#8a4f1d"
+_DEAD_WORDS: Final = to_hex(darken(DEAD_TIME))
 _CUT: Final = 0.8
 """Largest share of the whole axis that a phase may have for the axis to be cut to it."""
 
@@ -61,25 +62,15 @@ _OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "headi
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Marked:
-    """A panel with the marks of one of the runs.
+    """A panel with the marks of one of the runs."""
 
-    Attributes:
-        axes: Axes of the panel.
-        curve: Curve of the run in the panel.
-        is_error: Whether the panel shows the difference from the reference.
-        is_magnitude: Whether the panel shows the magnitude.
-        is_alone: Whether no other run is in the panel.
-        has_guides: Whether lines lead from dots to the axes.
-        color: Colour of the run.
-    """
-
-    axes: Axes
-    curve: Curve
-    is_error: bool
-    is_magnitude: bool
-    is_alone: bool
-    has_guides: bool
-    color: Any
+    axes: Axes  # axes of the panel
+    curve: Curve  # curve of the run in the panel
+    is_error: bool  # whether the panel shows the difference from the reference
+    is_magnitude: bool  # whether the panel shows the magnitude
+    is_alone: bool  # whether no other run is in the panel
+    has_guides: bool  # whether lines lead from dots to the axes
+    color: Any  # colour of the run
 
     def read(self, at_s: float) -> float:
         """Return the value of the curve at a time [s], as the panel shows it."""

@@ -80,21 +80,13 @@ def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ())
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Placed:
-    """Text at its place, in fractions of the panel.
+    """Text at its place, in fractions of the panel."""
 
-    Attributes:
-        word: Text to place.
-        middle: Middle of the text's box, shape (2,).
-        is_upright: Whether the text is upright in its span.
-        leader: Line from the dot to a box that is far away, shape (2, 2).
-        cost: Number of points that the text covers.
-    """
-
-    word: Word
-    middle: Values
-    cost: float
-    is_upright: bool = False
-    leader: Values | None = None
+    word: Word  # text to place
+    middle: Values  # middle of the text's box, shape (2,)
+    cost: float  # number of points that the text covers
+    is_upright: bool = False  # whether the text is upright in its span
+    leader: Values | None = None  # line from the dot to a box that is far away, shape (2, 2)
 
 
 _AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)

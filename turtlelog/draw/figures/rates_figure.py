@@ -3,6 +3,7 @@
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -10,12 +11,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.charts.curves import Curve, Values, read_applied, read_command
+from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, fix_style, label_runs
+from turtlelog.draw.figures.page import (
+    MEASURED,
+    MODELLED,
+    REFERENCE,
+    SIDE_BY_SIDE_INCH,
+    fix_style,
+    label_runs,
+)
 from turtlelog.errors import ShowError
 from turtlelog.identify import (
     AxisModel,
@@ -31,9 +40,6 @@ from turtlelog.identify import (
 from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
-
-_SIDE_BY_SIDE_INCH: Final = 5.0
-"""Width below which the close-up is below [inch]; half a column would not show a delay."""
 
 _ROW_INCH: Final = 1.25
 _LEFT_INCH: Final = 0.75
@@ -57,7 +63,7 @@ _REASON_LETTERS: Final = 58
 _COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
 _EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
 _OUTLIER: Final = fix_style(color="#c62828", markersize=4.5, label="left out of the fit")
-_DEAD: Final = fix_style(color="#e69f00", alpha=0.22, linewidth=0.0, zorder=0.6, label="dead time")
+_DEAD: Final = fix_style(color=to_hex(DEAD_TIME), alpha=0.3, lw=0.0, zorder=0.6, label="dead time")
 _LAG: Final = fix_style(
     color="#56b4e9", alpha=0.25, linewidth=0.0, zorder=0.6, label="time constant"
 )
@@ -98,7 +104,7 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
     if not drawn:
         raise ShowError("figure rates needs commands that are not always 0")
     width = figure.get_figwidth()
-    is_wide = width >= _SIDE_BY_SIDE_INCH
+    is_wide = width >= SIDE_BY_SIDE_INCH
     rows: list[tuple[DrawnAxis, str, float]] = []
     for one in drawn:
         rows.append((one, "rates", _ROW_INCH))
@@ -143,24 +149,15 @@ def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None
     command = read_command(run, axis.axis)
     if command is None or not np.any(command.values):
         return None
+    drawn = partial(DrawnAxis, model=axis, brackets=model.brackets, command=command)
     if axis.is_known:
         traces = trace_axis(axis, run)
         measured = (traces.time_s - run.start_ns / 1e9, traces.measured)
         outliers = [event.time_s for event in model.events if event.axis == axis.axis]
-        return DrawnAxis(
-            model=axis,
-            brackets=model.brackets,
-            command=command,
-            measured=measured,
-            traces=traces,
-            outliers_s=np.array(outliers),
-        )
+        return drawn(measured=measured, traces=traces, outliers_s=np.array(outliers))
     reported = read_measured(run, axis.axis)
     curve = read_applied(run, axis.axis) if reported is None else reported.curve
-    found = None if curve is None else (curve.time_s, curve.values)
-    return DrawnAxis(
-        model=axis, brackets=model.brackets, command=command, measured=found, traces=None
-    )
+    return drawn(measured=None if curve is None else (curve.time_s, curve.values), traces=None)
 
 
 def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
@@ -283,7 +280,12 @@ def _draw_interval(axes: Axes, dead_time: Estimate) -> None:
     if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
         return
     ends = [dead_time.low, dead_time.high]
-    looks: dict[str, Any] = {"color": "#8a5a00", "linewidth": 0.9, "marker": "|", "markersize": 5.0}
+    looks: dict[str, Any] = {
+        "color": to_hex(darken(DEAD_TIME)),
+        "lw": 0.9,
+        "marker": "|",
+        "ms": 5.0,
+    }
     label = "dead time: interval"
     axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **looks, label=label)
 

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Values
@@ -89,23 +90,14 @@ _UNSTABLE_LENGTH: Final = 40.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _LoopCurve:
-    """One loop to draw.
+    """One loop to draw."""
 
-    Attributes:
-        run: Name of the run; empty if there is only one.
-        is_many: Whether a colour bar names the runs, because there are many.
-        layer: Index of the loop in its law; loop 0 is on top.
-        model: Model of the loop in theory.
-        found: Properties of the loop.
-        run_looks: Colour and marker of the run.
-    """
-
-    run: str
-    is_many: bool
-    layer: int
-    model: LoopModel
-    found: PidLoop
-    run_looks: Mapping[str, Any]
+    run: str  # name of the run; empty if there is only one
+    is_many: bool  # whether a colour bar names the runs, because there are many
+    layer: int  # index of the loop in its law; loop 0 is on top
+    model: LoopModel  # model of the loop in theory
+    found: PidLoop  # properties of the loop
+    run_looks: Mapping[str, Any]  # colour and marker of the run
 
     @property
     def color(self) -> Any:
@@ -144,8 +136,6 @@ class _LoopCurve:
 
 def find_lack_of_theory(runs: Sequence[Run]) -> str:
     """Return why theory has no loop; empty if it has a loop."""
-    if not runs:
-        return "a recording"
     models = [model for run in runs for model in model_run_loops(run)]
     if list_known(models):
         return ""
@@ -173,7 +163,7 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
     size.set_ylabel("magnitude [dB]")
     phase.set(xlabel="frequency [rad/s]", ylabel="phase [deg]")
     phase.set_ylim(max(phase.get_ylim()[0], -450.0), None)
-    phase.yaxis.set_major_locator(_every(90.0))
+    phase.yaxis.set_major_locator(MultipleLocator(90.0))
     _tell_equal_phases(phase, curves)
 
 
@@ -389,12 +379,6 @@ def _unwrap_degrees(values: NDArray[np.complex128]) -> Values:
 
 def _to_db(size: Any) -> Any:
     return 20.0 * np.log10(size)
-
-
-def _every(step: float) -> Any:
-    from matplotlib.ticker import MultipleLocator
-
-    return MultipleLocator(step)
 
 
 def _draw_ends(axes: Axes, frequencies: Sequence[float]) -> None:

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
 
+from turtlelog.charts.attribution_steps import choose_unit
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import find_gain_unit
 from turtlelog.charts.palette import UNSTABLE, to_hex
@@ -86,11 +87,7 @@ class MetricValues:
     def is_logarithmic(self) -> bool:
         """Whether the values need a logarithmic scale."""
         known = self.values[np.isfinite(self.values)]
-        return (
-            len(known) > 1
-            and bool(known.min() > 0.0)
-            and bool(known.max() > _LOGARITHMIC * known.min())
-        )
+        return len(known) > 1 and bool(0.0 < _LOGARITHMIC * known.min() < known.max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,8 +249,7 @@ def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: flo
         axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.grid(visible=False, axis="x")
-    words = found.label
-    axes.set_ylabel(f"{found.loop}:\n{words}" if found.loop else words)
+    axes.set_ylabel(f"{found.loop}:\n{found.label}" if found.loop else found.label)
 
 
 def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: bool) -> None:
@@ -321,16 +317,13 @@ def measure_for_figure(
         ShowError: If no run has a value of any metric. The message has the first reason.
         MeasureError: If a name is not a metric.
     """
-    patterns = [complete_name(name) for name in names] if names else [*USUAL]
-    measured = [measure_run(run, only=choose_metrics(patterns, run.declaration)) for run in runs]
-    found = _gather(measured)
-    if not found and not names:
-        patterns = [*OF_TRACKING]
-        measured = [
-            measure_run(run, only=choose_metrics(patterns, run.declaration)) for run in runs
-        ]
+    for patterns in [[*map(complete_name, names)]] if names else [USUAL, OF_TRACKING]:
+        chosen = [choose_metrics(patterns, run.declaration) for run in runs]
+        measured = [measure_run(run, only=only) for run, only in zip(runs, chosen, strict=True)]
         found = _gather(measured)
-    if not found:
+        if found:
+            break
+    else:
         reasons = [one.reason for metrics in measured for one in metrics.values() if one.reason]
         reason = f": {reasons[0]}" if reasons else ""
         wanted = ", ".join(names or USUAL)
@@ -357,15 +350,13 @@ def _gather(measured: Sequence[Mapping[str, Metric]]) -> list[MetricValues]:
 def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues:
     known = [one for one in metrics if one is not None and one.value is not None]
     values = [np.nan if one is None or one.value is None else one.value for one in metrics]
-    unit, factor = known[0].unit, 1.0
-    if unit == "m" and max(abs(one.value or 0.0) for one in known) < 1.0:
-        unit, factor = "mm", 1e3
+    factor, unit = choose_unit(max(abs(one.value or 0.0) for one in known), known[0].unit)
     loop, _, last = name.rpartition(".")
     words = last if loop != "final" or last.startswith("final") else f"final {last}"
     words = words.replace("_", " ")
     return MetricValues(
         id=name,
-        label=words if unit == "1" else f"{words} [{unit}]",
+        label=f"{words} [{unit}]" if unit else words,
         values=factor * np.array(values),
         reasons=tuple("" if one is None else one.reason for one in metrics),
         factor=factor,

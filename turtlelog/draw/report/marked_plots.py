@@ -11,7 +11,7 @@ from turtlelog.charts.characteristics import (
     list_mark_texts,
     read_marked_curve,
 )
-from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, to_hex
+from turtlelog.charts.palette import ALLOWED, DEAD_TIME, MAIN, VIOLATION, Color, to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.draw.report.drawing import RING, Drawn, Plots, make_figure, store, thin
 from turtlelog.libraries import load_library
@@ -19,7 +19,7 @@ from turtlelog.libraries import load_library
 MOST_MARKED: Final = 4
 """Largest number of runs with marks; with more runs, marks would hide each other."""
 
-_DEAD: Final = "#c77736"
+_DEAD: Final = to_hex(DEAD_TIME)
 _WORDS: Final = "#767676"
 """Colour of text, with a contrast of 4.5 to white and 4.6 to black."""
 

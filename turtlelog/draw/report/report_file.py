@@ -51,7 +51,7 @@ _MOST_COLUMNS: Final = 4
 _MOST_TITLED: Final = 4
 _MARKS_NOTE: Final = (
     '<p class="note">Shaded where a run has them: pauses over the whole height, dead times in'
-    " brown, settling bands along the reference.</p>"
+    " pink, settling bands along the reference.</p>"
 )
 _KINDS: Final[Mapping[CurveKind, str]] = MappingProxyType(
     {

@@ -23,8 +23,14 @@ from turtlelog.draw.rerun.content import (
     find_ranges,
 )
 from turtlelog.draw.rerun.entities import ALONG_TRACK, RUNS, join_path, name_part
-from turtlelog.draw.rerun.layout import build_comparison_layout, is_small
-from turtlelog.draw.rerun.legends import draw_legend, draw_scale, tell_span, title_scale
+from turtlelog.draw.rerun.layout import (
+    build_comparison_layout,
+    draw_legend,
+    draw_scale,
+    is_small,
+    tell_span,
+    title_scale,
+)
 from turtlelog.draw.rerun.marks import draw_phases, list_events
 from turtlelog.draw.rerun.plane import Look, count_segments, draw_trail, draw_turtle
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties

@@ -139,21 +139,13 @@ def write_explanation_rrd(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Scene:
-    """A run and its ghosts.
+    """A run and its ghosts."""
 
-    Attributes:
-        recorded: Recorded run.
-        ghosts: Ghosts, the main ghost last; empty if no ghost is known.
-        series: Curves of the run and of each simulated ghost.
-        gaps: Distance of the ghosts from the run over time.
-        references: Common level lines.
-    """
-
-    recorded: Run
-    ghosts: tuple[Ghost, ...]
-    series: tuple[tuple[plots.Series, ...], ...]
-    gaps: tuple[plots.Series, ...]
-    references: tuple[plots.LevelLines, ...]
+    recorded: Run  # recorded run
+    ghosts: tuple[Ghost, ...]  # ghosts, the main ghost last; empty if no ghost is known
+    series: tuple[tuple[plots.Series, ...], ...]  # curves of the run and of each simulated ghost
+    gaps: tuple[plots.Series, ...]  # distance of the ghosts from the run over time
+    references: tuple[plots.LevelLines, ...]  # common level lines
 
     @property
     def runs(self) -> tuple[Run, ...]:

@@ -1,19 +1,20 @@
-"""Marks in or next to plots: metrics, vertical lines, theory, phases, events."""
+"""Marks in or next to plots: metrics, lines, theory, phases, events; and short legends of plots."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 import rerun as rr
 
 from turtlelog.charts import palette
-from turtlelog.charts.characteristics import MarkShape, list_characteristics
+from turtlelog.charts.characteristics import SIGNS, MarkShape, list_characteristics
+from turtlelog.charts.curves import Level
 from turtlelog.charts.ideal_curves import LoopStep, find_steps
 from turtlelog.charts.palette import Color
 from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.plots import Series
+from turtlelog.draw.rerun.plots import LevelLines, Series
 from turtlelog.draw.rerun.timelines import RunStream
 from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
@@ -270,3 +271,124 @@ def _compute_sampled(
         is_main=False,
         is_measured=False,
     )
+
+
+_LINE_LETTERS: Final = 46
+"""Number of letters in a legend's line: in any window, the viewer breaks lines of more than 275
+pixels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Legends:
+    """All curves, lines and marks of plots, with their names in legends.
+
+    Attributes:
+        series: Curves.
+        references: Level lines.
+        marks: Metrics on curves.
+        names: Name of the main curve of each plot, which vertical lines share.
+        shown: Plots whose legend contains more than their title.
+    """
+
+    series: tuple[Series, ...]
+    references: tuple[LevelLines, ...]
+    marks: tuple[Mark, ...]
+    names: Mapping[str, str]
+    shown: frozenset[str]
+
+
+def name_legends(
+    series: Sequence[Series], references: Sequence[LevelLines], marks: Sequence[Mark] = ()
+) -> Legends:
+    """Return curves, level lines and marks under names that make a short legend of each plot.
+
+    Items with one colour share a name. Limits and marks have the name of the main curve. Zero has
+    no line, because the axis shows it.
+    """
+    lines = {line.plot: line for line in references}
+    found = [
+        _name_plot(
+            [one for one in series if one.plot == plot],
+            lines.get(plot),
+            [mark for mark in marks if mark.plot == plot],
+        )
+        for plot in dict.fromkeys(curves.plot for curves in series)
+    ]
+    return Legends(
+        series=tuple(one for named in found for one in named.series),
+        references=tuple(line for named in found for line in named.references),
+        marks=tuple(mark for named in found for mark in named.marks),
+        names={plot: name for named in found for plot, name in named.names.items()},
+        shown=frozenset(plot for named in found for plot in named.shown),
+    )
+
+
+def _name_plot(
+    curves: Sequence[Series], lines: LevelLines | None, marks: Sequence[Mark]
+) -> Legends:
+    """Return the items of one plot with their names in its legend."""
+    main = next((one for one in curves if one.is_main), curves[0])
+    # Marks are sufficient for a curve with the name of its plot.
+    is_named = not marks or main.entity != main.plot
+    words: dict[Color, list[str]] = {main.colors[0]: [main.labels[0]] if is_named else []}
+    for one in curves:
+        for color, label in zip(one.colors, one.labels, strict=True):
+            said = f"lighter: {label}" if color == palette.tint(main.colors[0]) else label
+            if one is main and label == main.labels[0]:
+                continue
+            words.setdefault(_join_tint(color, main), []).append(_describe(one, said))
+    marks = _choose_marks(marks, _LINE_LETTERS - len(", ".join([*words[main.colors[0]], ""])))
+    words[main.colors[0]] += [_join_marks(marks)] if marks else []
+    levels = () if lines is None else lines.levels
+    for level in levels:
+        if level.kind in ("target", "tolerance"):
+            words.setdefault(palette.IDEAL, []).insert(0, f"{level.label} {level.value:.4g}")
+        elif level.kind == "limit" and level.value > 0.0:
+            words[main.colors[0]].append(f"limit {level.value:.4g}")
+    names = {color: ", ".join(dict.fromkeys(said)) for color, said in words.items()}
+    name, plot = names[main.colors[0]], main.plot
+    is_told = len(names) > 1 or name != main.labels[0]
+    return Legends(
+        series=tuple(
+            replace(one, labels=tuple(names[_join_tint(color, main)] for color in one.colors))
+            for one in curves
+        ),
+        references=tuple(_part_levels(plot, levels, names, main)),
+        marks=tuple(replace(mark, label=name) for mark in marks),
+        names={plot: name},
+        shown=frozenset([plot] if is_told else []),
+    )
+
+
+def _choose_marks(marks: Sequence[Mark], letters: int) -> Sequence[Mark]:
+    """Return the marks whose names fit a line, after less interesting marks are left out."""
+    for least in [mark for mark in marks if mark.is_minor]:
+        if len(_join_marks(marks)) > letters:
+            marks = [mark for mark in marks if mark is not least]
+    return marks
+
+
+def _join_marks(marks: Sequence[Mark]) -> str:
+    return " ".join(name_marks(marks))
+
+
+def _part_levels(
+    plot: str, levels: Sequence[Level], names: Mapping[Color, str], main: Series
+) -> Iterator[LevelLines]:
+    """Yield references in grey, and limits in the colour of the curve that they limit."""
+    grey = tuple(level for level in levels if level.kind in ("target", "tolerance"))
+    limits = tuple(level for level in levels if level.kind == "limit")
+    for kept, color in ((grey, palette.IDEAL), (limits, main.colors[0])):
+        if kept:
+            yield LevelLines(plot=plot, levels=kept, name=names[color], color=color)
+
+
+def _join_tint(color: Color, main: Series) -> Color:
+    return main.colors[0] if color == palette.tint(main.colors[0]) else color
+
+
+def _describe(curves: Series, label: str) -> str:
+    """Return the name of a curve; for points, the name describes their look."""
+    if curves.marker is None:
+        return label
+    return f"{SIGNS['disc' if curves.marker == 'circle' else 'cross']} {label}"

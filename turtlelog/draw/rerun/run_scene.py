@@ -19,7 +19,6 @@ from turtlelog.draw.rerun.content import Content, describe_content, find_corners
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
 from turtlelog.draw.rerun.layout import build_run_layout, is_small
-from turtlelog.draw.rerun.legends import name_legends
 from turtlelog.draw.rerun.marks import (
     Mark,
     draw_lines,
@@ -28,6 +27,7 @@ from turtlelog.draw.rerun.marks import (
     list_events,
     list_marks,
     list_responses,
+    name_legends,
 )
 from turtlelog.draw.rerun.plane import Look, draw_turtle
 from turtlelog.draw.rerun.timelines import (
