@@ -133,7 +133,12 @@ def test_the_command_that_explains_a_law_of_ones_own_works_as_printed(
     assert call(*command.split()[1:]).code == 0
     failed = call("check", "own.mcap", "--expect", "run.duration < 1")
     assert f"Why? {command}" in failed.flat
-    for words in (["metrics", kp4], ["info", kp4], ["check", kp4, "--expect", "run.duration < 1"]):
+    reached = str(kp4)
+    for words in (
+        ["metrics", reached],
+        ["info", reached],
+        ["check", reached, "--expect", "run.duration < 1"],
+    ):
         answer = call(*words).flat
         assert "turtlelog explain" in answer
         assert "--trust-law" not in answer
