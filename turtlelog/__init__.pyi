@@ -7,6 +7,7 @@ from . import (
     check as check,
     compare as compare,
     draw as draw,
+    errors as errors,
     explain as explain,
     expressions as expressions,
     identify as identify,
@@ -22,7 +23,6 @@ from . import (
     theory as theory,
 )
 from .check import (
-    PartialLogError as PartialLogError,
     Recording as Recording,
     Spec as Spec,
     Tolerances as Tolerances,
@@ -47,31 +47,7 @@ from .draw import (
     write_run_rrd as write_run_rrd,
 )
 from .errors import (
-    CheckError as CheckError,
-    CompareError as CompareError,
-    ExplainError as ExplainError,
-    ExpressionError as ExpressionError,
-    FrameError as FrameError,
-    IdentifyError as IdentifyError,
-    LawError as LawError,
-    LibraryError as LibraryError,
-    LogError as LogError,
-    MeasureError as MeasureError,
-    MissingValueError as MissingValueError,
-    PathError as PathError,
-    ProcessError as ProcessError,
-    RemoteError as RemoteError,
-    ReplayError as ReplayError,
-    RunError as RunError,
-    ScenarioError as ScenarioError,
-    ShowError as ShowError,
-    SimulationError as SimulationError,
-    SweepError as SweepError,
-    TheoryError as TheoryError,
-    TuneError as TuneError,
     TurtlelogError as TurtlelogError,
-    UndecidedError as UndecidedError,
-    UsageError as UsageError,
 )
 from .explain import (
     attribute_run as attribute_run,
@@ -90,7 +66,6 @@ from .laws import (
 )
 from .log import (
     Recorder as Recorder,
-    iter_columns as iter_columns,
     read_bag as read_bag,
     read_columns as read_columns,
     read_info as read_info,

@@ -259,6 +259,10 @@ class CheckError(TurtlelogError):
     """A specification or formula that cannot be checked."""
 
 
+class PartialLogError(CheckError, AssertionError):
+    """An incomplete recording that the caller did not allow."""
+
+
 class UndecidedError(CheckError, AssertionError):
     """A truth value was requested that is unknown: neither the formula nor its negation passes."""
 

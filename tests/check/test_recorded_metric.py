@@ -79,24 +79,24 @@ def test_a_metric_is_compared_as_a_number_is(ask: Ask) -> None:
 
 @pytest.mark.parametrize(("ask", "message"), WRONG.values(), ids=WRONG)
 def test_what_is_no_limit_is_refused(ask: Ask, message: str) -> None:
-    with pytest.raises(tl.CheckError, match=message):
+    with pytest.raises(tl.errors.CheckError, match=message):
         ask(measure())
 
 
 @pytest.mark.parametrize("ask", ASKED.values(), ids=ASKED)
 def test_whatever_is_asked_of_a_metric_without_a_value_fails_with_the_reason(ask: Ask) -> None:
     noted: list[CheckResult] = []
-    with pytest.raises(tl.MissingValueError, match=r"not_reached \(.*\)"):
+    with pytest.raises(tl.errors.MissingValueError, match=r"not_reached \(.*\)"):
         ask(measure(MISSING, noted))
     assert [result.verdict for result in noted] == ["FAIL"]
 
 
 def test_a_comparison_with_a_metric_without_a_value_fails_on_either_side() -> None:
     share, missing = measure("rotate.saturated_share"), measure(MISSING)
-    with pytest.raises(tl.MissingValueError, match=f"{MISSING}: expected a number"):
+    with pytest.raises(tl.errors.MissingValueError, match=f"{MISSING}: expected a number"):
         assert share < missing
     with pytest.raises(
-        tl.MissingValueError, match=f"{MISSING}: expected < <Metric rotate.saturated"
+        tl.errors.MissingValueError, match=f"{MISSING}: expected < <Metric rotate.saturated"
     ):
         assert missing < share
 

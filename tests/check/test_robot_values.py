@@ -47,6 +47,6 @@ def test_what_is_not_identified_is_undecided(robot: tl.Run) -> None:
 
 
 def test_a_value_that_is_misspelled_is_named_with_the_nearest() -> None:
-    with pytest.raises(tl.ExpressionError, match=r"did you mean robot\.speed\.dead_time"):
+    with pytest.raises(tl.errors.ExpressionError, match=r"did you mean robot\.speed\.dead_time"):
         build_spec(["robot.speed.deadtime < 1"])
     assert "robot.speed.dead_time" in ROBOT_VALUES

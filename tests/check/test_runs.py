@@ -157,7 +157,7 @@ def test_a_law_of_other_keys_leaves_the_other_recordings_judged(
 
 
 def test_kinds_that_never_go_together_are_an_error() -> None:
-    with pytest.raises(tl.ExpressionError, match="expected a number, found a text"):
+    with pytest.raises(tl.errors.ExpressionError, match="expected a number, found a text"):
         judge(expect="run.duration + 'x' > 1")
 
 
@@ -174,7 +174,7 @@ def test_a_recording_that_lost_something_fails_unless_allowed(note: str) -> None
 
 def test_no_recordings_are_an_error() -> None:
     spec = parse_spec({"checks": {"it": {"expect": "run.duration > 0"}}})
-    with pytest.raises(tl.CheckError, match="no recording to check"):
+    with pytest.raises(tl.errors.CheckError, match="no recording to check"):
         list(check_runs(spec, []))
 
 
@@ -236,5 +236,7 @@ def test_a_long_recording_is_held_to_as_many_formulas_as_take_seconds(
     if is_judged:
         assert {result.verdict for result in results} == {Verdict.PASS}
         return
-    with pytest.raises(tl.CheckError, match=r"404 names, .* 400 are the most .* 375,000 samples"):
+    with pytest.raises(
+        tl.errors.CheckError, match=r"404 names, .* 400 are the most .* 375,000 samples"
+    ):
         list(results)

@@ -151,12 +151,12 @@ def test_findings_stand_for_what_they_found() -> None:
 def test_half_a_question_is_no_answer(cut: Recording) -> None:
     halves = [cut.driven_by(), cut.phase("rotate"), tl.check.join_verdicts([FAILED])]
     for half in halves:
-        with pytest.raises(tl.CheckError, match=r"assert|expected"):
+        with pytest.raises(tl.errors.CheckError, match=r"assert|expected"):
             bool(half)
 
 
 def test_a_reference_that_nothing_is_held_to_is_no_answer(cut: Recording) -> None:
-    with pytest.raises(tl.CheckError, match="names no signal or metric"):
+    with pytest.raises(tl.errors.CheckError, match="names no signal or metric"):
         cut.matches(cut.run, tolerance=tl.Tolerances())
 
 

@@ -217,11 +217,11 @@ def test_a_bag_with_poses_is_read_with_them(call: Call, bag: Path) -> None:
 
 
 def test_python_reads_commands_alone_where_that_is_asked_for(bag: Path) -> None:
-    with pytest.raises(tl.LogError, match="no poses, only commands on /cmd_vel"):
+    with pytest.raises(tl.errors.LogError, match="no poses, only commands on /cmd_vel"):
         tl.read_run(bag)
     run = tl.read_run(bag, allow_no_poses=True)
     assert (len(run.poses), len(run.commands), run.first_row) == (0, 201, "command")
     assert run.duration_s == 10.0
     assert repr(run) == "<Run drive: 201 commands, 10.0 s, end not recorded>"
-    with pytest.raises(tl.RunError, match="found commands alone"):
+    with pytest.raises(tl.errors.RunError, match="found commands alone"):
         run.slice(1.0, 2.0)

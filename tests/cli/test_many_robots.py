@@ -76,7 +76,9 @@ def test_poses_of_nobody_leave_the_question_whose_commands_are_meant(tmp_path: P
     bag = write_robot(
         tmp_path, say_odometry(count=5), say_robots("robot1", "robot2", has_poses=False)
     )
-    with pytest.raises(tl.LogError, match="found /robot1/cmd_vel, /robot2/cmd_vel: choose with"):
+    with pytest.raises(
+        tl.errors.LogError, match="found /robot1/cmd_vel, /robot2/cmd_vel: choose with"
+    ):
         tl.read_run(bag)
 
 
@@ -110,9 +112,9 @@ def test_a_robot_without_frames_of_its_name_is_refused(tmp_path: Path) -> None:
     ]
     bag = write_robot(tmp_path, said)
     assert len(tl.read_run(bag, robot="red").poses) == 4
-    with pytest.raises(tl.LogError, match="robot up: no frame begins with that name; found"):
+    with pytest.raises(tl.errors.LogError, match="robot up: no frame begins with that name; found"):
         tl.read_run(bag, robot="up")
-    with pytest.raises(tl.LogError, match=r"red/odom -> red/base_link.* with --robot NAME"):
+    with pytest.raises(tl.errors.LogError, match=r"red/odom -> red/base_link.* with --robot NAME"):
         tl.read_run(bag)
 
 

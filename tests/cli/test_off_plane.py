@@ -101,7 +101,9 @@ def test_a_forward_axis_near_the_vertical_tells_no_heading(
 
 def test_a_bag_of_nothing_but_a_vertical_axis_is_refused(tmp_path: Path) -> None:
     said = [say_pose(row, 0.1 * row, 0.0, pitch(math.pi / 2.0)) for row in range(5)]
-    with pytest.raises(tl.LogError, match="the forward axis points up or down in all 5 poses"):
+    with pytest.raises(
+        tl.errors.LogError, match="the forward axis points up or down in all 5 poses"
+    ):
         tl.read_run(write_robot(tmp_path, said))
 
 

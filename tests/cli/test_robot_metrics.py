@@ -301,7 +301,7 @@ def test_metrics_of_a_bag_are_asked_for_in_tests(robot: Path) -> None:
     lag = recording.metric("run.speed_lag")
     assert lag <= 0.1
     assert lag == pytest.approx(0.1 * math.log(2.0), abs=0.02)
-    with pytest.raises(tl.MissingValueError, match="the goal is not known"):
+    with pytest.raises(tl.errors.MissingValueError, match="the goal is not known"):
         assert recording.metric("final.position_error") <= 1.0
     with pytest.raises(
         tl.TurtlelogError, match=r'"run\.path_lenght"; did you mean run\.path_length\?'

@@ -329,7 +329,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line() -> None:
         (run, scenario, [], "horizons_s: expected times above 0 s, found"),
         (run, scenario, [float("nan")], "horizons_s: expected times above 0 s, found"),
     ):
-        with pytest.raises(tl.CompareError, match=message):
+        with pytest.raises(tl.errors.CompareError, match=message):
             tl.compare.compare_robot(refused, robot, horizons_s)
 
 

@@ -130,7 +130,7 @@ def test_a_table_without_end_is_not_read_into_memory() -> None:
     said = r"x\.csv: expected at most 4 GiB, found a file that is longer"
     with (
         LyingServer(answer=lies.huge_ranges) as server,
-        pytest.raises(tl.LogError, match=said),
+        pytest.raises(tl.errors.LogError, match=said),
     ):
         tl.read_run(server.url("x.csv"))
     assert server.sent < LEAST_TAKEN
@@ -149,7 +149,7 @@ def test_a_footer_is_not_fetched_because_the_file_is_said_to_be_large(
     )
     with (
         LyingServer(answer=lies.long_footer(length)) as server,
-        pytest.raises(tl.LogError, match=said),
+        pytest.raises(tl.errors.LogError, match=said),
     ):
         tl.read_run(server.url("x.parquet"))
     assert (server.sent > LEAST_TAKEN) is is_fetched
@@ -175,7 +175,9 @@ def test_a_table_of_many_rows_is_fetched_before_they_are_believed(
         if rows == 350_000:
             assert len(tl.read_run(server.url("x.parquet")).poses) == rows
             return
-        with pytest.raises(tl.LogError, match=r"expected at most .* --max-download SIZE allows"):
+        with pytest.raises(
+            tl.errors.LogError, match=r"expected at most .* --max-download SIZE allows"
+        ):
             tl.read_run(server.url("x.parquet"))
 
 
@@ -186,7 +188,7 @@ def test_five_redirects_are_followed(count: int, *, is_followed: bool) -> None:
         if is_followed:
             assert path.stat().st_size == len(lies.DATA)
             return
-        with pytest.raises(tl.RemoteError, match="after 5 redirects at most"):
+        with pytest.raises(tl.errors.RemoteError, match="after 5 redirects at most"):
             path.stat()
 
 
@@ -201,7 +203,7 @@ def test_less_than_a_kilobyte_a_second_is_refused_after_a_while(
             assert path.open("rb").read() == lies.DATA[:1500]
             return
         with pytest.raises(
-            tl.RemoteError, match=r"expected at least 1 kB/s, found \d+ B/s for 0.3"
+            tl.errors.RemoteError, match=r"expected at least 1 kB/s, found \d+ B/s for 0.3"
         ):
             path.stat()
 
@@ -212,7 +214,7 @@ def test_what_is_longer_than_allowed_is_not_fetched(answer: Answer) -> None:
     with LyingServer(answer=answer) as server:
         path = RemotePath(server.url(), max_download=len(lies.DATA) - 1)
         with pytest.raises(
-            tl.RemoteError, match=r"expected at most 976.6 KiB, found a file that is"
+            tl.errors.RemoteError, match=r"expected at most 976.6 KiB, found a file that is"
         ):
             path.open("rb").read()
 

@@ -327,26 +327,34 @@ def test_an_axis_that_is_never_commanded_follows_at_once() -> None:
 def test_an_axis_that_is_not_known_is_refused_with_its_reason() -> None:
     run = make_run(LOG, 1)
     constant = replace(run.commands, turn_rate_rad_s=np.full(len(run.commands), 0.3))
-    with pytest.raises(tl.IdentifyError, match=r"^robot: turn rate: not identifiable: the comm"):
+    with pytest.raises(
+        tl.errors.IdentifyError, match=r"^robot: turn rate: not identifiable: the comm"
+    ):
         build(replace(run, commands=constant))
     still = replace(run.commands, speed_m_s=0.0 * run.commands.speed_m_s)
     still = replace(still, turn_rate_rad_s=still.speed_m_s)
-    with pytest.raises(tl.IdentifyError, match=r"^robot: speed: not identifiable: the speed is ne"):
+    with pytest.raises(
+        tl.errors.IdentifyError, match=r"^robot: speed: not identifiable: the speed is ne"
+    ):
         build(replace(run, commands=still))
-    with pytest.raises(tl.IdentifyError, match="runs: must not be empty"):
+    with pytest.raises(tl.errors.IdentifyError, match="runs: must not be empty"):
         build_robot_scenario(tl.identify_robot(run), [])
 
 
 def test_turtlesim_is_no_robot() -> None:
     run = tl.simulate_run(tl.load_scenario("paper-kp4"))
-    with pytest.raises(tl.IdentifyError, match=r"found turtlesim, .*`turtlelog explain FILE --sc"):
+    with pytest.raises(
+        tl.errors.IdentifyError, match=r"found turtlesim, .*`turtlelog explain FILE --sc"
+    ):
         build(run)
 
 
 def test_a_robot_outside_of_the_world_is_refused() -> None:
     run = make_run(LOG, 1)
     far = replace(run, poses=replace(run.poses, xy_m=run.poses.xy_m + 4e6))
-    with pytest.raises(tl.IdentifyError, match=r"start\.x_m: expected a number from -1000000 to"):
+    with pytest.raises(
+        tl.errors.IdentifyError, match=r"start\.x_m: expected a number from -1000000 to"
+    ):
         build_robot_scenario(tl.identify_robot(run), far)
 
 

@@ -315,5 +315,5 @@ def test_a_robot_that_stops_by_itself_is_no_slow_robot() -> None:
 
 
 def test_no_runs_are_refused() -> None:
-    with pytest.raises(tl.IdentifyError, match="runs: must not be empty"):
+    with pytest.raises(tl.errors.IdentifyError, match="runs: must not be empty"):
         tl.identify_robot([])

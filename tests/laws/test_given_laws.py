@@ -91,11 +91,11 @@ def test_the_same_law_has_the_same_name_and_another_one_another() -> None:
 @pytest.mark.parametrize(
     ("law", "error", "match"),
     [
-        (3, tl.LawError, "law: expected a class, a function of .* found 3"),
-        (SimpleNamespace(step=None), tl.LawError, "or an object with step"),
-        (dict, tl.ScenarioError, "law: law.kind: builtins:dict: a law needs a method step"),
-        (lambda pose: (0.0, 0.0), tl.ScenarioError, r"expected \(time_ns, pose, goal\)"),
-        ("nothing.py:Law", tl.ScenarioError, "no Python file nothing.py"),
+        (3, tl.errors.LawError, "law: expected a class, a function of .* found 3"),
+        (SimpleNamespace(step=None), tl.errors.LawError, "or an object with step"),
+        (dict, tl.errors.ScenarioError, "law: law.kind: builtins:dict: a law needs a method step"),
+        (lambda pose: (0.0, 0.0), tl.errors.ScenarioError, r"expected \(time_ns, pose, goal\)"),
+        ("nothing.py:Law", tl.errors.ScenarioError, "no Python file nothing.py"),
     ],
     ids=["number", "no step", "no law", "arguments", "no file"],
 )
@@ -112,7 +112,7 @@ def test_a_recording_has_the_source_as_text_that_nothing_runs(tmp_path: Path) ->
     read = tl.read_run(tmp_path / "run.mcap")
     assert '"""Head for the goal."""' in read.notes["law_source"]
     assert read.equals(run)
-    with pytest.raises(tl.ScenarioError, match="expected a built-in law, or --trust-law"):
+    with pytest.raises(tl.errors.ScenarioError, match="expected a built-in law, or --trust-law"):
         tl.replay_law(read)
     assert tl.replay_law(read, law=ByClass(Gain())).first_difference is None
 

@@ -52,7 +52,7 @@ USES: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.parametrize("use", USES.values(), ids=USES)
 def test_a_metric_without_a_value_is_no_number(use: Callable[[Any], Any]) -> None:
-    with pytest.raises(tl.MissingValueError, match="the goal asks for no heading"):
+    with pytest.raises(tl.errors.MissingValueError, match="the goal asks for no heading"):
         use(MISSING)
 
 
@@ -69,14 +69,14 @@ def test_equality_and_hash_are_those_of_value_and_unit() -> None:
 
 
 def test_order_of_two_units_and_truth_are_refused() -> None:
-    with pytest.raises(tl.MeasureError, match="two metrics of one unit, found % and s"):
+    with pytest.raises(tl.errors.MeasureError, match="two metrics of one unit, found % and s"):
         assert METRICS["rotate.overshoot"] > NUMBER
-    with pytest.raises(tl.CheckError, match=r"run\.duration: compare it with a limit"):
+    with pytest.raises(tl.errors.CheckError, match=r"run\.duration: compare it with a limit"):
         assert NUMBER
 
 
 def test_a_metric_that_no_recording_has_is_not_measured_otherwise() -> None:
-    with pytest.raises(tl.MeasureError, match="MeasureSettings"):
+    with pytest.raises(tl.errors.MeasureError, match="MeasureSettings"):
         METRICS["rotate.settling_time"](band=0.05)
 
 

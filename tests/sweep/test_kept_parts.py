@@ -207,17 +207,21 @@ def test_full_disk_is_one_line_and_the_sweep_goes_on(
 def test_results_and_partial_file_of_another_sweep_are_refused(tmp_path: Path) -> None:
     output = tmp_path / "t.parquet"
     interrupt(prepare(), output, after=1)
-    with pytest.raises(tl.SweepError, match="found what is done of a sweep with another plan"):
+    with pytest.raises(
+        tl.errors.SweepError, match="found what is done of a sweep with another plan"
+    ):
         run_sweep(prepare("law.kp_linear=1:2"), output)
     run_sweep(prepare(), output)
-    with pytest.raises(tl.SweepError, match="found the results of a sweep with another choice of"):
+    with pytest.raises(
+        tl.errors.SweepError, match="found the results of a sweep with another choice of"
+    ):
         run_sweep(prepare(metrics="run.*"), output)
 
 
 @pytest.mark.parametrize("name", ["t.parquet", "t.parquet.partial"])
 def test_file_that_is_no_sweeps_is_not_replaced(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"somebody's\n")
-    with pytest.raises((tl.SweepError, tl.LogError), match=name):
+    with pytest.raises((tl.errors.SweepError, tl.errors.LogError), match=name):
         run_sweep(prepare("law.kp_linear=1:2"), tmp_path / "t.parquet")
     assert (tmp_path / name).read_bytes() == b"somebody's\n"
 
@@ -232,7 +236,7 @@ def test_changed_code_of_the_law_is_another_sweep(tmp_path: Path) -> None:
     output = tmp_path / "t.parquet"
     interrupt(prepare_sweep(base, plan), output, after=1)
     law.write_text(f"{_LAW}# changed\n")
-    with pytest.raises(tl.SweepError, match="of a sweep with another code of the law"):
+    with pytest.raises(tl.errors.SweepError, match="of a sweep with another code of the law"):
         run_sweep(prepare_sweep(base, plan), output)
 
 
@@ -254,7 +258,7 @@ def test_two_sweeps_into_one_file_at_once_are_refused(tmp_path: Path) -> None:
     sweep = prepare("law.kp_linear=1:2")
     partial = KeptParts(output, sweep.list_facts(), simulate_rows.RowResults)
     try:
-        with pytest.raises(tl.SweepError, match="another command is writing it"):
+        with pytest.raises(tl.errors.SweepError, match="another command is writing it"):
             run_sweep(sweep, output)
     finally:
         partial.close()
@@ -270,7 +274,9 @@ def test_folder_of_recordings_must_be_new_but_where_a_sweep_goes_on(tmp_path: Pa
     assert [path.name for path in sorted(folder.iterdir())] == [
         f"row-00000{row}.mcap" for row in range(4)
     ]
-    with pytest.raises(tl.SweepError, match="expected a new folder for recordings, found one with"):
+    with pytest.raises(
+        tl.errors.SweepError, match="expected a new folder for recordings, found one with"
+    ):
         run_sweep(sweep, tmp_path / "other.parquet")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs", "t.parquet"]
 
@@ -310,13 +316,13 @@ def test_parts_are_whole_wherever_the_file_was_cut(tmp_path: Path) -> None:
 
 def test_what_is_kept_of_other_facts_is_refused_or_begun_anew(tmp_path: Path) -> None:
     def refuse(path: Path, found: object) -> None:
-        raise tl.SweepError(f"{path.name}: {found}")
+        raise tl.errors.SweepError(f"{path.name}: {found}")
 
     output = tmp_path / "t.parquet"
     kept = KeptParts(output, {"plan": "x"}, str)
     kept.add("a")
     kept.close()
-    with pytest.raises(tl.SweepError, match=r"t\.parquet\.partial: {'plan': 'x'}"):
+    with pytest.raises(tl.errors.SweepError, match=r"t\.parquet\.partial: {'plan': 'x'}"):
         KeptParts(output, {"plan": "y"}, str, require=refuse)
     same = KeptParts(output, {"plan": "x"}, str, require=refuse)
     assert same.places
@@ -380,6 +386,8 @@ def test_part_that_no_sweep_wrote_is_one_line(tmp_path: Path, data: bytes) -> No
     with kept.path.open("r+b") as stream:
         stream.seek(place)
         stream.write(struct.pack("<II", len(data), zlib.crc32(data)) + data)
-    with pytest.raises(tl.SweepError, match=r"partial: a part .* Delete the file, then type"):
+    with pytest.raises(
+        tl.errors.SweepError, match=r"partial: a part .* Delete the file, then type"
+    ):
         kept.read(place)
     kept.close()

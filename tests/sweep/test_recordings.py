@@ -201,7 +201,9 @@ def test_what_was_kept_for_other_settings_is_not_used(folder: Path, opened: list
 
 def test_two_tables_into_one_file_at_once_are_refused(folder: Path) -> None:
     def begin_another(chunks: Iterator[Any], _: int) -> Iterator[Any]:
-        with pytest.raises(tl.SweepError, match=r"table\.parquet: another command is writing it"):
+        with pytest.raises(
+            tl.errors.SweepError, match=r"table\.parquet: another command is writing it"
+        ):
             tabulate(folder)
         return chunks
 

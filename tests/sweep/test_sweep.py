@@ -321,7 +321,7 @@ def test_law_of_ones_own_sweeps_on_two_cores_and_is_not_trusted_from_the_table(
     assert length[1] == pytest.approx(2 * length[0], rel=1e-5)  # poses have 32 bits
     assert "too much" in list_cells(table, "failed")[2]
     scenario = load_row_scenario(tmp_path / "t.parquet", 0)
-    with pytest.raises(tl.ScenarioError, match="expected a built-in law, or --trust-law"):
+    with pytest.raises(tl.errors.ScenarioError, match="expected a built-in law, or --trust-law"):
         tl.simulate_run(scenario)
     trusted = tl.scenario.resolve_scenario(scenario, trust_law=True)
     assert tl.simulate_run(trusted).stop_reason == "there"
@@ -331,7 +331,7 @@ def test_varied_law_kind_of_a_table_is_not_trusted(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(LAW)
     grid = f"law.kind={tmp_path / 'own.py'}:Own,posture"
     sweep_scenario(tl.load_scenario("textbook"), tmp_path / "t.parquet", grid)
-    with pytest.raises(tl.ScenarioError, match="expected a built-in law, or --trust-law"):
+    with pytest.raises(tl.errors.ScenarioError, match="expected a built-in law, or --trust-law"):
         tl.simulate_run(load_row_scenario(tmp_path / "t.parquet", 0))
     assert tl.simulate_run(load_row_scenario(tmp_path / "t.parquet", 1)).stop_reason is not None
 
@@ -340,7 +340,7 @@ def test_varied_law_kind_of_a_table_is_not_trusted(tmp_path: Path) -> None:
 def test_row_that_is_not_there_is_one_line(row: int, tmp_path: Path) -> None:
     output = tmp_path / "t.parquet"
     sweep_scenario(tl.load_scenario("textbook"), output, "law.kp_linear=1:2")
-    with pytest.raises(tl.SweepError, match=f"expected a row from 0 to 1, found {row}"):
+    with pytest.raises(tl.errors.SweepError, match=f"expected a row from 0 to 1, found {row}"):
         load_row_scenario(output, row)
 
 
@@ -350,7 +350,7 @@ def test_untrusted_base_is_refused_before_anything_runs(tmp_path: Path) -> None:
     base = tl.scenario.build_scenario(tables, source="somebody.mcap")
     plan = build_plan(["law.gain=1:2"])
     with pytest.raises(
-        tl.ScenarioError, match=r"somebody\.mcap: law.kind: expected a built-in law"
+        tl.errors.ScenarioError, match=r"somebody\.mcap: law.kind: expected a built-in law"
     ):
         prepare_sweep(base, plan)
     assert prepare_sweep(base, plan, trust_law=True).plan.row_count == 2

@@ -46,7 +46,7 @@ def test_a_file_has_the_same_table_and_goes_on(table: SweepTable, tmp_path: Path
     assert file.stat().st_mtime_ns == written
     assert kept.to_arrow().equals(table.to_arrow())
     assert again.to_arrow().equals(read_sweep_table(file).to_arrow())
-    with pytest.raises(tl.SweepError, match=r"sweep\.parquet"):
+    with pytest.raises(tl.errors.SweepError, match=r"sweep\.parquet"):
         tl.sweep_scenario("textbook", {"seed": [1]}, metrics=METRICS, output=file)
 
 
@@ -93,5 +93,5 @@ def test_a_map_of_it_is_a_figure_that_shows_itself(table: SweepTable) -> None:
     data, size = figure._repr_png_()
     assert data.startswith(b"\x89PNG")
     assert 300 < size["width"] < 1000
-    with pytest.raises(tl.SweepError, match="seed"):
+    with pytest.raises(tl.errors.SweepError, match="seed"):
         tl.draw_map(table, x="seed")

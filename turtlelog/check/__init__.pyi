@@ -20,7 +20,6 @@ from .recording_fixture import (
 )
 from .result import (
     CheckResult as CheckResult,
-    PartialLogError as PartialLogError,
     Verdict as Verdict,
     join_verdicts as join_verdicts,
 )

@@ -18,7 +18,7 @@ from turtlelog.check.judge_run import (
     match_run,
 )
 from turtlelog.check.reference import ReferenceFile
-from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
+from turtlelog.check.result import CheckOutcome, CheckResult
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
     describe_nearest,
@@ -27,7 +27,7 @@ from turtlelog.check.vocabulary import (
     require_phase,
 )
 from turtlelog.compare import Tolerance
-from turtlelog.errors import CheckError, MissingValueError
+from turtlelog.errors import CheckError, MissingValueError, PartialLogError
 from turtlelog.expressions import parse_expression
 from turtlelog.files.urls import make_path
 from turtlelog.identify import AxisModel, Estimate, RobotModel, identify_robot

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from turtlelog.run import Run
 
 
-class PartialLogError(CheckError, AssertionError):
-    """Error of an incomplete recording that the caller did not allow."""
-
-
 class Verdict(enum.StrEnum):
     """Result of a check."""
 

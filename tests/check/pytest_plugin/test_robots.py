@@ -50,7 +50,7 @@ def test_a_robot_alone_is_no_verdict(axis: str, tmp_path: Path) -> None:
     tl.write_recording(tl.simulate_run(tl.load_scenario("textbook")), path)
     robot = Recording(path).robot()
     told = "assert one of its values" if axis else "assert a value of one of its axes"
-    with pytest.raises(tl.CheckError, match=told):
+    with pytest.raises(tl.errors.CheckError, match=told):
         assert getattr(robot, axis) if axis else robot
 
 

@@ -99,5 +99,5 @@ def test_what_cannot_be_varied_is_one_line_with_the_reason() -> None:
         tl.draw.draw_figure("luck", [make_foreign_run(50)])
     with pytest.raises(ShowError, match=r"figure luck of .*: no scenario stands for it: "):
         measure_luck_for_figure([make_foreign_run(50)])
-    with pytest.raises(tl.ExplainError, match="no metric"):
+    with pytest.raises(tl.errors.ExplainError, match="no metric"):
         measure_luck_for_figure([run], metric=METRIC + "s")

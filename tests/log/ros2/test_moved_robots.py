@@ -107,7 +107,7 @@ def test_what_is_missing_of_wheels_is_named(
 ) -> None:
     odometry = say_odometry() if "pose_topic" in choice else []
     bag = write_robot(tmp_path, drive_wheels(rows=3), odometry)
-    with pytest.raises(tl.LogError, match=reason):
+    with pytest.raises(tl.errors.LogError, match=reason):
         tl.read_run(bag, **choice)  # type: ignore[arg-type]
 
 
@@ -117,7 +117,9 @@ def test_wheels_in_messages_of_their_own_are_refused(tmp_path: Path) -> None:
         for row in range(5)
         for name, shift in (("left", 0.0), ("right", 0.05))
     ]
-    with pytest.raises(tl.LogError, match="expected left and right in one message, found each in"):
+    with pytest.raises(
+        tl.errors.LogError, match="expected left and right in one message, found each in"
+    ):
         tl.read_run(write_robot(tmp_path, said), **WHEELS)  # type: ignore[arg-type]
 
 
@@ -174,7 +176,9 @@ def test_messages_without_a_fix_are_left_out_and_counted(tmp_path: Path) -> None
     run = tl.read_run(write_robot(tmp_path, said))
     assert len(run.poses) == 61
     assert "3 messages without a fix left out" in run.notes["heading"]
-    with pytest.raises(tl.LogError, match="expected a satellite fix, found none in 3 messages"):
+    with pytest.raises(
+        tl.errors.LogError, match="expected a satellite fix, found none in 3 messages"
+    ):
         tl.read_run(write_robot(tmp_path, said[:3]))
 
 
@@ -184,7 +188,9 @@ def test_a_receiver_that_stands_has_no_heading(tmp_path: Path) -> None:
         say_fix(48.0 + 1e-6 * north, 11.0 + 1e-6 * east, at_s=row)
         for row, (north, east) in enumerate(random.normal(size=(120, 2)))
     ]
-    with pytest.raises(tl.LogError, match=r"found a slower one, within .* m in all: it has no h"):
+    with pytest.raises(
+        tl.errors.LogError, match=r"found a slower one, within .* m in all: it has no h"
+    ):
         tl.read_run(write_robot(tmp_path, said))
 
 
@@ -206,7 +212,7 @@ def test_too_few_fixes_are_told_from_a_receiver_that_stands(
         note = tl.read_run(bag).notes["heading"]
         assert "held at either end and where it stands, for 2 of 3 poses" in note
         return
-    with pytest.raises(tl.LogError, match=reason):
+    with pytest.raises(tl.errors.LogError, match=reason):
         tl.read_run(bag)
 
 
@@ -306,18 +312,22 @@ def test_a_recording_of_ours_does_not_pass_over_what_it_lacks(
     path = tmp_path / "a.mcap"
     tl.write_recording(tl.simulate_run("textbook", changes={"max_duration_s": 0.5}), path)
     assert len(tl.read_run(path, robot="turtle1").samples)
-    with pytest.raises(tl.LogError, match=message):
+    with pytest.raises(tl.errors.LogError, match=message):
         tl.read_run(path, **options)
 
 
 def test_steering_alone_needs_a_wheelbase(tmp_path: Path) -> None:
     bag = write_robot(tmp_path, [say_steering(row, stamped=True) for row in range(5)])
-    with pytest.raises(tl.LogError, match=r"no poses; commands on /drive .*: steering gives turn"):
+    with pytest.raises(
+        tl.errors.LogError, match=r"no poses; commands on /drive .*: steering gives turn"
+    ):
         tl.read_run(bag, allow_no_poses=True)
     assert len(tl.read_run(bag, allow_no_poses=True, wheelbase=0.3).commands) == 5
-    with pytest.raises(tl.LogError, match="wheelbase: expected a length above 0"):
+    with pytest.raises(tl.errors.LogError, match="wheelbase: expected a length above 0"):
         tl.read_run(bag, allow_no_poses=True, wheelbase=-1.0)
-    with pytest.raises(tl.LogError, match=r"command_topic /drive .*: steering gives turn rates"):
+    with pytest.raises(
+        tl.errors.LogError, match=r"command_topic /drive .*: steering gives turn rates"
+    ):
         tl.read_run(bag, allow_no_poses=True, command_topic="drive")
 
 

@@ -301,7 +301,7 @@ def test_what_differs_is_not_flat() -> None:
 )
 def test_ranges_that_are_none_are_refused(texts: list[str], reason: str) -> None:
     known = tl.scenario.flatten_scenario(tl.load_scenario("textbook"))
-    with pytest.raises((tl.TuneError, tl.SweepError), match=reason):
+    with pytest.raises((tl.errors.TuneError, tl.errors.SweepError), match=reason):
         tune.parse_searched_keys(texts, known)
 
 
@@ -357,13 +357,13 @@ def test_intervals_of_a_robot(tmp_path: Path) -> None:
         ("plant.speed_gain", 0.9, 1.1),
         ("plant.speed_lag_s", 0.0, 0.1),
     ]
-    with pytest.raises(tl.TuneError, match="has no intervals"):
+    with pytest.raises(tl.errors.TuneError, match="has no intervals"):
         tune.read_intervals(path, tl.load_scenario("textbook"))
     for text in ("", "[]", "{}", '{"axes": 3}', '{"axes": [{"axis": "wheel", "gain": {}}]}'):
         path.write_text(text, "utf-8")
-        with pytest.raises(tl.TuneError, match="is not what"):
+        with pytest.raises(tl.errors.TuneError, match="is not what"):
             tune.read_intervals(path, base)
-    with pytest.raises(tl.TuneError, match="No such file"):
+    with pytest.raises(tl.errors.TuneError, match="No such file"):
         tune.read_intervals(tmp_path / "none.json", base)
 
 
