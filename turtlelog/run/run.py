@@ -31,7 +31,7 @@ from turtlelog.run.columns import (
 from turtlelog.run.ending import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.paths import Path, restore_path
-from turtlelog.run.tables import TABLES, build_arrow, build_pandas, build_xarray
+from turtlelog.run.tables import TABLES, build_pandas, build_xarray, iterate_arrow
 
 Parameter = bool | int | float | str | list[Any]
 
@@ -290,7 +290,7 @@ class Run:
             RunError: If there is no such table.
             LibraryError: If pyarrow is not installed.
         """
-        return build_arrow(self, table)
+        return next(iterate_arrow(self, table))
 
     def to_pandas(self, table: str = "poses") -> Any:
         """Return a table of this run as a `pandas.DataFrame`; pandas must be installed separately.
