@@ -29,7 +29,7 @@ from turtlelog.measure.references import (
 )
 from turtlelog.run import Run, require_run
 from turtlelog.run.angles import subtract_headings
-from turtlelog.run.columns import list_fields, rebuild
+from turtlelog.run.columns import rebuild_value
 from turtlelog.run.loops import STATE_PATTERN, Declaration
 
 Values = NDArray[np.float64]
@@ -109,7 +109,7 @@ class Signal:
     def __reduce__(self) -> tuple[Any, ...]:
         # The function that reads a run cannot be pickled, and is no longer needed.
         kind = replace(self.kind, read=_read_nothing)
-        return rebuild, (Signal, {**list_fields(self), "kind": kind})
+        return rebuild_value(self, kind=kind)
 
     def __len__(self) -> int:
         return len(self.values)

@@ -315,12 +315,12 @@ def _select(time_ns: NDArray[np.int64], start_ns: int, end_ns: int) -> NDArray[n
     return np.asarray((time_ns >= start_ns) & (time_ns <= end_ns))
 
 
-def rebuild_value(value: Any) -> Rebuilding:
-    """Return the pickled form of a frozen dataclass."""
+def rebuild_value(value: Any, **others: Any) -> Rebuilding:
+    """Return the pickled form of a frozen dataclass, with other values of some fields."""
     kind: Any = type(value)
     values = {found.name: getattr(value, found.name) for found in fields(kind)}
     proxies = {name: dict(one) for name, one in values.items() if isinstance(one, MappingProxyType)}
-    return partial(kind, **values | proxies), ()
+    return partial(kind, **values | proxies | others), ()
 
 
 _list_fields: Final[Callable[[type], tuple[Field[Any], ...]]] = cache(fields)
