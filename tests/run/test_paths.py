@@ -8,7 +8,7 @@ from hypothesis import assume, given, strategies as st
 from numpy.typing import NDArray
 
 from turtlelog.errors import PathError
-from turtlelog.run.path_pieces import REACH_M, locate_on
+from turtlelog.run.path_pieces import REACH_M, find_on_first_lap, locate_on
 from turtlelog.run.paths import MOST_POINTS, Path, PathFollower, restore_path
 
 SQUARE = Path(kind="polygon", points=((3.0, 3.0), (8.0, 3.0), (8.0, 8.0), (3.0, 8.0)))
@@ -192,7 +192,7 @@ def test_straight_on_from_a_corner_is_outside_of_it_on_every_lap(
 @pytest.mark.parametrize("lap", [-1, 0, 1, 7])
 def test_on_every_lap_a_corner_has_the_direction_of_the_next_leg(lap: int) -> None:
     for piece in HEXAGON.pieces:
-        corner_m = HEXAGON.find_on_first_lap(piece.start_m + lap * HEXAGON.length_m)
+        corner_m = find_on_first_lap(HEXAGON.numbers, piece.start_m + lap * HEXAGON.length_m)
         assert HEXAGON.locate(corner_m).heading_rad == piece.heading_rad
 
 

@@ -4,18 +4,18 @@ Numbers and truth values are float64 arrays of any shape; truth values are 0 or 
 unknown.
 """
 
-from __future__ import annotations
-
 import enum
 import math
-import operator as operators
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.errors import find_near, join_names, quote_name
 from turtlelog.expressions.syntax import (
+    FUNCTIONS,
     Arithmetic,
     Call,
     Comparison,
@@ -32,9 +32,19 @@ from turtlelog.expressions.syntax import (
     build_error,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+_OPERATORS: Final = {
+    "+": np.add,
+    "-": np.subtract,
+    "*": np.multiply,
+    "/": np.divide,
+    "**": np.power,
+    "<": np.less,
+    "<=": np.less_equal,
+    ">": np.greater,
+    ">=": np.greater_equal,
+    "==": np.equal,
+    "!=": np.not_equal,
+}
 
 Value = Any
 """float, int, bool, str, None, or an array of them."""
@@ -217,38 +227,8 @@ def _describe_node(node: Node, operand: Operand) -> str:
     return f"{node.name}, {word}" if isinstance(node, Name) else word
 
 
-ARGUMENTS: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
-    {
-        "abs": (1, 1),
-        "min": (2, math.inf),
-        "max": (2, math.inf),
-        "sqrt": (1, 1),
-        "sin": (1, 1),
-        "cos": (1, 1),
-        "atan2": (2, 2),
-        "hypot": (2, 2),
-        "deg": (1, 1),
-        "rad": (1, 1),
-        "log": (1, 1),
-    }
-)
-"""Smallest and largest number of arguments of each function. Angles are in rad; `log` is the
-natural logarithm."""
-
-_UFUNCS: Final = MappingProxyType(
-    {"min": "minimum", "max": "maximum", "atan2": "arctan2", "deg": "degrees", "rad": "radians"}
-)
-"""numpy's names of functions that have another name in numpy."""
-
-
 def _make_operand(value: Value) -> Operand:
-    """Return a user's value as an operand.
-
-    Raises:
-        TypeError: If the value is not a number, truth value, text or array of these.
-    """
-    import numpy as np
-
+    """Return a user's value as an operand; raise a TypeError for a value of no kind."""
     if value is None:
         return Operand(kind=Kind.UNKNOWN, data=np.array(np.nan))
     data = np.asarray(value)
@@ -263,17 +243,8 @@ def _make_operand(value: Value) -> Operand:
 
 def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
     """Return the result of + - * / or ** on two numbers; NaN if the result is undefined."""
-    import numpy as np
-
-    ufunc = {
-        "+": np.add,
-        "-": np.subtract,
-        "*": np.multiply,
-        "/": np.divide,
-        "**": np.power,
-    }[operator]
     with np.errstate(all="ignore"):
-        data = ufunc(left.data, right.data)
+        data = _OPERATORS[operator](left.data, right.data)
         if operator == "/":
             data = np.where(right.data == 0, np.nan, data)
         if operator == "**":  # IEEE has nan**0 = 1 and 1**nan = 1
@@ -281,18 +252,9 @@ def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
     return _make_number(data, [left, right])
 
 
-def describe_arguments(function: str) -> str:
-    """Return the number of arguments that a function takes, as text for messages."""
-    least, most = ARGUMENTS[function]
-    count = f"{least} or more" if least != most else f"{least}"
-    return f"{function} to have {count} argument{'s' if count != '1' else ''}"
-
-
 def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
     """Return the value of a function of numbers; NaN if the value is undefined."""
-    import numpy as np
-
-    ufunc = getattr(np, _UFUNCS.get(function, function))
+    ufunc = getattr(np, FUNCTIONS[function][2])
     data = [argument.data for argument in arguments]
     with np.errstate(all="ignore"):
         if len(data) <= 2:
@@ -302,27 +264,16 @@ def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
 
 def compare_operands(left: Operand, operator: str, right: Operand) -> Operand:
     """Return the truth value of a comparison of two operands of the same kind."""
-    import numpy as np
-
-    compare = {
-        "<": operators.lt,
-        "<=": operators.le,
-        ">": operators.gt,
-        ">=": operators.ge,
-        "==": operators.eq,
-        "!=": operators.ne,
-    }[operator]
     if Kind.UNKNOWN in {left.kind, right.kind}:
         shape = np.broadcast_shapes(left.data.shape, right.data.shape)
         return Operand(kind=Kind.TRUTH, data=np.full(shape, np.nan))
-    truth = np.asarray(compare(left.data, right.data), np.float64)
+    truth = np.asarray(_OPERATORS[operator](left.data, right.data), np.float64)
     if left.kind is not Kind.TEXT:
         truth = np.where(np.isnan(left.data) | np.isnan(right.data), np.nan, truth)
     return Operand(kind=Kind.TRUTH, data=truth)
 
 
 def _negate_truth(operand: Operand) -> Operand:
-    """Return the negation of a truth value."""
     return Operand(kind=Kind.TRUTH, data=1.0 - operand.data)
 
 
@@ -330,26 +281,17 @@ def _join_truths(operator: str, operands: Sequence[Operand]) -> Operand:
     """Return truth values joined by `and`, `or` or, for two, `implies` (Kleene's logic)."""
     if operator == "implies":
         return _join_truths("or", [_negate_truth(operands[0]), operands[1]])
+    if operator == "or":
+        return _negate_truth(_join_truths("and", [_negate_truth(one) for one in operands]))
     data = operands[0].data
     for operand in operands[1:]:
-        data = _conjoin(data, operand.data) if operator == "and" else _disjoin(data, operand.data)
+        is_false = (data == 0) | (operand.data == 0)
+        data = np.where(is_false, 0.0, data * operand.data)
     return Operand(kind=Kind.TRUTH, data=data)
-
-
-def _conjoin(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    import numpy as np
-
-    return np.where((left == 0) | (right == 0), 0.0, left * right)
-
-
-def _disjoin(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    return 1.0 - _conjoin(1.0 - left, 1.0 - right)
 
 
 def _make_number(data: NDArray[Any], sources: Sequence[Operand]) -> Operand:
     """Return a number operand. Infinite results of finite operands become NaN (overflow, pole)."""
-    import numpy as np
-
     data = np.asarray(data)
     if np.isinf(data).any():
         had_infinity = np.logical_or.reduce(
@@ -360,8 +302,6 @@ def _make_number(data: NDArray[Any], sources: Sequence[Operand]) -> Operand:
 
 
 def _unpack_truth(data: NDArray[Any]) -> Value:
-    import numpy as np
-
     unknown = np.isnan(data)
     if not data.shape:
         return None if unknown else bool(data)

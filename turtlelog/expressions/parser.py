@@ -1,11 +1,12 @@
 """Parsing of expressions by precedence climbing, and formatting. No text is run as Python."""
 
 import math
-from typing import Any, Final, NoReturn, cast
+from typing import Any, Final, NoReturn, TypeVar, cast
 
+from turtlelog.display import describe_count
 from turtlelog.errors import suggest_names
-from turtlelog.expressions.evaluation import ARGUMENTS, describe_arguments
 from turtlelog.expressions.syntax import (
+    FUNCTIONS,
     Arithmetic,
     Call,
     Comparison,
@@ -25,6 +26,8 @@ from turtlelog.expressions.syntax import (
 )
 
 _DEEPEST: Final = 100  # levels of nesting, so that no caller meets Python's recursion limit
+
+AnyNode = TypeVar("AnyNode", bound=Node)
 
 _COMPARISONS: Final = ("<", "<=", ">", ">=", "==", "!=")
 
@@ -103,7 +106,7 @@ class _Parser:
     def _parse_level(self, loosest: int) -> Node:
         """Parse operands and the operators between them that have at least this precedence."""
         self._open += 1
-        self._check_depth(self._open, self._next)
+        self._check_depth(self._open, self._next.column)
         node = self._parse_prefix()
         while (binding := self._find_binding()) >= loosest:
             node = self._parse_infix(node, self._take(), binding)
@@ -126,15 +129,13 @@ class _Parser:
             right = self._parse_level(_PRECEDENCE["unary -"])
         else:
             right = self._parse_level(binding if to_the_right else binding + 1)
-        at = token.column
+        sides: dict[str, Any] = {"left": left, "right": right, "column": token.column}
         if token.text == "until":
-            return self._grow(
-                Until(left=left, right=right, start_s=window[0], end_s=window[1], column=at), token
-            )
-        if token.text == "implies":
-            return self._grow(Logic(operator="implies", operands=(left, right), column=at), token)
+            return self._grow(Until(start_s=window[0], end_s=window[1], **sides))
         operator = cast("Any", token.text)
-        return self._grow(Arithmetic(operator=operator, left=left, right=right, column=at), token)
+        if operator == "implies":
+            return self._grow(Logic(operator=operator, operands=(left, right), column=token.column))
+        return self._grow(Arithmetic(operator=operator, **sides))
 
     def _parse_comparison(self, left: Node, first: Token) -> Node:
         operators, operands = [first], [left, self._parse_level(_PRECEDENCE["<"] + 1)]
@@ -147,15 +148,14 @@ class _Parser:
             columns=tuple(token.column for token in operators),
             column=first.column,
         )
-        return self._grow(node, first)
+        return self._grow(node)
 
     def _parse_joined(self, left: Node, first: Token, binding: int) -> Node:
         operands = [left, self._parse_level(binding + 1)]
         while self._takes(first.text):
             operands.append(self._parse_level(binding + 1))
         operator = cast("Any", first.text)
-        node = Logic(operator=operator, operands=tuple(operands), column=first.column)
-        return self._grow(node, first)
+        return self._grow(Logic(operator=operator, operands=tuple(operands), column=first.column))
 
     def _parse_prefix(self) -> Node:
         token = self._take()
@@ -164,12 +164,12 @@ class _Parser:
         if token.kind == "number":
             return self._make_number(token)
         if token.kind == "text":
-            return self._grow(Text(value=token.text, column=token.column), token)
+            return self._grow(Text(value=token.text, column=token.column))
         if token.kind == "end":
             self._fail(token, "expected a number or name")
         if self._takes("("):
             return self._parse_call(token)
-        return self._grow(Name(name=token.text, column=token.column), token)
+        return self._grow(Name(name=token.text, column=token.column))
 
     def _parse_operator(self, token: Token) -> Node:
         if token.text == "(":
@@ -179,15 +179,13 @@ class _Parser:
         if token.text in {"-", "not"}:
             binding = _PRECEDENCE["not" if token.text == "not" else "unary -"]
             operator, operand = cast("Any", token.text), self._parse_level(binding)
-            return self._grow(
-                Prefix(operator=operator, operand=operand, column=token.column), token
-            )
+            return self._grow(Prefix(operator=operator, operand=operand, column=token.column))
         if token.text in _TEMPORAL:
             return self._parse_temporal(token)
         if token.text in {"true", "false"}:
-            return self._grow(Truth(value=token.text == "true", column=token.column), token)
+            return self._grow(Truth(value=token.text == "true", column=token.column))
         if token.text == "inf":
-            return self._grow(Number(value=math.inf, column=token.column), token)
+            return self._grow(Number(value=math.inf, column=token.column))
         return self._fail(token, "expected a number or name")
 
     def _parse_temporal(self, token: Token) -> Node:
@@ -199,7 +197,7 @@ class _Parser:
         node = Temporal(
             operator=operator, start_s=start_s, end_s=end_s, operand=operand, column=token.column
         )
-        return self._grow(node, token)
+        return self._grow(node)
 
     def _parse_window(self) -> tuple[float, float]:
         """Parse a window `[a, b]` in seconds; without one, return 0 to infinity."""
@@ -225,19 +223,22 @@ class _Parser:
         return self._make_number(token).value
 
     def _parse_call(self, token: Token) -> Node:
-        if token.text not in ARGUMENTS:
-            near = suggest_names(token.text, [*ARGUMENTS, *_TEMPORAL])
+        if token.text not in FUNCTIONS:
+            near = suggest_names(token.text, [*FUNCTIONS, *_TEMPORAL])
             self._fail(token, f"expected a function like {near}")
         arguments = [] if self._is_next(")") else [self._parse_level(1)]
         while self._takes(","):
             arguments.append(self._parse_level(1))
         self._expect(")")
-        least, most = ARGUMENTS[token.text]
+        least, most, _ = FUNCTIONS[token.text]
         if not least <= len(arguments) <= most:
-            problem = f"expected {describe_arguments(token.text)}, found {len(arguments)}"
+            count = (
+                f"{least} or more arguments" if least != most else describe_count(least, "argument")
+            )
+            problem = f"expected {token.text} to have {count}, found {len(arguments)}"
             raise build_error(self._source, self._text, token.column, problem)
-        node = Call(function=token.text, arguments=tuple(arguments), column=token.column)
-        return self._grow(node, token)
+        call = Call(function=token.text, arguments=tuple(arguments), column=token.column)
+        return self._grow(call)
 
     def _is_next(self, operator: str) -> bool:
         return self._next.kind == "operator" and self._next.text == operator
@@ -246,21 +247,19 @@ class _Parser:
         value = float(token.text)
         if math.isinf(value):
             self._fail(token, "expected a number below 1.8e308, or inf")
-        node = Number(value=value, column=token.column)
-        self._grow(node, token)
-        return node
+        return self._grow(Number(value=value, column=token.column))
 
-    def _grow(self, node: Node, token: Token) -> Node:
+    def _grow(self, node: AnyNode) -> AnyNode:
         """Update the depth of the tree at a node; refuse a tree that is too deep."""
         below = (self._heights[id(child)] for child in node.list_children())
         self._heights[id(node)] = 1 + max(below, default=0)
-        self._check_depth(self._heights[id(node)], token)
+        self._check_depth(self._heights[id(node)], node.column)
         return node
 
-    def _check_depth(self, depth: int, token: Token) -> None:
+    def _check_depth(self, depth: int, column: int) -> None:
         if depth > _DEEPEST:
             problem = f"expected at most {_DEEPEST} levels of nesting, found more"
-            raise build_error(self._source, self._text, token.column, problem)
+            raise build_error(self._source, self._text, column, problem)
 
 
 _ATOM = 11
@@ -274,23 +273,20 @@ def format_expression(expression: Expression | Node) -> str:
 def _format(node: Node) -> str:
     match node:
         case Name(name=name):
-            return name
+            text = name
         case Call(function=function, arguments=arguments):
-            return f"{function}({', '.join(_format(argument) for argument in arguments)})"
+            text = f"{function}({', '.join(map(_format, arguments))})"
         case Temporal(operator=operator, operand=operand):
-            return f"{operator}{_format_window(node)}({_format(operand)})"
-        case Number() | Text() | Truth():
-            return _format_constant(node)
-    return _format_operator(node)
-
-
-def _format_constant(node: Number | Text | Truth) -> str:
-    match node:
+            text = f"{operator}{_format_window(node)}({_format(operand)})"
         case Number(value=value):
-            return "inf" if math.isinf(value) else f"{value!r}".removesuffix(".0")
+            text = "inf" if math.isinf(value) else f"{value!r}".removesuffix(".0")
         case Text(value=value):
-            return f'"{value}"' if '"' not in value else f"'{value}'"
-    return "true" if node.value else "false"
+            text = f'"{value}"' if '"' not in value else f"'{value}'"
+        case Truth(value=value):
+            text = "true" if value else "false"
+        case _:
+            text = _format_operator(node)
+    return text
 
 
 def _format_operator(node: Node) -> str:

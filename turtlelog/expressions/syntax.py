@@ -2,9 +2,10 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from types import MappingProxyType
+from typing import Final, Literal, cast
 
 from turtlelog.errors import ExpressionError
 from turtlelog.escapes import escape_controls
@@ -15,6 +16,24 @@ KEYWORDS: Final = frozenset(
     {"and", "or", "not", "implies", "until", "always", "eventually", "true", "false", "inf"}
 )
 
+FUNCTIONS: Final[Mapping[str, tuple[int, float, str]]] = MappingProxyType(
+    {
+        "abs": (1, 1, "abs"),
+        "min": (2, math.inf, "minimum"),
+        "max": (2, math.inf, "maximum"),
+        "sqrt": (1, 1, "sqrt"),
+        "sin": (1, 1, "sin"),
+        "cos": (1, 1, "cos"),
+        "atan2": (2, 2, "arctan2"),
+        "hypot": (2, 2, "hypot"),
+        "deg": (1, 1, "degrees"),
+        "rad": (1, 1, "radians"),
+        "log": (1, 1, "log"),
+    }
+)
+"""Smallest and largest number of arguments of each function, and its name in numpy. Angles are in
+rad; `log` is the natural logarithm."""
+
 TokenKind = Literal["number", "text", "name", "operator", "end"]
 
 _WIDTH: Final = 78  # characters of a line that is shown
@@ -24,9 +43,9 @@ _TOKEN: Final = re.compile(
     r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*)"
     r"""|(?P<text>'[^'\n]*'|"[^"\n]*")"""
+    r"|(?P<space>[ \t\r\n]+)"
     r"|(?P<operator>->|\*\*|<=|>=|==|!=|[-+*/<>()\[\],])"
 )
-_SPACE: Final = re.compile(r"[ \t\r\n]*")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +67,7 @@ class Token:
 
 
 def split_tokens(text: str, *, source: str) -> list[Token]:
-    """Return the tokens of a text; the last token has the kind `end`.
-
-    Raises:
-        ExpressionError: If a character has no meaning.
-    """
+    """Return the tokens of a text; the last token has the kind `end`."""
     if len(text) > LONGEST_TEXT:
         problem = f"expected at most {LONGEST_TEXT:,} characters, found {len(text):,}"
         raise build_error(source, "", 1, problem)
@@ -60,50 +75,34 @@ def split_tokens(text: str, *, source: str) -> list[Token]:
 
 
 def _iterate_tokens(text: str, source: str) -> Iterator[Token]:
-    position = _skip_space(text, 0)
+    position = 0
     while position < len(text):
         match = _TOKEN.match(text, position)
         if match is None:
             problem = _describe_character(text[position])
             raise build_error(source, text, position + 1, problem)
-        yield _make_token(match)
-        position = _skip_space(text, match.end())
+        if match.lastgroup != "space":
+            yield _make_token(match)
+        position = match.end()
     yield Token(kind="end", text="", column=len(text.rstrip(" \t\r\n")) + 1)
 
 
 def _make_token(match: re.Match[str]) -> Token:
-    found, column = match.group(), match.start() + 1
-    if match.lastgroup == "number":
-        return Token(kind="number", text=found, column=column)
-    if match.lastgroup == "text":
-        return Token(kind="text", text=found[1:-1], column=column)
-    if match.lastgroup == "name" and found not in KEYWORDS:
-        return Token(kind="name", text=found, column=column)
-    return Token(kind="operator", text="implies" if found == "->" else found, column=column)
-
-
-def _skip_space(text: str, position: int) -> int:
-    match = _SPACE.match(text, position)
-    return match.end() if match else position
-
-
-def _name_character(character: str) -> str:
-    """Return a character in quotes; non-ASCII characters with their code point."""
-    return repr(character) + ("" if character.isascii() else f" (U+{ord(character):04X})")
+    found, kind = match.group(), cast("TokenKind", match.lastgroup)
+    if found == "->" or found in KEYWORDS:
+        kind, found = "operator", found.replace("->", "implies")
+    text = found[1:-1] if kind == "text" else found
+    return Token(kind=kind, text=text, column=match.start() + 1)
 
 
 def _describe_character(character: str) -> str:
     if character in "'\"":
         return f"expected a closing {character}, found the end of the line"
-    hints = {
-        "=": "; equality is ==",
-        "^": "; powers are **",
-        "!": "; write not",
-        "&": "; write and",
-    }
-    hints["|"] = "; write or"
-    hint = hints.get(character, "")
-    return f"expected a number, name or operator, found {_name_character(character)}{hint}"
+    hints = {"=": "equality is ==", "^": "powers are **"}
+    hints |= {"!": "write not", "&": "write and", "|": "write or"}
+    hint = f"; {hints[character]}" if character in hints else ""
+    code = "" if character.isascii() else f" (U+{ord(character):04X})"
+    return f"expected a number, name or operator, found {character!r}{code}{hint}"
 
 
 def build_error(source: str, text: str, column: int, problem: str) -> ExpressionError:

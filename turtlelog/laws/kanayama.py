@@ -7,13 +7,14 @@ default gains are the gains of the article's experiments: 10 1/s, 6.4e-3 1/cm^2,
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
 from turtlelog.arithmetic import wrap_angle
 from turtlelog.laws.base import LawPart
-from turtlelog.laws.path_tracking import STOPS, TrackingState, declares, find_target
+from turtlelog.laws.path_tracking import STOPS, TrackingState, declare, find_target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +63,7 @@ PART: Final = LawPart(
     meaning="v = v_r cos e_theta + kx e_x, omega = omega_r + v_r (ky e_y + ktheta sin e_theta).",
     Parameters=KanayamaParameters,
     step=step,
-    declare=declares("kanayama", "kx"),
+    declare=partial(declare, "kanayama", "kx"),
     State=TrackingState,
     stops=STOPS,
     counts_samples=(),

@@ -41,12 +41,15 @@ class TrackingState:
     begin_m: float = math.nan
 
 
-def declare(name: str, along_gain: str, path: Path | None) -> Declaration:
+def declare(
+    name: str, along_gain: str, parameters: Any, goal: Goal | None, path: Path | None
+) -> Declaration:
     """Return the loops along and across the path, which act at the same time.
 
     Raises:
         LawError: If there is no path.
     """
+    del parameters, goal
     if path is None:
         raise LawError(f"{name}: expected a path to track, found no table [path]")
     along = ControlLoop(
@@ -67,16 +70,6 @@ def declare(name: str, along_gain: str, path: Path | None) -> Declaration:
     )
     phases = {"track": ("along", "cross")}
     return Declaration(loops=(along, cross), phases=phases, uses_goal=False)
-
-
-def declares(name: str, along_gain: str) -> Any:
-    """Return the function that declares the loops of a law."""
-
-    def declare_law(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
-        del parameters, goal
-        return declare(name, along_gain, path)
-
-    return declare_law
 
 
 @called

@@ -7,12 +7,13 @@ the distance L. If the point lies y to the left, the curvature of the circle is 
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
 from turtlelog.laws.base import LawPart
-from turtlelog.laws.path_tracking import STOPS, TrackingState, declares, find_target
+from turtlelog.laws.path_tracking import STOPS, TrackingState, declare, find_target
 from turtlelog.run.path_pieces import find_ahead
 
 
@@ -62,7 +63,7 @@ PART: Final = LawPart(
     meaning="Steer for a point of the path ahead: omega = v 2 y / L^2.",
     Parameters=PurePursuitParameters,
     step=step,
-    declare=declares("pure-pursuit", "kp_along"),
+    declare=partial(declare, "pure-pursuit", "kp_along"),
     State=TrackingState,
     stops=STOPS,
     counts_samples=(),

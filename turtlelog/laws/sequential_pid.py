@@ -7,22 +7,13 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
-from turtlelog.laws.base import Goal, LawPart
-from turtlelog.laws.sequential import (
-    STOPS,
-    PIDGainSchedule,
-    SequentialNumbers,
-    SequentialState,
-    step,
-)
+from turtlelog.laws.base import Goal
+from turtlelog.laws.sequential import PIDGainSchedule
 from turtlelog.laws.sequential_p import (
     DECLARATION,
     PART as SEQUENTIAL_P,
     SequentialPParameters,
-    build_table,
     declare_loops,
-    list_unused,
-    prepare,
 )
 from turtlelog.parts import ABSENT_BY_DEFAULT
 from turtlelog.run.loops import ControlLoop, Declaration
@@ -101,20 +92,12 @@ def _add_keys(loop: ControlLoop, axis: str, *gains: float) -> ControlLoop:
     )
 
 
-PART: Final = LawPart(
+PART: Final = replace(
+    SEQUENTIAL_P,
     name="sequential-pid",
     meaning="Rotate to the goal bearing, then drive, each with u = P + I + D.",
     Parameters=SequentialPIDParameters,
-    step=step,
     declare=declare,
-    State=SequentialState,
-    stops=STOPS,
-    causes=SEQUENTIAL_P.causes,
-    counts_samples=SEQUENTIAL_P.counts_samples,
-    list_unused=list_unused,
-    prepare=prepare,
-    Numbers=SequentialNumbers,
-    build_table=build_table,
 )
 
 SequentialPID: Final = PART

@@ -120,11 +120,7 @@ class LaggedKeys:
 
 def find_facts(keys: Any) -> Plant:
     """Return the facts of a robot model from its keys."""
-    return build_facts(round(keys.period_s * 1e9))
-
-
-def build_facts(period_ns: int) -> Plant:
-    """Return the facts of a robot model that publishes one pose per period [ns]."""
+    period_ns = round(keys.period_s * 1e9)
     return Plant(name=LAGGED, period_ns=period_ns, low_m=-LARGEST_M, high_m=LARGEST_M)
 
 

@@ -47,7 +47,7 @@ Rebuilding = tuple[Any, tuple[()]]
 again."""
 
 
-class _Columns:
+class Columns:
     """Columns of one length: a frozen dataclass of arrays, or None for a column not recorded."""
 
     __slots__ = ()
@@ -68,7 +68,7 @@ class _Columns:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class PoseColumns(_Columns):
+class PoseColumns(Columns):
     """The turtle's pose, one row per tick (imported logs: one row per sample).
 
     The arrays are made read-only without a copy.
@@ -130,7 +130,7 @@ class PoseColumns(_Columns):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class CommandColumns(_Columns):
+class CommandColumns(Columns):
     """The published commands, one row per command. The arrays become read-only.
 
     Attributes:
@@ -151,7 +151,7 @@ class CommandColumns(_Columns):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class SampleColumns(_Columns):
+class SampleColumns(Columns):
     """Values that the controller computed, one row per sample. The arrays become read-only.
 
     The fields have the order of the table columns.
@@ -244,10 +244,10 @@ class Clock:
     jitter_s: float | None = None
 
 
-Columns = TypeVar("Columns", PoseColumns, CommandColumns, SampleColumns)
+AnyColumns = TypeVar("AnyColumns", PoseColumns, CommandColumns, SampleColumns)
 
 
-def take_rows(columns: Columns, rows: slice | NDArray[np.bool_]) -> Columns:
+def take_rows(columns: AnyColumns, rows: slice | NDArray[np.bool_]) -> AnyColumns:
     """Return the selected rows of every column."""
     taken = {
         field.name: values[rows]
@@ -315,18 +315,18 @@ def _select(time_ns: NDArray[np.int64], start_ns: int, end_ns: int) -> NDArray[n
     return np.asarray((time_ns >= start_ns) & (time_ns <= end_ns))
 
 
-def rebuild_value(value: Any, **changed: Any) -> Rebuilding:
-    """Return the pickled form of a frozen dataclass, with some of its fields changed."""
+def rebuild_value(value: Any, **others: Any) -> Rebuilding:
+    """Return the pickled form of a frozen dataclass, with other values of some fields."""
     kind: Any = type(value)
     values = {found.name: getattr(value, found.name) for found in fields(kind)}
     proxies = {name: dict(one) for name, one in values.items() if isinstance(one, MappingProxyType)}
-    return partial(kind, **values | proxies | changed), ()
+    return partial(kind, **values | proxies | others), ()
 
 
 _list_fields: Final[Callable[[type], tuple[Field[Any], ...]]] = cache(fields)
 
 
-def _freeze(columns: _Columns, table: str) -> None:
+def _freeze(columns: Columns, table: str) -> None:
     """Require arrays of one length: integers for times and counts, floats for all other columns."""
     for column in _list_fields(type(columns)):
         values, place = getattr(columns, column.name), f"{table}.{column.name}"
@@ -348,7 +348,7 @@ def _freeze(columns: _Columns, table: str) -> None:
     _require_finite(columns, table)
 
 
-def _require_finite(columns: _Columns, table: str) -> None:
+def _require_finite(columns: Columns, table: str) -> None:
     with np.errstate(all="ignore"):
         for column in _list_fields(type(columns)):
             values = getattr(columns, column.name)

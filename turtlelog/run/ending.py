@@ -88,7 +88,7 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
     """Return how a run ended at its goal; None without poses or a goal to reach."""
     if run.goal_xy_m is None or not run.declaration.uses_goal or not len(run.poses):
         return None
-    error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), _allow(run)
+    error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), _allow(run, run.goal_xy_m)
     # A law that reads late or wrong poses stops where it believes the goal to be.
     is_seen = run.poses.sensed_xy_m is None
     is_own_end = run.stop_reason == _REACHED and is_seen and error_m <= _CORNER * allowed_m
@@ -155,12 +155,10 @@ def allow_position(heading_rad: float, position_m: float, distance_m: float) -> 
     return heading_rad * distance_m + position_m
 
 
-def _allow(run: "Run") -> float:
+def _allow(run: "Run", goal_xy_m: tuple[float, float]) -> float:
     """Return the distance to the goal that the law's tolerances allow [m]; 0 without tolerances."""
     heading_rad = run.parameters.get("law.heading_tolerance_rad")
     position_m = run.parameters.get("law.position_tolerance_m")
     if not isinstance(heading_rad, float | int) or not isinstance(position_m, float | int):
         return 0.0
-    if run.goal_xy_m is None:
-        return 0.0
-    return allow_position(heading_rad, position_m, math.dist(run.goal_xy_m, run.poses.xy_m[0]))
+    return allow_position(heading_rad, position_m, math.dist(goal_xy_m, run.poses.xy_m[0]))

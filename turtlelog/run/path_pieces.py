@@ -33,8 +33,7 @@ class PathPoint(NamedTuple):
     """A point of a path.
 
     Attributes:
-        x_m: x in the world frame [m].
-        y_m: y in the world frame [m].
+        x_m: x in the world frame [m]; likewise `y_m`.
         heading_rad: Direction of the path, counter-clockwise from +x [rad], in [-pi, pi).
         curvature_1_m: Curvature, positive if the path bends to the left [1/m].
     """
@@ -52,8 +51,7 @@ class PathPiece(NamedTuple):
         number: Index of the piece in the path, from 0.
         start_m: Arc length at the start of the piece, from the beginning of the path [m].
         length_m: Length of the piece [m].
-        x_m: x at the start of the piece, world frame [m].
-        y_m: y at the start of the piece, world frame [m].
+        x_m: x at the start of the piece, world frame [m]; likewise `y_m`.
         heading_rad: Direction at the start, counter-clockwise from +x [rad].
         curvature_1_m: Curvature, positive if the piece bends to the left [1/m].
     """
@@ -68,16 +66,8 @@ class PathPiece(NamedTuple):
 
     def go_straight(self, way_m: float) -> "PathPiece":
         """Return the tangent at a length along the piece as a straight piece without an end."""
-        start = PathPoint(*locate_on(self, way_m))
-        return PathPiece(
-            self.number,
-            self.start_m + way_m,
-            math.inf,
-            start.x_m,
-            start.y_m,
-            start.heading_rad,
-            0.0,
-        )
+        x_m, y_m, heading_rad, _ = locate_on(self, way_m)
+        return PathPiece(self.number, self.start_m + way_m, math.inf, x_m, y_m, heading_rad, 0.0)
 
 
 @dataclass(slots=True)
@@ -195,8 +185,7 @@ def _find_exit_of_arc(piece: Any, x_m: float, y_m: float, radius_m: float, low_m
     turned = _turn_to(piece, x_m, y_m) + math.copysign(math.acos(cosine), curvature)
     way_m: float = turned / curvature
     turn_m = 2.0 * math.pi * arc_radius_m
-    turns = ceil((low_m - ROUNDING_M - way_m) / turn_m)
-    way_m += turn_m * turns
+    way_m += turn_m * ceil((low_m - ROUNDING_M - way_m) / turn_m)
     return way_m
 
 

@@ -21,7 +21,6 @@ from turtlelog.run.path_pieces import (
     find_ahead,
     find_nearest,
     find_nearest_on,
-    find_on_first_lap,
     follow,
     join_points,
     locate,
@@ -37,7 +36,6 @@ the 256 KiB allowed for a recording's scenario. The rest is for lists of the law
 CORNER_RAD: Final = math.radians(1.0)
 """Smallest change of direction between two pieces that counts as a corner: smaller bends belong to
 a circle given by 360 points or more."""
-
 
 TURN_BACK_RAD: Final = math.radians(179.9)
 """Change of direction from which a path leads back over itself: the nearest point could be on
@@ -125,10 +123,9 @@ class Path:
             self._require_keys("points")
             self._refuse_keys("center_x_m", "center_y_m", "size_m")
             self._require_points(self.points or ())
-        if self.speed_m_s is not None:
-            self._require_speed(self.speed_m_s)
-
-    def _require_speed(self, speed_m_s: float) -> None:
+        speed_m_s = self.speed_m_s
+        if speed_m_s is None:
+            return
         if not 0.0 < _require_finite("speed_m_s", speed_m_s) <= FASTEST_M_S:
             expected = f"a speed > 0 and up to {FASTEST_M_S:g}"
             raise PathError(f"speed_m_s: expected {expected}, found {speed_m_s!r}")
@@ -140,8 +137,7 @@ class Path:
 
     def _refuse_keys(self, *names: str) -> None:
         for name in names:
-            if getattr(self, name) is not None:
-                value = getattr(self, name)
+            if (value := getattr(self, name)) is not None:
                 found = f"{len(value)} points" if name == "points" else repr(value)
                 raise PathError(f"{name}: expected none, for kind is {self.kind}, found {found}")
 
@@ -181,9 +177,7 @@ class Path:
     @property
     def is_closed(self) -> bool:
         """Whether the path ends where it begins."""
-        if self.closed is None:
-            return closes_by_itself(self.kind)
-        return self.closed
+        return closes_by_itself(self.kind) if self.closed is None else self.closed
 
     @cached_property
     def length_m(self) -> float:
@@ -228,13 +222,6 @@ class Path:
         """
         return PathPoint(*locate(self.numbers, self.ways, arc_m))
 
-    def find_on_first_lap(self, arc_m: float) -> float:
-        """Return the arc length of the same point on the first lap of a closed path [m].
-
-        The end of a lap is the beginning of the next. An open path has one lap, without an end.
-        """
-        return find_on_first_lap(self.numbers, arc_m)
-
     def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
         """Return the place of a position relative to the segment between two arc lengths.
 
@@ -266,8 +253,7 @@ class Path:
         `from_m`. If no point of a closed path is that far away, the result is the point one
         lookahead further along the path.
         """
-        found = find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m)
-        return PathPoint(*found)
+        return PathPoint(*find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m))
 
     @cached_property
     def pieces(self) -> tuple[PathPiece, ...]:
@@ -303,12 +289,7 @@ PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
 
 
 class PathFollower:
-    """Tracker of the point of a path that is nearest to a robot, pose by pose.
-
-    The robot first has to reach the path: an open path without a speed at its beginning, a path
-    with a speed on the segment that the reference has passed, a closed path anywhere. From then on
-    the nearest point is searched within `REACH_M` of the previous nearest point, so that a path
-    that crosses itself is followed in order.
+    """Tracker of the point of a path that is nearest to a robot, pose by pose, as in `follow`.
 
     Attributes:
         arc_m: Arc length of the nearest point [m]; None until the robot reaches the path.

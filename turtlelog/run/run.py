@@ -19,6 +19,7 @@ from turtlelog.display import (
 from turtlelog.errors import PathError, RunError
 from turtlelog.run.columns import (
     Clock,
+    Columns,
     CommandColumns,
     PoseColumns,
     Rebuilding,
@@ -30,7 +31,7 @@ from turtlelog.run.columns import (
 from turtlelog.run.ending import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.paths import Path, restore_path
-from turtlelog.run.tables import TABLES, build_arrow, build_pandas, build_xarray
+from turtlelog.run.tables import TABLES, build_pandas, build_xarray, iterate_arrow
 
 Parameter = bool | int | float | str | list[Any]
 
@@ -137,9 +138,8 @@ class Run:
             raise RunError(f"name: expected printable text, found {self.name!r}")
         kinds = {"poses": PoseColumns, "commands": CommandColumns, "samples": SampleColumns}
         for name, kind in kinds.items():
-            if not isinstance(getattr(self, name), kind):
-                found = type(getattr(self, name)).__name__
-                raise RunError(f"{name}: expected {kind.__name__}, found {found}")
+            if not isinstance(found := getattr(self, name), kind):
+                raise RunError(f"{name}: expected {kind.__name__}, found {type(found).__name__}")
         self._require_goal()
         if not len(self.poses) and not (len(self.commands) and "poses" in self.absent):
             raise RunError("poses: must have at least one row")
@@ -152,9 +152,8 @@ class Run:
                 f" are numbered 0 to {len(self.poses) - 1}"
             )
         self._require_declared()
-        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
-        object.__setattr__(self, "simulated_by", MappingProxyType(dict(self.simulated_by)))
-        object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
+        for name in ("parameters", "simulated_by", "notes"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __reduce__(self) -> Rebuilding:
         return rebuild_value(self)
@@ -172,12 +171,7 @@ class Run:
         """Refuse samples that do not match the declared law."""
         samples, declaration = self.samples, self.declaration
         phases = len(declaration.phase_names)
-        unknown = (samples.phase < 0) | (samples.phase >= phases)
-        if unknown.any():
-            row = int(unknown.argmax())
-            raise RunError(
-                f"sample.phase[{row}]: expected 0 to {phases - 1}, found {samples.phase[row]}"
-            )
+        _require_below(samples, "phase", phases, f"0 to {phases - 1}")
         try:
             _ = self.path
         except PathError as err:
@@ -201,9 +195,8 @@ class Run:
         direction. Without samples and loops, the line starts at the first recorded pose.
         """
         samples = self.samples
-        if not len(self.poses):
-            return None
-        if not len(samples) and (self.declaration.loops or self.goal_xy_m is None):
+        is_unknown = not len(samples) and (self.declaration.loops or self.goal_xy_m is None)
+        if is_unknown or not len(self.poses):
             return None
         x_m, y_m = map(float, self.poses.xy_m[[*samples.pose_sequence[:1], 0][0]])
         length_m = bearing_rad = None
@@ -303,7 +296,7 @@ class Run:
             RunError: If there is no such table.
             LibraryError: If pyarrow is not installed.
         """
-        return build_arrow(self, table)
+        return next(iterate_arrow(self, table))
 
     def to_pandas(self, table: str = "poses") -> Any:
         """Return a table of this run as a `pandas.DataFrame`; pandas must be installed separately.
@@ -409,23 +402,14 @@ class Run:
 
 
 def require_run(run: object, name: str = "run") -> None:
-    """Raise an error for an argument that is not a run.
-
-    Args:
-        run: Argument to check.
-        name: Name of the argument.
-
-    Raises:
-        RunError: If the argument is not a run. The message says which function returns a run.
-    """
+    """Raise a RunError for an argument that is not a run; the message says what returns a run."""
     if isinstance(run, Run):
         return
+    advice = ""
     if isinstance(run, str | os.PathLike):
         advice = "; read_run reads a file, simulate_run simulates a preset"
     elif type(run).__name__ == "Scenario":
         advice = "; simulate_run simulates a scenario"
-    else:
-        advice = ""
     raise RunError(f"{name}: expected a Run, found {run!r:.60}{advice}")
 
 
@@ -451,9 +435,17 @@ def _is_same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray):
         same_kind = (one.dtype, one.shape) == (other.dtype, other.shape)
         return bool(same_kind and one.tobytes() == other.tobytes())
-    if isinstance(one, PoseColumns | CommandColumns | SampleColumns):
+    if isinstance(one, Columns):
         return all(_is_same(getattr(one, at.name), getattr(other, at.name)) for at in fields(one))
     return bool(one == other)
+
+
+def _require_below(samples: SampleColumns, name: str, end: int, expected: str) -> None:
+    values = getattr(samples, name)
+    outside = (values < 0) | (values >= end)
+    if outside.any():
+        row = int(outside.argmax())
+        raise RunError(f"sample.{name}[{row}]: expected {expected}, found {values[row]}")
 
 
 def _is_finite(value: object) -> bool:

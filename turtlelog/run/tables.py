@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import RunError
 from turtlelog.libraries import load_library
-from turtlelog.run.columns import PAIRS, CommandColumns, PoseColumns, SampleColumns
+from turtlelog.run.columns import PAIRS, Columns
 from turtlelog.run.loops import format_declaration
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _UNITS: Final = MappingProxyType(
 """Units by the end of a column's name, the longest end first."""
 
 
-def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
+def _flatten(columns: Columns) -> Table:
     table: dict[str, NDArray[Any]] = {}
     for column in fields(columns):
         name, values = column.name, getattr(columns, column.name)
@@ -51,10 +51,10 @@ def _tabulate_samples(run: "Run") -> Table:
 
 
 def _tabulate_events(run: "Run") -> Table:
+    kinds = {"time_ns": np.int64, "kind": object, "text": object}
     return {
-        "time_ns": np.array([event.time_ns for event in run.events], dtype=np.int64),
-        "kind": np.array([event.kind for event in run.events], dtype=object),
-        "text": np.array([event.text for event in run.events], dtype=object),
+        name: np.array([getattr(event, name) for event in run.events], dtype=kind)
+        for name, kind in kinds.items()
     }
 
 
@@ -62,8 +62,8 @@ TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = MappingProxyType(
     {
         "poses": lambda run: _flatten(run.poses),
         "commands": lambda run: _flatten(run.commands),
-        "samples": lambda run: _tabulate_samples(run),
-        "events": lambda run: _tabulate_events(run),
+        "samples": _tabulate_samples,
+        "events": _tabulate_events,
     }
 )
 """Functions that make the tables of a run, by name."""
@@ -107,20 +107,14 @@ def _list_facts(run: "Run") -> dict[str, str]:
         "clock": None if run.clock is None else asdict(run.clock),
         "simulated_by": dict(run.simulated_by) or None,
     }
-    texts = {"name": run.name, "source": run.source}
-    texts["declaration"] = format_declaration(run.declaration)
-    return texts | {
+    declaration = format_declaration(run.declaration)
+    return {"name": run.name, "source": run.source, "declaration": declaration} | {
         name: json.dumps(value) for name, value in described.items() if value is not None
     }
 
 
-def build_arrow(run: "Run", table: str) -> Any:
-    """Return a table of a run as a `pyarrow.Table`, with units in the metadata of its columns."""
-    return next(iterate_arrow(run, table))
-
-
 def iterate_arrow(run: "Run", table: str, most_rows: int | None = None) -> Iterator[Any]:
-    """Yield a table of a run, as from `build_arrow`, in parts with a limited number of rows.
+    """Yield a table of a run as `pyarrow.Table`s with a limited number of rows, with units.
 
     Parts are built lazily; a table without rows yields one part.
     """

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar, cast
 
 from msgspec import Meta
@@ -42,21 +42,12 @@ def _take_keys(table: str) -> Callable[[type[_AnyTable]], type[_AnyTable]]:
 
     The keys that files always contain come first.
     """
-
-    def build(kind: type[_AnyTable]) -> type[_AnyTable]:
-        keys = [
-            one for part in EFFECTS if table in part.tables for one in fields(part.tables[table])
-        ]
-        keys.sort(key=lambda one: ABSENT_BY_DEFAULT.keys() <= one.metadata.keys())
-        return _build_table(
-            kind,
-            [
-                (one.name, one.type, field(default=one.default, metadata=one.metadata))
-                for one in keys
-            ],
-        )
-
-    return build
+    keys = [one for part in EFFECTS if table in part.tables for one in fields(part.tables[table])]
+    keys.sort(key=lambda one: ABSENT_BY_DEFAULT.keys() <= one.metadata.keys())
+    found = [
+        (one.name, one.type, field(default=one.default, metadata=one.metadata)) for one in keys
+    ]
+    return partial(_build_table, keys=found)
 
 
 def _take_plant_keys(kind: type[_AnyTable]) -> type[_AnyTable]:
@@ -274,12 +265,7 @@ class Scenario:
 
 
 def require_scenario(scenario: object) -> None:
-    """Raise an error for an argument that is not a scenario.
-
-    Raises:
-        ScenarioError: If the argument is not a scenario. The message says which function returns a
-            scenario.
-    """
+    """Raise a ScenarioError for an argument that is not a scenario."""
     if not isinstance(scenario, Scenario):
         advice = "load_scenario returns the one of a preset or file"
         raise ScenarioError(f"scenario: expected a Scenario, found {scenario!r:.60}; {advice}")

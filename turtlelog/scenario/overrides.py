@@ -185,7 +185,8 @@ def complete_scenario(run: Run, base: Scenario) -> Scenario:
     """
     base = resolve_scenario(base)
     known = flatten_scenario(base).keys() | {"goal.heading_rad", *PATH_KEYS}
-    values: dict[str, Any] = {} if run.goal_xy_m is None else _name_goal(run.goal_xy_m)
+    goal = run.goal_xy_m
+    values: dict[str, Any] = {} if goal is None else {"goal.x_m": goal[0], "goal.y_m": goal[1]}
     values |= {key: value for key, value in run.parameters.items() if key in known}
     is_same = values.get("law.kind", base.law.kind) == base.law.kind
     return _override(base, values, source=run.name, trust_law=is_same)
@@ -210,22 +211,15 @@ def replay_commands(scenario: Scenario, run: Run) -> Scenario:
         expected = "commands along the heading, as laws give them"
         raise ScenarioError(f"{run.name}: expected {expected}, found one to the side")
     origin_ns = min(run.start_ns, int(commands.time_ns[0]))
-    rows = {
-        time_ns: (speed_m_s, turn_rate_rad_s)
-        for time_ns, speed_m_s, turn_rate_rad_s in zip(
-            commands.time_ns.tolist(),
-            commands.speed_m_s.tolist(),
-            commands.turn_rate_rad_s.tolist(),
-            strict=True,
-        )
-    }
-    last_ns = int(commands.time_ns[-1])
-    before: tuple[float, float] | None = None
-    kept: list[tuple[float, float, float]] = []
-    for time_ns, command in rows.items():
-        if command != before or time_ns == last_ns:
-            kept.append(((time_ns - origin_ns) / 1e9, *command))
-        before = command
+    columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
+    rows = {row[0]: row[1:] for row in zip(*(one.tolist() for one in columns), strict=True)}
+    *times_ns, last_ns = rows
+    befores = [None, *(rows[time_ns] for time_ns in times_ns)]
+    kept = [
+        ((time_ns - origin_ns) / 1e9, *command)
+        for (time_ns, command), before in zip(rows.items(), befores, strict=True)
+        if command != before or time_ns == last_ns
+    ]
     times_s, speeds, turn_rates = zip(*kept, strict=True)
     values = {
         "law.kind": "open-loop",
@@ -262,7 +256,3 @@ def _parse_value(text: str) -> Any:
 
 _SHORT_NUMBER: Final = re.compile(r"[+-]?(\d+\.|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 """Numbers that TOML refuses, but people type: `.5` and `5.`."""
-
-
-def _name_goal(xy_m: tuple[float, float]) -> dict[str, float]:
-    return {"goal.x_m": xy_m[0], "goal.y_m": xy_m[1]}

@@ -108,9 +108,6 @@ def iterate_paper_runs() -> Iterator[Scenario]:
     return (get_preset(name) for name in PAPER_RUNS)
 
 
-_FILE: Final = "file"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableFile:
     """The columns that a table of a scenario takes from a file.
@@ -154,22 +151,17 @@ _TABLE_FILES: Final[Mapping[str, TableFile]] = MappingProxyType(
 
 
 def _embed_files(tables: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """Return the tables of a scenario file, with numbers from the files that the tables name.
-
-    Raises:
-        ScenarioError: If a file cannot be read, or the table already contains values that the file
-            provides.
-    """
+    """Return the tables of a scenario file, with numbers from the files that the tables name."""
     embedded = dict(tables)
     for name, kind in _TABLE_FILES.items():
         table = tables.get(name)
-        if isinstance(table, Mapping) and _FILE in table and _agrees(table, kind.where):
+        if isinstance(table, Mapping) and "file" in table and table.items() >= kind.where.items():
             embedded[name] = _embed(table, kind, f"{path}: {name}", path.parent)
     return embedded
 
 
 def _embed(table: Mapping[str, Any], kind: TableFile, place: str, folder: Path) -> dict[str, Any]:
-    file = table[_FILE]
+    file = table["file"]
     if not isinstance(file, str) or not file:
         expected = "the name of a CSV file"
         raise ScenarioError(f"{place}.file: expected {expected}, found {describe_value(file)}")
@@ -180,7 +172,7 @@ def _embed(table: Mapping[str, Any], kind: TableFile, place: str, folder: Path) 
         if table.get(key, value) != value:
             expected, found = f"{value} beside file", describe_value(table[key])
             raise ScenarioError(f"{place}.{key}: expected {expected}, found {found}")
-    rest = {key: value for key, value in table.items() if key != _FILE}
+    rest = {key: value for key, value in table.items() if key != "file"}
     columns = _read_columns_of_numbers(folder / file, kind)
     if kind.key is None:
         return {**rest, **kind.sets, **columns}
@@ -189,11 +181,7 @@ def _embed(table: Mapping[str, Any], kind: TableFile, place: str, folder: Path) 
 
 
 def _read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[float]]:
-    """Return the columns of a CSV file by name.
-
-    Raises:
-        ScenarioError: If the file cannot be read, or a line is wrong: file, line, expected, found.
-    """
+    """Return the columns of a CSV file by name."""
     try:
         text = read_text_file(path)
     except UnicodeDecodeError as err:
@@ -236,9 +224,8 @@ def _read_rows(lines: Any, names: list[str], kind: TableFile, path: Path) -> dic
         for name, cell in zip(names, cells, strict=True):
             columns[name].append(_read_number(cell, f"{place}: {name}"))
         if kind.rises and len(rising) > 1 and not rising[-1] > rising[-2]:
-            expected = f"more than {rising[-2]} of the line before"
-            found = f"{kind.columns[0]}: expected {expected}, found {rising[-1]}"
-            raise ScenarioError(f"{place}: {found}")
+            expected = f"more than {rising[-2]} of the line before, found {rising[-1]}"
+            raise ScenarioError(f"{place}: {kind.columns[0]}: expected {expected}")
     if not rising:
         raise ScenarioError(f"{path}: line 2: no row of numbers")
     return columns
@@ -252,7 +239,3 @@ def _read_number(cell: str, place: str) -> float:
     if not math.isfinite(value) or "_" in cell:
         raise ScenarioError(f"{place}: expected a finite number, found {describe_value(cell)}")
     return value
-
-
-def _agrees(table: Mapping[str, Any], values: Mapping[str, str]) -> bool:
-    return all(table.get(key) == value for key, value in values.items())

@@ -4,9 +4,10 @@ import copy
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from datetime import date, time
-from typing import Any, Final, get_args, get_type_hints
+from functools import cache
+from typing import Any, get_args, get_type_hints
 
 import msgspec
 
@@ -87,10 +88,12 @@ def build_scenario(
     law = LawChoice(
         kind=kind, parameters=LawTable(values=own, sources=(source,), is_trusted=trust_law)
     )
+    try:
+        require_law_name(kind)
+    except LawError as err:
+        raise ScenarioError(f"{source}: law.kind: {err}") from err
     if kind in LAWS:
         law = resolve_law(law)
-    else:
-        _require_law_name(kind, source)
     scenario: Scenario = _convert(rest, Scenario, "", source)
     _require_consistent(scenario, source)
     return dataclasses.replace(scenario, law=law)
@@ -130,8 +133,7 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
         law = find_law(choice.kind)
     except LawError as err:
         raise ScenarioError(f"{table.sources[0]}: law.kind: {err}") from err
-    parameters = _build_parameters(table, law)
-    return LawChoice(kind=choice.kind, parameters=parameters)
+    return LawChoice(kind=choice.kind, parameters=_build_parameters(table, law))
 
 
 def _build_parameters(table: LawTable, law: AnyLaw) -> Any:
@@ -174,17 +176,17 @@ def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
 def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario as the nested tables of its file."""
     tables: dict[str, Any] = _nest_values(dataclasses.replace(scenario, law=LawChoice()))
-    parameters = scenario.law.parameters
-    is_table = isinstance(parameters, LawTable)
-    own = copy.deepcopy(dict(parameters.values)) if is_table else _nest_values(parameters)
-    tables["law"] = {"kind": scenario.law.kind, **_drop_none(own)}
+    own = scenario.law.parameters
+    own = copy.deepcopy(dict(own.values)) if isinstance(own, LawTable) else _nest_values(own)
+    given = {key: value for key, value in own.items() if value is not None}
+    tables["law"] = {"kind": scenario.law.kind, **given}
     return tables
 
 
 def _nest_values(value: Any) -> Any:
-    """Return a value in the form of a file: dataclasses as tables, tuples as lists.
+    """Return a value in the form of a file: dataclasses as tables, tuples as lists, without None.
 
-    Values of None are left out. Keys that files omit are left out if they have their defaults.
+    Keys that files omit are left out if they have their defaults.
     """
     if type(value) in _PLAIN:
         return value
@@ -194,25 +196,22 @@ def _nest_values(value: Any) -> Any:
         return {key: _nest_values(entry) for key, entry in value.items()}
     if not dataclasses.is_dataclass(value):
         return copy.deepcopy(value)
+    kind: Any = type(value)
     return {
         field.name: _nest_values(found)
-        for field, may_be_absent in _list_fields(type(value))
+        for field, may_be_absent in _list_fields(kind)
         if (found := getattr(value, field.name)) is not None
         and not (may_be_absent and found == field.default)
     }
 
 
-_FIELDS: Final[dict[type, list[tuple[dataclasses.Field[Any], bool]]]] = {}
-
-
-def _list_fields(kind: type) -> list[tuple[dataclasses.Field[Any], bool]]:
+@cache
+def _list_fields(kind: type[Any]) -> list[tuple[dataclasses.Field[Any], bool]]:
     """Return the fields of a dataclass, and whether files omit the default of each field."""
-    if kind not in _FIELDS:
-        _FIELDS[kind] = [
-            (field, not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata))
-            for field in dataclasses.fields(kind)
-        ]
-    return _FIELDS[kind]
+    return [
+        (field, not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata))
+        for field in dataclasses.fields(kind)
+    ]
 
 
 def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> Scenario:
@@ -238,12 +237,9 @@ def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> 
 
 def describe_unknown_key(key: str, known: list[str]) -> str:
     """Return the end of an error line for an unknown key, with the nearest known keys."""
-    near = find_near(key, known)
-    return (
-        f"unknown key; did you mean {join_names(near)}?"
-        if near
-        else (f"unknown key; there are {join_names(known)}")
-    )
+    if near := find_near(key, known):
+        return f"unknown key; did you mean {join_names(near)}?"
+    return f"unknown key; there are {join_names(known)}"
 
 
 def _list_unknown(run: Run) -> str:
@@ -253,50 +249,31 @@ def _list_unknown(run: Run) -> str:
     return f"{', '.join(keys[:4])} and {len(keys[4:])} more"
 
 
-def _drop_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: inner for key, inner in value.items() if inner is not None}
-    return value
-
-
-def _require_law_name(kind: str, source: str) -> None:
-    try:
-        require_law_name(kind)
-    except LawError as err:
-        raise ScenarioError(f"{source}: law.kind: {err}") from err
-
-
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:
     """Raise an error for unknown keys and for NaN or infinity, which msgspec accepts."""
     known = _list_keys(kind)
     for key, value in table.items():
+        place = f"{prefix}{name_key(key)}"
         if key not in known:
-            place = f"{prefix}{name_key(key)}"
             raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(known))}")
         inner, may_be_infinite = known[key]
         if isinstance(value, Mapping) and inner is not None:
-            _require_sound(value, inner, f"{prefix}{name_key(key)}.", source)
+            _require_sound(value, inner, f"{place}.", source)
         infinite = isinstance(value, float) and math.isinf(value) and not may_be_infinite
         if isinstance(value, float) and (math.isnan(value) or infinite):
-            place = f"{prefix}{name_key(key)}"
             raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
 
 
-_KEYS: Final[dict[type, dict[str, tuple[type | None, bool]]]] = {}
-
-
-def _list_keys(kind: type) -> Mapping[str, tuple[type | None, bool]]:
+@cache
+def _list_keys(kind: type[Any]) -> Mapping[str, tuple[type | None, bool]]:
     """Return the keys of a table. Each key has its subtable, if any, and whether it may be inf."""
-    if kind not in _KEYS:
-        unlimited = {
-            one.name
-            for one in dataclasses.fields(kind)
-            if one.default == math.inf or one.metadata.keys() & MAY_BE_INFINITE.keys()
-        }
-        _KEYS[kind] = {
-            key: (_find_table(hint), key in unlimited) for key, hint in get_type_hints(kind).items()
-        }
-    return _KEYS[kind]
+    unlimited = {
+        one.name
+        for one in dataclasses.fields(kind)
+        if one.default == math.inf or one.metadata.keys() & MAY_BE_INFINITE.keys()
+    }
+    hints = get_type_hints(kind)
+    return {key: (_find_table(hint), key in unlimited) for key, hint in hints.items()}
 
 
 def _find_table(hint: Any) -> type | None:
@@ -342,26 +319,14 @@ def _find_value(table: Any, kind: Any, keys: list[str]) -> tuple[Any, Any]:
 
 
 def _require_consistent(scenario: Scenario, source: str) -> None:
-    """Raise an error if values contradict each other; parameters of the law are not checked.
-
-    Raises:
-        ScenarioError: If a key is wrong. The message describes the first wrong key: `source: key:
-            expected ..., found ...`.
-    """
-    for judge in (_judge_places, _judge_path, *_list_judges(), _judge_dead_times):
+    """Raise an error if values contradict each other; parameters of the law are not checked."""
+    of_effects = [effect.judge for effect in EFFECTS if effect.judge is not None]
+    for judge in (_judge_places, _judge_path, *of_effects, _judge_dead_times):
         for key, expected, found in judge(scenario):
             raise ScenarioError(f"{source}: {key}: expected {expected}, found {found}")
 
 
-Complaints = Iterator[Complaint]
-Judge = Callable[[Any], Complaints]
-
-
-def _list_judges() -> Iterator[Judge]:
-    return (effect.judge for effect in EFFECTS if effect.judge is not None)
-
-
-def _judge_places(scenario: Scenario) -> Complaints:
+def _judge_places(scenario: Scenario) -> Iterator[Complaint]:
     """Check that start and goal are inside the plant's world."""
     low_m, high_m = scenario.plant.facts.low_m, scenario.plant.facts.high_m
     expected = f"a number from {low_m:.10g} to {high_m:.10g}"
@@ -372,7 +337,7 @@ def _judge_places(scenario: Scenario) -> Complaints:
                 yield f"{table}.{name}", expected, f"{value:.10g}"
 
 
-def _judge_path(scenario: Scenario) -> Complaints:
+def _judge_path(scenario: Scenario) -> Iterator[Complaint]:
     if scenario.path is None:
         return
     low_m, high_m = scenario.plant.facts.low_m, scenario.plant.facts.high_m
@@ -383,7 +348,7 @@ def _judge_path(scenario: Scenario) -> Complaints:
             yield "path", within, f"{least_m:.10g} to {most_m:.10g} m"
 
 
-def _judge_dead_times(scenario: Scenario) -> Complaints:
+def _judge_dead_times(scenario: Scenario) -> Iterator[Complaint]:
     """Check that the dead times of a robot are shorter than the run."""
     keys = PLANTS[scenario.plant.kind].delays
     delays = {f"plant.{key}": getattr(scenario.plant, key) for key in keys}

@@ -5,8 +5,10 @@ The notes name gains that are unstable in theory, and unused settings.
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import Final
 
+from turtlelog.display import describe_count
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
 from turtlelog.laws import find_law, list_unused_keys
@@ -56,7 +58,8 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     unused = _describe_unused(scenario, declaration, parameters, given)
     unstable = [*_describe_wrong_signs(declaration, parameters)]
     unstable += _describe_unstable(declaration, parameters)
-    return (*unstable, *unused, *_describe_idle(scenario))
+    idle = [one.notes(scenario) for one in EFFECTS if one.notes is not None]
+    return (*unstable, *unused, *chain.from_iterable(idle))
 
 
 def _describe_wrong_signs(
@@ -78,13 +81,6 @@ def _describe_wrong_signs(
                 )
 
 
-def _describe_idle(scenario: Scenario) -> Iterator[str]:
-    """Yield notes on settings without an effect, as the effects report them."""
-    for effect in EFFECTS:
-        if effect.notes is not None:
-            yield from effect.notes(scenario)
-
-
 def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parameter]) -> list[str]:
     timing = find_timing(parameters)
     if isinstance(timing, str) or hides_stability(parameters):
@@ -95,8 +91,7 @@ def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parame
         process = read_process(loop, parameters, timing.least_s)
         if isinstance(gains, str) or isinstance(process, str):
             continue
-        said = _judge(loop, gains, process, timing)
-        if said is not None:
+        if said := _judge(loop, gains, process, timing):
             found.append(f"{loop.name}: {said}; clipping only bounds its oscillation")
     return found
 
@@ -112,8 +107,8 @@ def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) ->
     if not process.dead_time_s and not timing.most_s:
         words.append("no dead time")
     elif in_ticks:
-        ticks = round(process.dead_time_s / timing.step_s)
-        words.append(f"a dead time of {ticks} tick{'' if ticks == 1 else 's'}{least}")
+        ticks = describe_count(round(process.dead_time_s / timing.step_s), "tick")
+        words.append(f"a dead time of {ticks}{least}")
     else:
         words.append(f"a dead time of {process.dead_time_s:.6g} s{least}")
     return f"{', '.join(words[:-1])} and {words[-1]}"
