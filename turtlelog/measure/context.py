@@ -22,11 +22,7 @@ from turtlelog.measure.rates import (
     space_poses,
 )
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
-from turtlelog.measure.references import (
-    compute_path_distances,
-    compute_path_length,
-    read_heading_reference,
-)
+from turtlelog.measure.references import compute_path_distances, read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.signals import Signal, find_signal
 from turtlelog.run import Run, take_rows
@@ -308,11 +304,6 @@ class RunContext:
         """Usual time between samples without bursts [s]; None if all times are 0."""
         periods_s = self.sample_period_s[self.sample_period_s > 0.0]
         return compute_median(periods_s) if len(periods_s) else None
-
-    @cached_property
-    def path_length_m(self) -> float:
-        """Length of the line through all poses [m]."""
-        return compute_path_length(self.run.poses.xy_m)
 
     @cached_property
     def cross_track_m(self) -> Values:

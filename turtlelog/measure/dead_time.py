@@ -17,14 +17,13 @@ from turtlelog.measure.motion import (
     find_lags,
     fit_way,
     is_within_steps,
-    pushes_at_random,
     read_loop_motion,
 )
 from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.response import describe_no_phase
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
-from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration, read_number
 
 LARGEST_TICKS: Final = 40
 """Largest dead time that is searched [ticks]."""
@@ -161,7 +160,7 @@ def find_dead_time(
 
 def _find_doubt(run: Run, loop: ControlLoop) -> str:
     """Return the scenario's objection to a dead time that does not explain every step, or ""."""
-    if pushes_at_random(run, loop):
+    if read_number(run.parameters, f"disturbance.noise_{loop.command}", 0.0) > 0.0:
         return "the disturbance is random and adds up along the way"
     if find_plant(run).name == LAGGED:
         return f"no whole number of periods up to {LARGEST_TICKS} explains every step"

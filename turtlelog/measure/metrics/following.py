@@ -10,7 +10,7 @@ final values: a robot that drives at 0.9 times the commanded speed has no steady
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -284,16 +284,6 @@ _GRAIN_S: Final = 1e-6
 """Rounding of times [s]: a command held for 499,999,999 ns is held for half a second."""
 
 
-def measure_command_steps(
-    rates: Rates, steps: list[CommandStep], band: float
-) -> Iterator[StepFigures]:
-    """Yield the response of the robot to each step that it answers."""
-    for step in steps:
-        found = _measure_step(rates, step, band)
-        if found is not None:
-            yield found
-
-
 def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures | None:
     end_s = min(step.end_s, step.time_s + _LONGEST_S)
     time_s, values = rates.time_s, rates.values
@@ -388,8 +378,9 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST_RATES} Hz"
             return Missing(status=Status.TOO_SHORT, reason=reason)
         band = context.settings.band
+        answers = (_measure_step(rates, step, band) for step in steps)
         figures = context.recall(
-            ("answers", axis), lambda: list(measure_command_steps(rates, steps, band))
+            ("answers", axis), lambda: [one for one in answers if one is not None]
         )
         found = [getattr(one, name) for one in figures]
         known = [value for value in found if value is not None]

@@ -266,7 +266,7 @@ def measure_path_length(course: RunContext) -> Outcome:
     floor=1.0,
 )
 def _compute_straightness(context: RunContext) -> Result:
-    straightness = compute_straightness(context.run.poses.xy_m, context.path_length_m)
+    straightness = compute_straightness(context.run.poses.xy_m)
     if straightness is None:
         return Missing(status=Status.NO_MOTION, reason="the turtle ends where it began")
     return Found(straightness)
