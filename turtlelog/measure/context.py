@@ -330,7 +330,7 @@ class RunContext:
             f"no single dead time explains the motion ({found.ticks} ticks come nearest): commands"
             " were lost, or their delay changed"
         )
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
 
 
 _EARLIER_SAMPLES: Final = 1000
