@@ -109,22 +109,18 @@ def _split(node: Comparison) -> Iterator[Comparison]:
         yield Comparison(operators=(operator,), operands=(left, right))
 
 
-def list_leaves(formula: Expression) -> Iterator[Leaf]:
+def list_leaves(node: Node, place: _Place = _Place()) -> Iterator[Leaf]:
     """Yield the comparisons of a formula, with the operators above each."""
-    yield from _descend(formula.root, _Place())
-
-
-def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
     match node:
         case Comparison():
             beside = tuple(one for one in place.beside if one is not node)
             yield Leaf(node=node, place=replace(place, beside=beside))
         case Temporal(operand=operand):
-            yield from _descend(operand, place.enter(node))
+            yield from list_leaves(operand, place.enter(node))
         case Until():
             for side in node.list_children():
                 window = Temporal(operator="eventually", end_s=node.end_s, operand=side)
-                yield from _descend(side, place.enter(window))
+                yield from list_leaves(side, place.enter(window))
         case Logic(operands=operands):
             both = "or" if place.is_denied else "and"
             together = [one for one in operands if isinstance(one, Comparison)]
@@ -132,9 +128,9 @@ def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
             for number, operand in enumerate(operands):
                 is_condition = node.operator == "implies" and number == 0
                 inner = replace(place.deny() if is_condition else place, beside=beside)
-                yield from _descend(operand, inner)
+                yield from list_leaves(operand, inner)
         case Prefix(operator="not", operand=operand):
-            yield from _descend(operand, place.deny())
+            yield from list_leaves(operand, place.deny())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,13 +16,7 @@ from turtlelog.check.formula_trace import (
     read_signals,
 )
 from turtlelog.check.robustness import CriticalPart, find_violation, read_margin, walk_formula
-from turtlelog.check.vocabulary import (
-    ROBOT_VALUES,
-    TRAJECTORY_VALUES,
-    find_kind,
-    find_robot_unit,
-    find_trajectory_unit,
-)
+from turtlelog.check.vocabulary import OTHER_VALUES, find_kind, find_other_unit
 from turtlelog.display import format_html, format_number
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.escapes import escape_controls
@@ -303,12 +297,10 @@ def find_formula_unit(name: str, declaration: Declaration) -> str | None:
         return list_signals(declaration)[name].unit
     if name in list_metrics(declaration):
         return list_metrics(declaration)[name].unit
-    if name in ROBOT_VALUES:
-        return find_robot_unit(name)
-    if name in TRAJECTORY_VALUES:
-        return find_trajectory_unit(name)
-    other = find_metric_kind(name)
-    return None if other is None else "" if " or " in other.unit else other.unit
+    kind = find_metric_kind(name)
+    if name in OTHER_VALUES or kind is None:
+        return find_other_unit(name)
+    return "" if " or " in kind.unit else kind.unit
 
 
 def _is_measured(node: Node, units: Mapping[str, str]) -> bool:

@@ -189,7 +189,9 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
     if window_ns is None:
         return SignalSearch(reason=f"the run has no phase {check.phase}")
     found = check_run(run, formula, window_ns=window_ns)
-    leaf = next((one for one in list_leaves(formula) if found.decided_by in one.list_links()), None)
+    leaf = next(
+        (one for one in list_leaves(formula.root) if found.decided_by in one.list_links()), None
+    )
     signals = read_signals(run, names)
     if leaf is None or not names_signals(leaf.node, signals):
         of_metric = any(name in list_metrics(run.declaration) for name in names)

@@ -75,7 +75,7 @@ TRAJECTORY_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
 )
 """Error, quantity and statistic, by the names in checks."""
 
-_OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
+OTHER_VALUES: Final = frozenset({*ROBOT_VALUES, *TRAJECTORY_VALUES})
 """Values in addition to the metrics of a single run."""
 
 
@@ -124,13 +124,13 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
 def names_metrics_alone(formula: Expression) -> bool:
     """Return whether a formula names only metrics and nothing that changes with time."""
     names = formula.names
-    are_metrics = all(name in _OTHER_VALUES or find_metric_kind(name) is not None for name in names)
+    are_metrics = all(name in OTHER_VALUES or find_metric_kind(name) is not None for name in names)
     return not formula.is_temporal and are_metrics
 
 
 def is_in_tables(name: str) -> bool:
     """Return whether a name is a signal, a metric or a key that every run may have."""
-    return name in {*SIGNALS, *_OTHER_VALUES, *_list_parameters()} or (
+    return name in {*SIGNALS, *OTHER_VALUES, *_list_parameters()} or (
         find_metric_kind(name) is not None
     )
 
@@ -148,7 +148,7 @@ def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, 
     signals = SIGNALS if run is None else list_signals(run.declaration)
     ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
     own = () if run is None else run.parameters
-    known = [*(signals if over_time else ()), *ids, *_OTHER_VALUES, *_list_parameters(), *own]
+    known = [*(signals if over_time else ()), *ids, *OTHER_VALUES, *_list_parameters(), *own]
     return dict.fromkeys(known)
 
 
@@ -220,9 +220,13 @@ def _choose_for_metric(name: str, declaration: Declaration) -> Sequence[str]:
     return _OF_END if part == "final" else _OF_RUN
 
 
-def find_robot_unit(name: str) -> str:
-    """Return the unit of a robot value."""
-    return _ROBOT_FIELDS[ROBOT_VALUES[name][1]][1]
+def find_other_unit(name: str) -> str | None:
+    """Return the unit of a robot value or an error of a trajectory; None for any other name."""
+    if name in ROBOT_VALUES:
+        return _ROBOT_FIELDS[ROBOT_VALUES[name][1]][1]
+    if name in TRAJECTORY_VALUES:
+        return _ERROR_QUANTITIES[TRAJECTORY_VALUES[name][1]][0]
+    return None
 
 
 def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
@@ -230,35 +234,24 @@ def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
     names = [*names]
     if not names:
         return {}
-    if not len(run.poses):
-        return {
-            name: Metric(
-                id=name,
-                value=None,
-                unit=find_robot_unit(name),
-                status=NO_POSES.status,
-                reason=NO_POSES.reason,
-            )
-            for name in names
-        }
     from turtlelog.identify import identify_robot  # few checks need it
 
-    model = identify_robot(run)
+    model = identify_robot(run) if len(run.poses) else None
     found = {}
     for name in names:
         axis, parameter, end = ROBOT_VALUES[name]
-        of_axis, unit = getattr(model, axis), find_robot_unit(name)
-        estimate = getattr(of_axis, _ROBOT_FIELDS[parameter][0])
+        field, unit = _ROBOT_FIELDS[parameter]
+        if model is None:
+            status, reason = NO_POSES.status, NO_POSES.reason
+            found[name] = Metric(id=name, value=None, unit=unit, status=status, reason=reason)
+            continue
+        of_axis = getattr(model, axis)
+        estimate = getattr(of_axis, field)
         value = None if estimate is None else getattr(estimate, _INTERVAL_ENDS[end])
         reason = "" if value is not None else of_axis.reason or "the model has no such parameter"
         status = Status.UNDETERMINED if value is None else Status.OK
         found[name] = Metric(id=name, value=value, unit=unit, status=status, reason=reason)
     return found
-
-
-def find_trajectory_unit(name: str) -> str:
-    """Return the unit of a trajectory value."""
-    return _ERROR_QUANTITIES[TRAJECTORY_VALUES[name][1]][0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,11 +22,7 @@ from turtlelog.measure.rates import (
     space_poses,
 )
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
-from turtlelog.measure.references import (
-    compute_path_distances,
-    compute_path_length,
-    read_heading_reference,
-)
+from turtlelog.measure.references import compute_path_distances, read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.signals import Signal, find_signal
 from turtlelog.run import Run, take_rows
@@ -310,11 +306,6 @@ class RunContext:
         return compute_median(periods_s) if len(periods_s) else None
 
     @cached_property
-    def path_length_m(self) -> float:
-        """Length of the line through all poses [m]."""
-        return compute_path_length(self.run.poses.xy_m)
-
-    @cached_property
     def cross_track_m(self) -> Values:
         """Distance of every pose from the path, or to the left of the line to the goal [m].
 
@@ -339,7 +330,7 @@ class RunContext:
             f"no single dead time explains the motion ({found.ticks} ticks come nearest): commands"
             " were lost, or their delay changed"
         )
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
 
 
 _EARLIER_SAMPLES: Final = 1000

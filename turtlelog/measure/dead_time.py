@@ -17,14 +17,13 @@ from turtlelog.measure.motion import (
     find_lags,
     fit_way,
     is_within_steps,
-    pushes_at_random,
     read_loop_motion,
 )
 from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.response import describe_no_phase
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
-from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.run.loops import ControlLoop, Declaration, read_number
 
 LARGEST_TICKS: Final = 40
 """Largest dead time that is searched [ticks]."""
@@ -134,19 +133,18 @@ def find_dead_time(
         MeasureError: If the law declares no loop with that name.
     """
     if not len(run.samples):
-        return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
+        return Missing(Status.ABSENT, "no samples of a controller were read")
     if isinstance(loop, str):
         loop = _require_loop(run.declaration, loop)
     motion = read_loop_motion(run, loop)
     if motion is None:
-        return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
+        return Missing(Status.NO_PHASE, describe_no_phase(run, loop))
     follower = describe_follower(run, loop)
     if follower:
-        reason = f"it cannot be separated from {follower}"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, f"it cannot be separated from {follower}")
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:
-        return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {loop.name}")
+        return Missing(Status.TOO_SHORT, f"nothing moves in {loop.name}")
     # In a step of several ticks, the robot may have moved during some of them only.
     first = int(moves.argmax()) + (motion.step_ticks > 1)
     may_lag = not run.scenario_is_complete
@@ -156,12 +154,12 @@ def find_dead_time(
     if isinstance(found, Missing) or found.is_exact:
         return found
     reason = _find_doubt(run, loop)
-    return Missing(status=Status.UNDETERMINED, reason=reason) if reason else found
+    return Missing(Status.UNDETERMINED, reason) if reason else found
 
 
 def _find_doubt(run: Run, loop: ControlLoop) -> str:
     """Return the scenario's objection to a dead time that does not explain every step, or ""."""
-    if pushes_at_random(run, loop):
+    if read_number(run.parameters, f"disturbance.noise_{loop.command}", 0.0) > 0.0:
         return "the disturbance is random and adds up along the way"
     if find_plant(run).name == LAGGED:
         return f"no whole number of periods up to {LARGEST_TICKS} explains every step"
@@ -218,8 +216,7 @@ def _choose(motion: LoopMotion, first: int, *, may_lag: bool) -> DeadTime | Miss
     exact = np.flatnonzero(fits.all(axis=1))
     if len(exact) > 1:
         alike = f"dead times of {_list_ticks(exact)} ticks fit alike"
-        reason = f"the commands hardly change: {alike}"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, f"the commands hardly change: {alike}")
     stretches = [(0, int(exact[0]))] if len(exact) else _split_exactly(fits)
     if stretches:
         return _describe_exact(motion, errors, stretches, first)
@@ -282,27 +279,26 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     rows = rows[~_find_after_gaps(motion)[rows]]
     if not len(rows):
         reason = f"gaps of the poses come no more than {LARGEST_TICKS} ticks after each other"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
     left, size = fit_way(motion, errors, rows)
     best, second = np.argsort(size, kind="stable")[:2].tolist()
     alike = np.flatnonzero(is_within_steps(np.ptp(left, axis=1), best, motion.grain))
     margin = _compute_margin(size, best)
     if size[best] > _EXPLAINED * span:
         reason = f"no dead time up to {LARGEST_TICKS} ticks explains the motion"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
     least_ticks, is_better = best, False
     if may_lag:
         least_ticks, is_better = find_lags(motion, errors, rows, best, float(size[best]))
     if is_better:
         reason = f"with a lag a shorter dead time {_EXPLAINS_BETTER} {best} ticks without a lag"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
     if len(rows) * np.log(margin) < CERTAIN:
-        reason = f"dead times of {best} and {second} ticks fit alike"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, f"dead times of {best} and {second} ticks fit alike")
     if len(alike) > 1:
         listed = _list_ticks(alike)
         reason = f"the poses have coarse steps: dead times of {listed} ticks fit alike"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
     is_rounding = bool(size[best] <= motion.rounding.max())
     return DeadTime(
         ticks=best,

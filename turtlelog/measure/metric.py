@@ -377,7 +377,7 @@ def _format_metrics_html(metrics: Iterable[Metric]) -> str:
     return format_html(rows, heads=("metric", "value", "unit", "no value because"))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Missing:
     """Reason why a metric has no value."""
 
@@ -385,9 +385,9 @@ class Missing:
     reason: str
 
 
-NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
-NO_POSES: Final = Missing(status=Status.ABSENT, reason="the recording holds no poses")
-ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
+NO_COMMANDS: Final = Missing(Status.ABSENT, "the recording holds no commands")
+NO_POSES: Final = Missing(Status.ABSENT, "the recording holds no poses")
+ONE_POSE: Final = Missing(Status.TOO_SHORT, "1 pose")
 
 
 @dataclass(frozen=True, slots=True)
@@ -407,7 +407,7 @@ With a value, the fields are the value, its time from the first sample [s] (NaN 
 `FOUND`. Without a value, they are two numbers for the text of the reason, and the number of the
 reason."""
 
-REASONS: Final[list[Missing]] = [Missing(status=Status.OK, reason="")]
+REASONS: Final[list[Missing]] = [Missing(Status.OK, "")]
 """Reasons for missing values, by number."""
 
 FOUND: Final = 0
@@ -415,7 +415,7 @@ FOUND: Final = 0
 
 def add_reason(status: Status, reason: str) -> int:
     """Return the number of a reason; its text may contain the two numbers of an outcome."""
-    REASONS.append(Missing(status=status, reason=reason))
+    REASONS.append(Missing(status, reason))
     return len(REASONS) - 1
 
 
@@ -424,7 +424,7 @@ def read_outcome(outcome: Outcome) -> Result:
     value, at_s, number = outcome
     if number:
         missing = REASONS[number]
-        return Missing(status=missing.status, reason=missing.reason.format(value, at_s))
+        return Missing(missing.status, missing.reason.format(value, at_s))
     return Found(float(value), None if math.isnan(at_s) else float(at_s))
 
 

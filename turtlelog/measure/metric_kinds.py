@@ -162,7 +162,7 @@ class LoopMetricKind:
         """Return the definition for any loop; the unit is `rad or m` if it depends on the loop."""
 
         def compute(_: RunContext) -> Result:
-            return Missing(status=Status.NO_PHASE, reason="the law declares no such loop")
+            return Missing(Status.NO_PHASE, "the law declares no such loop")
 
         return self._build(self.describe_unit(None), compute, _ANY_WORDS)
 

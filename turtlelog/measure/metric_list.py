@@ -299,7 +299,7 @@ def _measure(context: RunContext, name: str, kind: MetricKind) -> Metric:
         result = kind.compute(context)
         if isinstance(result, Found) and not math.isfinite(result.value):
             reason = "the value is beyond the largest float"
-            result = Missing(status=Status.TOO_LARGE, reason=reason)
+            result = Missing(Status.TOO_LARGE, reason)
     if isinstance(result, Missing):
         return Metric(
             id=name, value=None, unit=kind.unit, status=result.status, reason=result.reason

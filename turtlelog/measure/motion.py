@@ -254,11 +254,6 @@ _UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
 """Suffixes of the keys of a disturbance, by command."""
 
 
-def pushes_at_random(run: Run, loop: ControlLoop) -> bool:
-    """Return whether the scenario has noise in the motion that a loop's command drives."""
-    return read_number(run.parameters, f"disturbance.noise_{loop.command}", 0.0) > 0.0
-
-
 def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float:
     if find_plant(run).name != LAGGED:
         return default

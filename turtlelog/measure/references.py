@@ -216,20 +216,13 @@ _BITS: Final = 12
 """Bits of each coordinate of the grid cells in which points are processed together."""
 
 
-def compute_path_length(xy_m: Values) -> float:
-    """Return the length of the line through all points [m]."""
-    return measure_way(xy_m[:, 0], xy_m[:, 1], None)
-
-
-def compute_straightness(xy_m: Values, length_m: float | None = None) -> float | None:
+def compute_straightness(xy_m: Values) -> float | None:
     """Return path length divided by the distance from first to last point; None if that is 0."""
     distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
     if distance_m <= 0.0:
         return None
-    if length_m is None:
-        length_m = compute_path_length(xy_m)
     # Rounding may make the sum slightly shorter than a straight line's distance.
-    return max(length_m / distance_m, 1.0)
+    return max(measure_way(xy_m[:, 0], xy_m[:, 1], None) / distance_m, 1.0)
 
 
 def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:

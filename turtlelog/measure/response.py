@@ -181,22 +181,22 @@ def find_response(
     `signal` is the controlled signal; None if the run lacks it.
     """
     if not len(run.samples):
-        return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
+        return Missing(Status.ABSENT, "no samples of a controller were read")
     stretch = find_first_stretch(run, loop)
     if not stretch:
-        return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
+        return Missing(Status.NO_PHASE, describe_no_phase(run, loop))
     controlled = None if signal is None else signal.values
     if loop.signal == "distance" and loop.reference == "recorded":
         controlled = read_controlled_distance(run)
     wanted = read_reference(run, loop)
     if controlled is None or wanted is None:
-        return Missing(status=Status.ABSENT, reason=_describe_unknown(run, loop))
+        return Missing(Status.ABSENT, _describe_unknown(run, loop))
     start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
     first = _find_first_row(run.poses.time_ns, start_ns)
     inside = slice(first, int(np.searchsorted(run.poses.time_ns, end_ns, side="right")))
     if len(controlled[inside]) < 2:
         found = f"{len(controlled[inside])} pose" + ("" if len(controlled[inside]) == 1 else "s")
-        return Missing(status=Status.TOO_SHORT, reason=f"{found} in {loop.name}")
+        return Missing(Status.TOO_SHORT, f"{found} in {loop.name}")
     values, target = _refer_to_start(loop, controlled[inside], wanted, inside)
     initial, reference = _find_step(loop, values, target, settings)
     return Response(

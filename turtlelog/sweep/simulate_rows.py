@@ -6,7 +6,6 @@ process on any machine with the same version of turtlelog returns the same resul
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 from turtlelog import expressions
@@ -239,7 +238,7 @@ def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None
     values |= dict(zip(chunk.keys, chunk.values[row - chunk.first], strict=True))
     values |= {name: metric.value for name, metric in found.items()}
     if condition is None or judge_condition(condition, values):
-        write_recording(run, name_record(chunk.records, row))
+        write_recording(run, make_path(chunk.records.folder) / f"row-{row:06d}.mcap")
         results.recorded += 1
 
 
@@ -270,11 +269,6 @@ def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:
     for name in results.metrics.keys() - found.keys():
         results.metrics[name].values.append(None)
         results.metrics[name].statuses.append(None)
-
-
-def name_record(records: RowRecords, row: int) -> Path:
-    """Return the file name of a row's recording."""
-    return make_path(records.folder) / f"row-{row:06d}.mcap"
 
 
 def _parse_condition(records: RowRecords | None) -> expressions.Expression | None:

@@ -42,7 +42,7 @@ _OfPeriods = TypeVar("_OfPeriods", bound=OfPeriods)
 _ROWS_UNKNOWN: Final = add_reason(Status.ABSENT, "neither samples nor commands were read")
 _NO_ROWS: Final = REASONS[_ROWS_UNKNOWN]
 _ONE_SAMPLE: Final = add_reason(Status.TOO_SHORT, "1 sample")
-_NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="no samples of a controller were read")
+_NO_SAMPLES: Final = Missing(Status.ABSENT, "no samples of a controller were read")
 
 
 def _period_metric(
@@ -59,7 +59,7 @@ def _period_metric(
             if value is None:
                 found = len(periods_s) + 1
                 reason = f"{found} {rows}{'s' if found > 1 else ''}, or no time between them"
-                return Missing(status=Status.TOO_SHORT, reason=reason)
+                return Missing(Status.TOO_SHORT, reason)
             return Found(float(value))
 
         traits["needs_poses"] = rows == "pose"
@@ -241,8 +241,7 @@ def _read_note(name: str) -> Callable[[RunContext], Result]:
     def read(context: RunContext) -> Result:
         note = context.run.notes.get(name, "0")
         if not (note.isascii() and note.isdecimal()):
-            reason = f"the note {name} is no number"
-            return Missing(status=Status.ABSENT, reason=reason)
+            return Missing(Status.ABSENT, f"the note {name} is no number")
         return Found(float(note))
 
     return read

@@ -47,10 +47,8 @@ def _command_metric(
 
 _LIMIT_UNKNOWN: Final = add_reason(Status.ABSENT, "the recording does not hold the limit")
 _NO_LIMIT: Final = REASONS[_LIMIT_UNKNOWN]
-_NO_WANTED: Final = Missing(
-    status=Status.ABSENT, reason="the recording does not hold the unclipped command"
-)
-_ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="all commands share one time")
+_NO_WANTED: Final = Missing(Status.ABSENT, "the recording does not hold the unclipped command")
+_ONE_TIME: Final = Missing(Status.TOO_SHORT, "all commands share one time")
 
 
 @_command_metric(

@@ -10,7 +10,7 @@ final values: a robot that drives at 0.9 times the commanded speed has no steady
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -49,8 +49,7 @@ _INSIDE_S: Final = 0.5
 searched lag."""
 
 _STEADY: Final = Missing(
-    status=Status.UNDETERMINED,
-    reason="the commands do not change: nothing shows how late the robot follows",
+    Status.UNDETERMINED, "the commands do not change: nothing shows how late the robot follows"
 )
 
 _FINE_S: Final = 1e-5
@@ -79,9 +78,7 @@ def _select(rates: Rates, commands: HeldCommands) -> slice | None:
     return slice(first, last) if last > first else None
 
 
-_APART: Final = Missing(
-    status=Status.TOO_SHORT, reason="no two poses between the first and the last command"
-)
+_APART: Final = Missing(Status.TOO_SHORT, "no two poses between the first and the last command")
 
 
 def _compute_rms(rates: Rates, commands: HeldCommands) -> Result:
@@ -99,8 +96,7 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
     if rows is None:
         return _APART
     if rows.stop - rows.start < _FEWEST:
-        reason = f"fewer than {_FEWEST} poses while it is commanded"
-        return Missing(status=Status.TOO_SHORT, reason=reason)
+        return Missing(Status.TOO_SHORT, f"fewer than {_FEWEST} poses while it is commanded")
     first_s = float(rates.edges_s[rows.start])
     if commands.before != commands.values[0]:
         # The rest before the first command shows when the robot starts.
@@ -150,13 +146,13 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
         reason = "the motion does not change as the commands do"
         if -float(found.min()) >= _FOLLOWS:
             reason = "the motion changes against the commands: the signs of one are reversed"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
     if best in {0, count - 1}:
         reason = f"no shift from {EARLIEST_S:g} to {LATEST_S:g} s fits best"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
     if _has_second(found, best):
         reason = "several shifts fit alike: the commands repeat themselves"
-        return Missing(status=Status.UNDETERMINED, reason=reason)
+        return Missing(Status.UNDETERMINED, reason)
     around_s = shifts_s[best - 1 : best + 2]
     while float(np.ptp(around_s)) > _FINE_S:
         around_s = np.linspace(around_s[0], around_s[-1], _FINE_COUNT)
@@ -284,16 +280,6 @@ _GRAIN_S: Final = 1e-6
 """Rounding of times [s]: a command held for 499,999,999 ns is held for half a second."""
 
 
-def measure_command_steps(
-    rates: Rates, steps: list[CommandStep], band: float
-) -> Iterator[StepFigures]:
-    """Yield the response of the robot to each step that it answers."""
-    for step in steps:
-        found = _measure_step(rates, step, band)
-        if found is not None:
-            yield found
-
-
 def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures | None:
     end_s = min(step.end_s, step.time_s + _LONGEST_S)
     time_s, values = rates.time_s, rates.values
@@ -343,15 +329,14 @@ def _find_quantum(values: Values, initial: float, final: float) -> float:
 
 
 _NO_STEPS: Final = Missing(
-    status=Status.NO_STEP,
-    reason=f"no command is held for {HELD_AFTER_S:g} s after one that was for {HELD_BEFORE_S:g} s",
+    Status.NO_STEP,
+    f"no command is held for {HELD_AFTER_S:g} s after one that was for {HELD_BEFORE_S:g} s",
 )
 _NO_ANSWER: Final = Missing(
-    status=Status.NOT_REACHED,
-    reason="the robot does not do half of any step of its commands while it is held",
+    Status.NOT_REACHED, "the robot does not do half of any step of its commands while it is held"
 )
 _NOT_SEEN: Final = Missing(
-    status=Status.UNDETERMINED, reason="the measured rate scatters too far for the steps there are"
+    Status.UNDETERMINED, "the measured rate scatters too far for the steps there are"
 )
 
 
@@ -386,10 +371,11 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
         period_s = compute_median(subtract_neighbours(rates.edges_s))
         if period_s * _FEWEST_RATES > HELD_AFTER_S:
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST_RATES} Hz"
-            return Missing(status=Status.TOO_SHORT, reason=reason)
+            return Missing(Status.TOO_SHORT, reason)
         band = context.settings.band
+        answers = (_measure_step(rates, step, band) for step in steps)
         figures = context.recall(
-            ("answers", axis), lambda: list(measure_command_steps(rates, steps, band))
+            ("answers", axis), lambda: [one for one in answers if one is not None]
         )
         found = [getattr(one, name) for one in figures]
         known = [value for value in found if value is not None]

@@ -44,8 +44,8 @@ THEORIES: Final[Mapping[str, str]] = MappingProxyType(
 
 _MOST_SAMPLES: Final = 20_000_000
 
-_NO_GAIN: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the gain")
-_ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share one time")
+_NO_GAIN: Final = Missing(Status.ABSENT, "the recording does not hold the gain")
+_ONE_TIME: Final = Missing(Status.TOO_SHORT, "the samples share one time")
 
 
 def has_theory(loop: ControlLoop) -> bool:
@@ -102,7 +102,7 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
     if period_s is None:
         return _ONE_TIME
     if response.time_s[-1] / period_s > _MOST_SAMPLES:
-        return Missing(status=Status.TOO_LARGE, reason="the sampling period is too short")
+        return Missing(Status.TOO_LARGE, "the sampling period is too short")
     dead_time = _find_dead_time_samples(theory, context, response, period_s)
     if isinstance(dead_time, Missing):
         return dead_time
@@ -115,7 +115,7 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
         reference=response.reference,
     )
     limit = f"beyond {LARGEST_DEVIATION:g} steps before the phase ends"
-    unstable = Missing(status=Status.TOO_LARGE, reason=f"theory's loop is unstable: {limit}")
+    unstable = Missing(Status.TOO_LARGE, f"theory's loop is unstable: {limit}")
     return unstable if predicted is None else predicted
 
 

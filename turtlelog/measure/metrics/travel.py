@@ -21,7 +21,7 @@ def _compute_displacement(context: RunContext) -> Result:
 
 
 _IN_PLANE: Final = Missing(
-    status=Status.ABSENT, reason="the robot stays in the plane, or its poses have no height"
+    Status.ABSENT, "the robot stays in the plane, or its poses have no height"
 )
 
 
@@ -209,13 +209,13 @@ def _compute_arc_length(context: RunContext) -> Result:
     period_s = max(compute_median(subtract_neighbours(rates.edges_s)), 0.04)
     if period_s > 1.0 / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
-        return Missing(status=Status.TOO_SHORT, reason=reason)
+        return Missing(Status.TOO_SHORT, reason)
     time_s, values = rates.time_s[:_MOST_ROWS], rates.values[:_MOST_ROWS]
     if float(np.abs(values).max()) <= _AT_REST_M_S:
-        return Missing(status=Status.NO_MOTION, reason="the robot does not drive forward or back")
+        return Missing(Status.NO_MOTION, "the robot does not drive forward or back")
     even_s = np.arange(time_s[0], time_s[-1], period_s)
     if len(even_s) < _LEAST_HZ:
-        return Missing(status=Status.TOO_SHORT, reason=f"{len(values)} measured speeds")
+        return Missing(Status.TOO_SHORT, f"{len(values)} measured speeds")
     found = compute_spectral_arc_length(np.interp(even_s, time_s, values), 1.0 / period_s)
     return _NOISY if found is None else Found(found)
 
@@ -226,8 +226,8 @@ amplitudes of noise is larger. If the level reaches the threshold, noise determi
 spectrum."""
 
 _NOISY: Final = Missing(
-    status=Status.UNDETERMINED,
-    reason="the spectrum of the measured speed does not fall: noise of the poses, or jolts",
+    Status.UNDETERMINED,
+    "the spectrum of the measured speed does not fall: noise of the poses, or jolts",
 )
 
 

@@ -193,7 +193,7 @@ def _find_cut(context: RunContext) -> Missing | None:
     length_s = (run.end_ns - run.start_ns) / 1e9
     if run.is_complete or length_s >= PAPER_WINDOW_S:
         return None
-    return Missing(status=Status.TOO_SHORT, reason=f"the run was cut at {length_s:.2f} s")
+    return Missing(Status.TOO_SHORT, f"the run was cut at {length_s:.2f} s")
 
 
 _LINE_UNKNOWN: Final = add_reason(Status.ABSENT, "the line from start to goal is not known")
@@ -242,8 +242,7 @@ def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Value
     arrived_s = float(find_settling_time(time_s, distance_m, initial_m, 0.0, half_width))
     if math.isnan(arrived_s):
         far = f"{100.0 * band:g} % of its first distance" if near_m is None else f"{near_m:g} m"
-        reason = f"the run ends further from the goal than {far}"
-        return Missing(status=Status.NOT_REACHED, reason=reason)
+        return Missing(Status.NOT_REACHED, f"the run ends further from the goal than {far}")
     if not came_to_rest(context.run):
         half_width = band * first_m if near_m is None else near_m
         needed_s = find_needed_hold(time_s, distance_m, 0.0, half_width)
@@ -266,9 +265,9 @@ def measure_path_length(course: RunContext) -> Outcome:
     floor=1.0,
 )
 def _compute_straightness(context: RunContext) -> Result:
-    straightness = compute_straightness(context.run.poses.xy_m, context.path_length_m)
+    straightness = compute_straightness(context.run.poses.xy_m)
     if straightness is None:
-        return Missing(status=Status.NO_MOTION, reason="the turtle ends where it began")
+        return Missing(Status.NO_MOTION, "the turtle ends where it began")
     return Found(straightness)
 
 

@@ -159,11 +159,6 @@ def is_covered(name: str) -> bool:
     return name in COURSES if name in RUN_METRICS else name.rpartition(".")[2] in CURVES
 
 
-def count_columns(loops: int, coverage: Coverage) -> int:
-    """Return the number of columns for a number of loops."""
-    return loops * len(coverage.curves) + len(COURSES) + 2
-
-
 def find_column(name: str, declaration: Declaration, coverage: Coverage) -> int | None:
     """Return the column of a covered metric; None if the law has no such metric."""
     curves = coverage.curves

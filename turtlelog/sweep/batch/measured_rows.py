@@ -27,6 +27,7 @@ from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, draw_strea
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch.batch_columns import (
+    COURSES,
     FACTS,
     FIRST_POSE,
     OK,
@@ -37,7 +38,6 @@ from turtlelog.sweep.batch.batch_columns import (
     allocate_memory,
     build_loops,
     build_pieces,
-    count_columns,
     find_column,
     is_angle,
     is_covered,
@@ -300,7 +300,8 @@ class _Work:
     def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
         """Simulate and measure prepared rows from their start states; `states` is overwritten."""
         loops = build_loops(self._declaration)
-        shape = len(prepared.rows), count_columns(len(loops), self._coverage)
+        columns = len(loops) * len(self._coverage.curves) + len(COURSES) + 2
+        shape = len(prepared.rows), columns
         cells = _Cells(np.full(shape, np.nan), np.zeros(shape, np.int16))
         prepared.begin()
         asked = np.zeros(shape[1], np.bool_)

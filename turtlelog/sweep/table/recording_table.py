@@ -33,7 +33,6 @@ from turtlelog.sweep.table.stored_rows import (
     Order,
     ReadFiles,
     Row,
-    gather_rows,
 )
 from turtlelog.version import __version__
 
@@ -199,7 +198,8 @@ def _read_chunk(chunk: Sequence[_Task], *, work: Callable[[str], Sequence[Row]])
         sha256, found = _read_one(one, known, work)
         files[one.label] = FileState(one.size, one.mtime_ns, sha256, len(rows), len(found))
         rows += found
-    columns = [(*key, cells) for key, cells in gather_rows(rows).items()]
+    keys = dict.fromkeys(key for row in rows for key in row)
+    columns = [(*key, [row.get(key) for row in rows]) for key in keys]
     return ReadFiles(files, len(rows), columns)
 
 

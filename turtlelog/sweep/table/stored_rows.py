@@ -126,12 +126,6 @@ class Columns:
     cells: Mapping[Key, StoredCells]
 
 
-def gather_rows(rows: Sequence[Row]) -> dict[Key, list[Cell]]:
-    """Return rows as columns."""
-    keys = dict.fromkeys(key for row in rows for key in row)
-    return {key: [row.get(key) for row in rows] for key in keys}
-
-
 @dataclass(slots=True)
 class StoredRows:
     """Rows in parts that are loaded on demand."""

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from turtlelog.files.text_files import parse_toml
 from turtlelog.log.file_access import name_file
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.run.loops import ControlLoop
-from turtlelog.scenario import Scenario, build_scenario, flatten_scenario, resolve_scenario
+from turtlelog.scenario import Scenario, build_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.table.result_table import (
@@ -151,17 +151,10 @@ class SweptResults:
     row_count: int
     row_numbers: Sequence[int]
     base: Scenario
-    _known: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def find_axis(self, key: str) -> SweptAxis | None:
         """Return the axis of a key; None if the key does not vary."""
         return next((axis for axis in self.axes if key in axis.keys), None)
-
-    def find_base_value(self, key: str) -> Any:
-        """Return the value of a key in the base scenario; None if it has no value."""
-        if not self._known:
-            self._known.update(flatten_scenario(self.base))
-        return self._known.get(key)
 
     def build_scenario(self, row: int) -> Scenario:
         """Return the scenario of a row. No code is loaded, and the law is not trusted.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import SweepError, suggest_names
 from turtlelog.measure import find_metric_kind
+from turtlelog.scenario import flatten_scenario
 from turtlelog.sweep.table.swept_results import (
     SEED,
     SweptAxis,
@@ -232,7 +233,8 @@ def _hold_others(
 
 def find_usual_place(results: SweptResults, axis: SweptAxis) -> tuple[int, str]:
     """Return the fixed place of an axis and the reason: the base's values, or else the middle."""
-    base = tuple(results.find_base_value(key) for key in axis.keys)
+    parameters = flatten_scenario(results.base)
+    base = tuple(map(parameters.get, axis.keys))
     if base in axis.values:
         return axis.values.index(base), "as in the base"
     return (len(axis) - 1) // 2, "the middle of its values"
