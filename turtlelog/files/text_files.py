@@ -168,9 +168,6 @@ def parse_known_toml(text: str) -> dict[str, Any]:
 
     The scenarios of one experiment differ in few lines. The cache applies to tables of one level
     with one plain value per line. Any other text is parsed as a whole.
-
-    Raises:
-        ValueError: As for `parse_toml`.
     """
     tables: dict[str, Any] = {}
     table = tables

@@ -190,11 +190,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
 
 
 def _recognise(path: Path) -> tuple[bool, bool]:
-    """Return whether a file or folder contains exported tables, and whether it is a log of text.
-
-    Raises:
-        LogError: If there is no such file, or it is a scenario or a specification.
-    """
+    """Return whether a file or folder contains exported tables, and whether it is a log of text."""
     with name_file(path, expected="a recording, a bag or a log"):
         path.stat()
         suffix, is_folder = path.suffix.lower(), path.is_dir()
@@ -215,11 +211,7 @@ def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
 
 
 def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
-    """Return the run in a file or bag by turtlelog; None for third-party files.
-
-    Raises:
-        LogError: If the file cannot be read, or is too damaged to show its writer.
-    """
+    """Return the run in a file or bag by turtlelog; None for third-party files."""
     files = ros2.list_bag_files(path) if path.is_dir() else (path,)
     if len(files) != 1:
         return None

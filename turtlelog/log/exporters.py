@@ -66,12 +66,7 @@ def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) ->
 
 
 def describe_bag(files: Sequence[Path], compression: str = "") -> str:
-    """Return the metadata.yaml text of a bag of complete MCAP files.
-
-    Args:
-        files: Files in order of time.
-        compression: As in `format_bag_metadata`.
-    """
+    """Return the metadata.yaml text of a bag of complete MCAP files, in order of time."""
     topics: dict[tuple[str, str], BagTopic] = {}
     parts = []
     for file in files:

@@ -263,10 +263,6 @@ def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
     """Return the contents of an MCAP file. An unfinished file is read as far as possible.
 
-    Args:
-        stream: The file.
-        allow_partial: Whether to read a damaged file too.
-
     Raises:
         LogError: If the file is not MCAP.
         DamageError: If the file is finished, but the part that is read is damaged.

@@ -108,10 +108,7 @@ class AlikeLayout:
 def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> ChannelRecords:
     """Return the messages of a topic as records in order of log time.
 
-    Args:
-        columns: Columns in any order of time. Missing fields are 0 or empty.
-        schema: Schema of the type, as `ros2msg`.
-        channel: Channel of the topic.
+    The columns may have any order of time. Missing fields are 0 or empty.
 
     Raises:
         LogError: If a column is not a field of the type, has another length, or does not fit its
@@ -249,13 +246,9 @@ def encode_message(
     channel: int,
     stamp: tuple[int, int, int],
 ) -> bytes:
-    """Return the record of one message.
+    """Return the record of one message; `stamp` is its sequence, log and publish time [ns].
 
-    Args:
-        fields: Fields of the message type.
-        values: Values by dotted name, like a row of `TopicColumns`. Missing values are 0 or empty.
-        channel: Channel number of the record.
-        stamp: Sequence, log time and publish time [ns].
+    Values have dotted names, like a row of `TopicColumns`. Missing values are 0 or empty.
 
     Raises:
         struct.error, TypeError, ValueError: If a value does not have the kind of its field.

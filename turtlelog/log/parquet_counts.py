@@ -99,14 +99,9 @@ def read_footer_claims(
 ) -> FooterClaims:
     """Return the contents of a Parquet file's footer.
 
-    Args:
-        stream: The file.
-        most_bytes: Largest size of the footer [bytes].
-        most_parts: Largest number of columns, groups and other structs in the footer.
-        advice: End of the error line if the footer is larger.
-
     Raises:
-        DamageError: If the footer is invalid or exceeds the limits.
+        DamageError: If the footer is invalid, or exceeds its most bytes, or columns, groups and
+            other structs. `advice` ends the line about a footer of too many bytes.
     """
     size = stream.seek(0, 2)
     stream.seek(max(size - _ENDING, 0))
@@ -135,11 +130,7 @@ def _read_chunk(chunk: Mapping[int, Any]) -> ChunkClaim:
     found = chunk.get(3, {})
     first, dictionary = found.get(9, 0), found.get(11, 0)
     start = dictionary if 0 < dictionary < first else first
-    return ChunkClaim(
-        values=found.get(5, 0),
-        start=start,
-        size=found.get(7, 0),
-    )
+    return ChunkClaim(values=found.get(5, 0), start=start, size=found.get(7, 0))
 
 
 def _measure_depth(children: list[int]) -> int:

@@ -132,11 +132,9 @@ class ParquetFile:
             raise DamageError("expected a complete Parquet file, found less than no rows")
 
     def read(self, names: Sequence[str] | None = None, group: int | None = None) -> Any:
-        """Return columns as an Arrow table; texts are dictionary-encoded.
+        """Return columns of all row groups, or one, as an Arrow table of dictionary-encoded texts.
 
-        Args:
-            names: Names of columns, with dots for columns within structs. Default: all.
-            group: Index of a row group. Default: all.
+        Names have dots for columns within structs. Default: all columns.
 
         Raises:
             LogError: If the columns need too much memory. The message does not contain the file's
@@ -171,11 +169,7 @@ class ParquetFile:
             self._believed = self._path.file.fetch_whole()
 
     def require_cells(self, columns: int, rows: int | None = None) -> None:
-        """Refuse to read more cells than the memory limit allows.
-
-        Args:
-            columns: Number of columns to read.
-            rows: Number of rows of each column. Default: all.
+        """Refuse to read more cells than the memory limit allows. Default: all rows.
 
         Raises:
             LogError: If there are more cells. The message does not contain the file's name.
@@ -196,11 +190,7 @@ class ParquetFile:
     def _require_bounded(
         self, stream: BinaryIO, places: Sequence[int], groups: Sequence[int]
     ) -> list[str]:
-        """Return the text columns that are read as dictionaries.
-
-        Raises:
-            LogError: If the columns would need too much memory.
-        """
+        """Return the text columns that are read as dictionaries."""
         self.require_cells(len(places), sum(self.group_rows[group] for group in groups))
         size = self._believed
         counts = _PageCounts(grow_bound(_PAGES, size), grow_bound(_TEXT_BYTES, size), self._advice)

@@ -165,11 +165,7 @@ def _build_kitti(path: Path, table: PlainTable, times: Path | None) -> Trajector
 
 
 def _read_times(path: Path, count: int) -> Times:
-    """Return the times of poses [ns] from a file with one time [s] per line.
-
-    Raises:
-        LogError: If the number of times differs, or a line is not a time.
-    """
+    """Return the times of poses [ns] from a file with one time [s] per line."""
     found: list[int] = []
     with name_file(path, expected="a file of times"), open_file(path) as stream:
         data = stream.read(_LONGEST_TIMES + 1)

@@ -84,13 +84,9 @@ def build_indexed_block(
     described: Mapping[bytes, Any],
     largest: int = LARGEST_CHUNK,
 ) -> Block:
-    """Return a chunk as a block.
+    """Return a chunk as a block, given the bytes of the chunk and its indexes.
 
-    Args:
-        entry: Entry of the chunk in the summary.
-        stored: Bytes of the file from the start of the chunk to the end of its indexes.
-        described: Known schemas and channels by their bytes, which need not be parsed.
-        largest: Largest size of an unpacked chunk [bytes].
+    Schemas and channels in `described`, by their bytes, are not parsed again.
 
     Raises:
         DamageError: If chunk, indexes or summary are damaged or inconsistent.

@@ -261,11 +261,7 @@ def _describe_encoding(encoding: str) -> str:
 
 
 def _read_schema(schema: Schema, allowance: Allowance) -> dict[str, Any]:
-    """Return the fields of a plan that follow from a schema alone.
-
-    Raises:
-        LogError, UnicodeDecodeError: If the schema cannot be read.
-    """
+    """Return the fields of a plan that follow from a schema alone."""
     allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
     objects, decode = None, None
     if schema.encoding == SchemaEncoding.JSONSchema:

@@ -34,14 +34,8 @@ def decode_messages(
     """Return the fields of messages as columns, by dotted name.
 
     A sequence of numbers becomes an array per message, a sequence of texts a list, and a sequence
-    of messages a list of dictionaries by dotted name.
-
-    Args:
-        fields: Fields of the message type.
-        data: Bytes that contain the messages.
-        starts: Offset of each message's first field, after the encapsulation header, shape (n,).
-        ends: Offset of each message's end, shape (n,).
-        order: `<` for little-endian, `>` for big-endian.
+    of messages a list of dictionaries by dotted name. Messages start with their first field, after
+    the encapsulation header; starts and ends in `data` have the shape (n,).
 
     Raises:
         LogError: If a message is longer or shorter than its type, or a text is not UTF-8.
@@ -268,14 +262,7 @@ def decode_few(
     """Return the fields of little-endian messages, by dotted name.
 
     The result is None if the type has arrays or sequences, or if a message is invalid. Then
-    `decode_messages` gives the reason.
-
-    Args:
-        fields: Fields of the message type.
-        data: Bytes that contain the messages.
-        starts: Offset of each message's first field, after the encapsulation header, shape (n,).
-        ends: Offset of each message's end, shape (n,).
-        padding: Number of bytes after the fields from which on a message counts as too long.
+    `decode_messages` gives the reason. `padding` bytes after the fields make a message too long.
     """
     try:
         numbers = list(_list_numbers(fields, ""))
@@ -314,15 +301,8 @@ def take_few_lists(
 ) -> tuple[list[list[object]], list[int]] | None:
     """Return the texts or messages nested in little-endian messages, and their ends.
 
-    The result is None in the same cases as for `decode_few`.
-
-    Args:
-        kind: Type of the nested values: `TEXT`, or the fields of a nested message.
-        data: Bytes that contain the messages.
-        starts: Start of each message, from which alignment is counted, shape (n,).
-        places: Offset of the first nested value in each message, shape (n,).
-        ends: Offset of each message's end, shape (n,).
-        lengths: Number of nested values in each message, shape (n,).
+    The result is None in the same cases as for `decode_few`. Each message has its start, from which
+    alignment is counted, the offset and number of its nested values, and its end, shape (n,).
     """
     try:
         parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")

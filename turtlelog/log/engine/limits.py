@@ -136,11 +136,7 @@ class Allowance:
         )
 
     def spend_description(self, described: Schema | Channel) -> None:
-        """Subtract a new schema or channel from the limits.
-
-        Raises:
-            LogError: As for `spend`.
-        """
+        """Subtract a new schema or channel from the limits."""
         if isinstance(described, Schema):
             texts = described.data, described.name, described.encoding
             self.spend(SCHEMA_BYTES, sum(map(len, texts)))

@@ -206,9 +206,6 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
         name: `package/msg/Type` or `package/Type`.
         text: Definition of the type. Definitions of nested types follow, each after a line of
             equals signs.
-
-    Raises:
-        LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
     """
     first, *others = _SEPARATOR.split(text.removesuffix("\n") + "\n")
     definitions = dict(_BUILTIN)

@@ -150,10 +150,6 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
     Args:
         path: Path of the file.
         faults: List that receives errors of the compression, which are then not raised.
-
-    Raises:
-        LogError: If the file cannot be unpacked, is a ROS 1 bag, or is empty with the suffix of
-            SQLite.
     """
     with ExitStack() as closing:
         stream, place = closing.enter_context(open_file(path)), path
@@ -242,11 +238,7 @@ def _read_head(stream: BinaryIO) -> bytes:
 
 
 def _unpack_file(stream: BinaryIO, place: Path) -> None:
-    """Unpack a file. The size that the file claims is not trusted.
-
-    Raises:
-        LogError: If the file is damaged, truncated, or far larger than its packed size suggests.
-    """
+    """Unpack a file. The size that the file claims is not trusted."""
     size = stream.seek(0, 2)
     stream.seek(0)
     allowance = Allowance(size)

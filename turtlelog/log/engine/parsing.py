@@ -110,13 +110,7 @@ class _ExactStream(ReadDataStream):
 
 
 def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) -> Iterator[Place]:
-    """Yield the records between two places of a buffer.
-
-    Args:
-        data: The buffer.
-        start: Start of the first record.
-        end: Required end of the last record.
-        byte: Offset in the file of the records or of their chunk, for error messages.
+    """Yield the records between two places of a buffer, `byte` bytes into the file.
 
     Raises:
         DamageError: If a record extends beyond `end`.
@@ -289,12 +283,9 @@ class RecordStretch:
 
 
 def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStretch:
-    """Return the offsets of the messages in bytes. No checksum is needed.
+    """Return the offsets of the messages in the bytes of records. No checksum is needed.
 
-    Args:
-        data: Bytes of the records.
-        is_chunk: Whether the records belong to a chunk: only messages, schemas and channels.
-        most_records: Largest number of records; the rest is ignored.
+    A chunk has only messages, schemas and channels. Records beyond `most_records` are ignored.
     """
     starts, others = array("I"), list[tuple[int, int, int]]()
     known, size, place, left = OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
@@ -366,9 +357,5 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
 
 
 def gather_heads(data: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
-    """Return the `HEADING` fields of the messages that start at given places.
-
-    Raises:
-        LogError: As for `gather_bytes`.
-    """
+    """Return the `HEADING` fields of the messages that start at given places."""
     return gather_bytes(data, starts, MESSAGE_HEAD).view(HEADING)

@@ -41,11 +41,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
     Nothing is written next to the file. A `-wal` file next to it contains committed rows, a
     `-journal` file contains uncommitted changes to undo. To use these files, SQLite would write
     next to the file; therefore a copy in a temporary folder is opened. The sizes that pages claim
-    are checked before SQLite reads the first table.
-
-    Args:
-        path: Path of the file.
-        is_damaged: Whether to read a truncated file as far as possible.
+    are checked before SQLite reads the first table. A damaged file is read as far as possible.
 
     Raises:
         LogError: If the file cannot be read, also for errors of SQLite while the file is open; the
@@ -103,11 +99,7 @@ def _connect(place: Path, mode: str, *, is_damaged: bool) -> "sqlite3.Connection
 
 
 def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
-    """Make SQLite merge the files next to a copy into this copy, without reading a table.
-
-    Raises:
-        DamageError: If the result is larger than all its source files together.
-    """
+    """Make SQLite merge the files next to a copy into this copy, without reading a table."""
     most = sum(found.stat().st_size for found in place.parent.iterdir())
     connection = _connect(place, "mode=rw", is_damaged=is_damaged)
     try:
@@ -245,12 +237,6 @@ def read_channels(
     allowance: Allowance,
 ) -> dict[int, int]:
     """Add the topics to the catalogue; return the channel number of each topic by its id.
-
-    Args:
-        execute: Function that runs a query.
-        tables: Tables from `list_tables`.
-        catalogue: Catalogue that receives topics as channels and types as schemas.
-        allowance: Limits of the file, from which topics are subtracted.
 
     Raises:
         LogError: If a row of `topics` or `message_definitions` is wrong, or there are too many.

@@ -55,11 +55,8 @@ _REAL: Final = 8  # bytes
 def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
     """Check that the rows of a SQLite file claim no more bytes than the file has.
 
-    Args:
-        path: Path of the file, without files beside it that change it.
-        page_size: Size of a page [bytes].
-        is_damaged: Whether to skip invalid pages, and rows that claim too much. The definitions of
-            tables must be valid in any case.
+    In a damaged file, invalid pages and rows that claim too much are skipped, but the definitions
+    of tables must be valid. No file beside it may change it.
 
     Raises:
         LogError: If pages belong to two trees, or rows claim more bytes than exist.
@@ -246,11 +243,7 @@ def _read_number(
 
 
 def _find_root(row: bytes) -> int:
-    """Return the root page in a row of the table of tables; 0 for a view or a trigger.
-
-    Raises:
-        DamageError: If the value is not a number.
-    """
+    """Return the root page in a row of the table of tables; 0 for a view or a trigger."""
     place, at = _read_varint(row, 0)
     kinds = list[int]()
     for _ in range(4):

@@ -275,10 +275,7 @@ def open_sqlite(
 ) -> Iterator[SqliteSource]:
     """Open a SQLite bag, as `open_connection` opens its file.
 
-    Args:
-        path: Path of the file.
-        stored_size: Size of the file, or its packed size if it was compressed [bytes].
-        is_damaged: Whether to read a truncated file as far as possible.
+    The size of the file, packed if it was compressed [bytes], sets the limits.
 
     Raises:
         LogError: If the file cannot be read or is not a bag; the message is one clause.

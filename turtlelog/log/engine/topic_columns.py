@@ -126,11 +126,6 @@ def read_some_columns(
 ) -> Mapping[str, TopicColumns]:
     """Return some topics as `read_columns` does, with memory limited by the file's size.
 
-    Args:
-        path: The file.
-        topics: Names of the topics.
-        is_flat: Whether to refuse types with sequences of texts or messages.
-
     Raises:
         LogError: As for `read_columns`, and if a type has such a sequence or there are too many
             messages.

@@ -156,11 +156,7 @@ def _find_opcode(section: Section) -> int:
 def _read_record(
     window: FileWindow, place: int, kind: int
 ) -> tuple[list[Section | Loss], int | None]:
-    """Return the record at `place` and the place to continue, if any.
-
-    Raises:
-        LogError: If no record at `place` can be skipped; the message is one clause.
-    """
+    """Return the record at `place` and the place to continue, if any."""
     if place >= window.size:
         reason = "expected the end of the data, found that of the file: cut short, or not finished"
         return [Loss(start=window.size, end=window.size, reason=reason)], None

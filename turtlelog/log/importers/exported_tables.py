@@ -108,10 +108,7 @@ def import_tables(path: str | Path) -> Run:
 def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:
     """Raise an error if the written files do not contain the rows of the run.
 
-    Args:
-        run: Run that was written.
-        written: Written files. This function reads the tables among them.
-        read: Run that was read back from a recording or a bag; None if tables were written.
+    The run in a recording or bag was `read` back; tables are read here.
 
     Raises:
         LogError: If rows differ; the message gives file, table and column.
@@ -335,11 +332,7 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
 
 
 def _parse_fact(facts: Mapping[str, str], name: str, kind: Any) -> Any:
-    """Return a fact of the run from the metadata of a Parquet file; None if missing.
-
-    Raises:
-        LogError: If the entry is not as turtlelog writes it.
-    """
+    """Return a fact of the run from the metadata of a Parquet file; None if missing."""
     try:
         return msgspec.convert(json.loads(facts.get(name, "null")), type=kind)
     except msgspec.ValidationError as err:

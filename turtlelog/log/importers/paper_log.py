@@ -107,11 +107,7 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
 
 
 def _require_number(place: str, value: object) -> float:
-    """Return a finite number.
-
-    Raises:
-        LogError: If the value is not a finite number.
-    """
+    """Return a finite number."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         raise LogError(f"{place}: expected a number, found {_shorten(value)}")
     try:
@@ -124,11 +120,7 @@ def _require_number(place: str, value: object) -> float:
 
 
 def _require_state(place: str, value: object) -> int:
-    """Return the index of the phase for a state.
-
-    Raises:
-        LogError: If there is no such state.
-    """
+    """Return the index of the phase for a state."""
     if not isinstance(value, str) or value not in _STATES:
         raise LogError(f"{place}: expected one of {', '.join(_STATES)}, found {_shorten(value)}")
     return _STATES[value]
@@ -137,11 +129,7 @@ def _require_state(place: str, value: object) -> int:
 def _build_columns(
     lists: Mapping[str, Sequence[object]], places: Mapping[str, str]
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64]]:
-    """Return the numeric columns and the states; `places` are the names of lists in messages.
-
-    Raises:
-        LogError: If there are no rows, or a value is invalid.
-    """
+    """Return the numeric columns and the states; `places` are the names of lists in messages."""
     if not lists["time"]:
         raise LogError(f"{places['time']}: no rows")
     columns = {}
@@ -380,11 +368,7 @@ def _read_text(metadata: Mapping[str, Any], key: str) -> str | None:
 
 
 def _parse_csv_log(text: str, path: Path) -> _PaperLog:
-    """Return the log in a CSV text.
-
-    Raises:
-        LogError: If the text is not CSV, or has another layout.
-    """
+    """Return the log in a CSV text."""
     rows = _iterate_rows(text)
     heading = next(rows, [])
     for name in _HEADINGS.values():

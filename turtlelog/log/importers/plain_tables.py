@@ -169,11 +169,7 @@ class Cells:
         return usual
 
     def _read_times(self) -> Times:
-        """Return times [ns], since 1970 or from another start.
-
-        Raises:
-            LogError: If a cell is not a time, or the unit cannot be determined.
-        """
+        """Return times [ns], since 1970 or from another start."""
         choice = self.chosen["t"]
         cells = self._cells[choice.field]
         if isinstance(cells[0], str) and _DATE.match(cells[0]):
@@ -214,12 +210,7 @@ def _steps_by_turns(heading: Values) -> bool:
 
 
 def read_time(cell: Any, power: int) -> int | None:
-    """Return a time as exact nanoseconds; None if the cell is not a number.
-
-    Args:
-        cell: A text or a number.
-        power: Power of ten of the unit in nanoseconds.
-    """
+    """Return a time in a unit of 10**power ns as exact nanoseconds; None if it is not a number."""
     try:
         number = Decimal(str(cell))
     except InvalidOperation:

@@ -137,10 +137,7 @@ def assign_columns(
 ) -> dict[str, Choice]:
     """Return the columns with known quantities, by quantity.
 
-    Args:
-        names: Names in the header.
-        asked: The user's columns by quantity: a name, with or without a unit in brackets.
-        units: Known units of columns, by name.
+    The user's columns by quantity (`asked`) have a name, with or without a unit in brackets.
 
     Raises:
         LogError: If a requested column does not exist or is ambiguous.
@@ -197,11 +194,7 @@ def _list_readings(field: str, text: str) -> list[tuple[str, str | None]]:
 
 
 def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
-    """Return the column whose name matches a quantity best.
-
-    Raises:
-        LogError: If two names match equally well.
-    """
+    """Return the column whose name matches a quantity best."""
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
         if place in taken or len(name) > _LONGEST_NAME:
@@ -255,11 +248,7 @@ def _rank(field: str, base: str) -> int | None:
 def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, str | None]:
     """Return a lower-case name without its unit, and the unit if it fits this quantity.
 
-    Args:
-        field: Quantity of the column, certain or assumed.
-        name: Name of the column.
-        is_asked: Whether the user named this column. Otherwise the words before the unit must name
-            the quantity.
+    Unless the user named this column, the words before the unit must name the quantity.
     """
     text = name.strip().lower()
     match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", text)

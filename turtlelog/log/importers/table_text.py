@@ -192,14 +192,9 @@ class _TextColumns:
     """
 
     def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
-        """Use a text whose lines have `count` cells.
+        """Use a text whose lines have `count` cells; the file has `size` bytes.
 
-        Args:
-            text: Complete text of the file.
-            delimiter: Delimiter between cells.
-            count: Number of columns.
-            size: Size of the file [bytes].
-            is_first: Whether the first row contains values instead of names.
+        The first row contains either names or already values (`is_first`).
         """
         self._text, self._delimiter, self._count = text, delimiter, count
         self._size, self._is_first = size, is_first

@@ -165,53 +165,30 @@ def build_contents(
 ) -> Contents:
     """Return the contents from records outside chunks and the rows of topics in parts.
 
-    Args:
-        records: Records outside chunks.
-        catalogue: Catalogue of the file.
-        parts: Rows of topics.
-        damages: Segments that could not be read.
-        head: Metadata of the recording, if known.
-
     Raises:
         LogError: If the file is not a turtlelog recording, or a topic of turtlelog has another
             type.
     """
-    head, topics = head or _find_head(records), {}
+    head, topics = head or _find_head(records), dict[str, TopicColumns]()
     states = () if head.declaration is None else head.declaration.states
-    for topic in _list_topics(head, parts):
+    # For an unfinished recording, its topics show its effects.
+    for topic in list_topics(head.declaration, more={*head.more_topics, *parts}):
         plan = _plan(topic, states if topic.name == LAW_STATE else ())
         if topic.name in catalogue.topics:
             _check_type(plan, catalogue.find_plan(topic.name))
         rows = parts.get(topic.name) or [_make_empty_rows(topic, plan)]
-        topics[topic.name] = build_columns({topic.name: rows}, {topic.name: topic.schema})
+        topics |= build_columns({topic.name: rows}, {topic.name: topic.schema})
     return Contents(
         head=head,
         attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
-        topics={name: columns[name] for name, columns in topics.items()},
+        topics=topics,
         damages=tuple(damages),
         recovered=describe_recovery(records),
     )
 
 
-def _list_topics(head: Head, parts: Mapping[str, list[Rows]]) -> tuple[Topic, ...]:
-    """Return the expected topics. For an unfinished recording, its topics show its effects."""
-    has_sensing, has_shaping, has_measured = (
-        topic.name in head.more_topics or topic.name in parts
-        for topic in (SENSED, SHAPED, MEASURED)
-    )
-    return list_topics(
-        head.declaration,
-        has_sensing=has_sensing,
-        has_shaping=has_shaping,
-        has_measured=has_measured,
-    )
-
-
 def _find_head(records: Collection[Any]) -> Head:
-    """Return the last metadata record.
-
-    A live recording adds a record with its stop reason at the end.
-    """
+    """Return the last metadata record: a live recording adds one with its stop reason."""
     heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
     if not heads:
         raise ForeignFileError(f"not a recording of turtlelog: it has no metadata record {HEAD}")
@@ -219,17 +196,17 @@ def _find_head(records: Collection[Any]) -> Head:
 
 
 def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
-    topic, is_state = expected.topic, expected.topic == LAW_STATE
+    is_state = expected.topic == LAW_STATE
     # The type of the states may have any name; only the declared fields matter.
     if found.type != expected.type and not is_state:
         kind = found.type or "no type"
-        raise LogError(f"topic {topic}: expected {expected.type}, found {kind}")
+        raise LogError(f"topic {expected.topic}: expected {expected.type}, found {kind}")
     if found.reason:
         raise LogError(found.describe_reason())
     if found.fields != expected.fields:
         wanted = f"{expected.type} as ROS 2 defines it"
         wanted = "the declared states, each a float64" if is_state else wanted
-        raise LogError(f"topic {topic}: expected {wanted}, found other fields")
+        raise LogError(f"topic {expected.topic}: expected {wanted}, found other fields")
 
 
 @lru_cache(maxsize=_MOST_PLANS)
@@ -317,24 +294,20 @@ def _take_described(
     if declaration.states:
         samples = samples.select(np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
     if declaration.has_reference:
-        due = np.isin(samples.fields["phase"], _list_reference_phases(declaration))
+        # In these phases every sample has a reference pose.
+        moved = {loop.name for loop in declaration.loops if loop.moves}
+        phases = enumerate(declaration.phases.values())
+        numbers = [number for number, loops in phases if not moved.isdisjoint(loops)]
+        due = np.isin(samples.fields["phase"], numbers)
         is_there = np.isin(samples.fields["sequence"], topics[REFERENCE64.name].sequence)
         samples = samples.select(is_there | ~due)
     if SHAPED.name in topics:
-        is_there = np.isin(samples.fields["sequence"], topics[SHAPED.name].sequence)
-        samples = samples.select(is_there)
+        samples = samples.select(np.isin(samples.fields["sequence"], topics[SHAPED.name].sequence))
     for name in (LAW_STATE, REFERENCE.name, REFERENCE64.name, SHAPED.name):
         if name in topics:
             is_kept = np.isin(topics[name].sequence, samples.fields["sequence"])
             topics[name] = topics[name].select(is_kept)
     return samples
-
-
-def _list_reference_phases(declaration: Declaration) -> list[int]:
-    """Return the numbers of the phases in which every sample has a reference pose."""
-    moved = {loop.name for loop in declaration.loops if loop.moves}
-    phases = declaration.phases.values()
-    return [number for number, loops in enumerate(phases) if not moved.isdisjoint(loops)]
 
 
 def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:

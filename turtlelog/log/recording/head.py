@@ -52,7 +52,8 @@ MAY_BE_ABSENT: Final = (
 )
 """Columns of `SampleColumns` that are None if not recorded."""
 
-_REFERENCE: Final = ("reference_xy_m", "reference_heading_rad")
+_REQUIRED: Final = object()
+"""Value of entries that every record has."""
 
 _LONGEST_DECLARATION: Final = _LONGEST // 2
 """Largest declaration as JSON [bytes]; the record has other entries too.
@@ -194,24 +195,19 @@ def parse_head(record: Mapping[str, str]) -> Head:
         raise LogError(f"format version {version}: expected 1 to {_FORMAT_VERSION}")
     if _get(record, CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
-    heading = _decode(record, "goal_heading_rad", float) if "goal_heading_rad" in record else None
     return Head(
         format_version=version,
         source=_get(record, "source"),
         name=_get(record, "name"),
         stop_reason=record.get("stop_reason"),
-        goal_heading_rad=heading,
+        goal_heading_rad=_decode(record, "goal_heading_rad", float, None),
         absent=_decode(record, "absent", tuple[str, ...]),
         nan_columns=_decode(record, "nan_columns", frozenset[str]),
-        more_topics=_decode(record, "more_topics", frozenset[str])
-        if "more_topics" in record
-        else frozenset(),
+        more_topics=_decode(record, "more_topics", frozenset[str], frozenset()),
         declaration=None if version == 1 else _parse_declaration(record),
         notes=_decode(record, "notes", dict[str, str]),
-        clock=_decode(record, "clock", Clock) if "clock" in record else None,
-        simulated_by=_decode(record, "simulated_by", dict[str, str])
-        if "simulated_by" in record
-        else {},
+        clock=_decode(record, "clock", Clock, None),
+        simulated_by=_decode(record, "simulated_by", dict[str, str], {}),
     )
 
 
@@ -220,12 +216,7 @@ _COLUMNS: Final = ("poses", "commands", "samples", "goal_xy_m", "parameters")
 
 
 def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
-    """Return the absent fields of an incomplete file: fields in its metadata, and lost fields.
-
-    Args:
-        head: Metadata of the recording.
-        held: Fields that the file still contains, by the names of `Run`.
-    """
+    """Return the absent fields of an incomplete file: those in its metadata, and those not held."""
     has_goal = head.declaration is None or head.declaration.uses_goal
     expected = (name for name in _COLUMNS if has_goal or name != "goal_xy_m")
     lost = [name for name in expected if name not in held]
@@ -254,8 +245,9 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
     text = attachments.get(name, b"")
     if len(text) > _LONGEST:
         raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
-    parse = _recall_tables if len(text) <= _USUAL else _parse_tables
-    return parse(name, text), name in attachments and name == SCENARIO_FILE
+    is_usual = len(text) <= _USUAL
+    tables = copy_tables(_keep_tables(name, text)) if is_usual else _parse_tables(name, text)
+    return tables, name in attachments and name == SCENARIO_FILE
 
 
 def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
@@ -265,13 +257,8 @@ def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
         raise LogError(f"attachment {name}: not TOML: {err}") from err
 
 
-def _recall_tables(name: str, text: bytes) -> dict[str, Any]:
-    """Return the tables of a text from a cache: files of one experiment share their tables."""
-    tables: dict[str, Any] = copy_tables(_keep_tables(name, text))
-    return tables
-
-
 _keep_tables = lru_cache(maxsize=32)(_parse_tables)
+"""Files of one experiment share their tables."""
 
 
 def _list_nan_columns(run: "Run") -> list[str]:
@@ -287,23 +274,21 @@ def _list_nan_columns(run: "Run") -> list[str]:
         columns |= measured
     samples = {name: getattr(run.samples, name) for name in MAY_BE_ABSENT}
     if run.declaration.has_reference:
-        samples |= {name: getattr(run.samples, name) for name in _REFERENCE}
+        for name in ("reference_xy_m", "reference_heading_rad"):
+            samples[name] = getattr(run.samples, name)
     columns |= {f"samples.{name}": values for name, values in samples.items()}
     return [name for name, values in columns.items() if values is None]
 
 
 def _list_more_topics(run: "Run") -> list[str]:
     poses, shaped = run.poses, run.samples.shaped_speed_m_s
-    columns = {
-        SENSED: (poses.sensed_xy_m,),
-        SHAPED: (shaped,),
-        MEASURED: (poses.measured_speed_m_s, poses.measured_turn_rate_rad_s),
+    speed, turn_rate = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
+    is_there = {
+        SENSED.name: poses.sensed_xy_m is not None,
+        SHAPED.name: shaped is not None,
+        MEASURED.name: speed is not None or turn_rate is not None,
     }
-    return [
-        topic.name
-        for topic, found in columns.items()
-        if any(values is not None for values in found)
-    ]
+    return [name for name, is_one in is_there.items() if is_one]
 
 
 def sum_up_record(record: Mapping[str, str]) -> str:
@@ -331,7 +316,9 @@ def _get(record: Mapping[str, str], key: str) -> str:
     return record[key]
 
 
-def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
+def _decode(record: Mapping[str, str], key: str, kind: Any, absent: Any = _REQUIRED) -> Any:
+    if key not in record and absent is not _REQUIRED:
+        return absent
     text = _get(record, key)
     try:
         return msgspec.json.decode(text, type=kind)
@@ -342,11 +329,8 @@ def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
 def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
     """Return the declaration of a law in format 1, which stores no declaration.
 
-    Args:
-        tables: Attached tables; missing values have their defaults, so an imported log has the
-            sequential law.
-        has_samples: Whether the recording contains samples; without a law name and samples, nothing
-            is known.
+    Missing values of the attached tables have their defaults, so an imported log has the sequential
+    law. Without a law name and samples, nothing is known.
     """
     from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 
@@ -389,7 +373,7 @@ def format_recovery(
 ) -> dict[str, str]:
     """Return the metadata record, with each entry as JSON and a checksum of all entries."""
     entries = {"lost": lost, "missing": missing, "unchecked": unchecked}
-    record = {name: msgspec.json.encode(value).decode() for name, value in entries.items()}
+    record = {name: _encode(value) for name, value in entries.items()}
     return {**record, CHECKSUM: sum_up_record(record)}
 
 

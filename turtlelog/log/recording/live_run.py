@@ -290,9 +290,6 @@ class Recorder:
 
         Args:
             notes: Notes of the run, as in `Run`.
-
-        Raises:
-            LogError: As for `flush`.
         """
         with hold_stop():
             self._write_ticks()

@@ -108,7 +108,9 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             survey = _survey_rest(stream)
             if may_be_foreign and is_unfinished and survey is not None and not survey.is_own:
                 raise ForeignFileError(f"{damage}: not a recording by turtlelog")
-            raise LogError(f"{damage}: {_advise(path, survey)}")
+            is_empty = survey is not None and not any(survey.counts.values())
+            advice = f"turtlelog convert --recover {path} -o OUT rewrites what can be read"
+            raise LogError(f"{damage}: {NOTHING_LEFT if is_empty else advice}")
         try:
             contents, dropped = reconcile_contents(salvage_contents(stream))
             run, lost = _build_part(contents), describe_damages(contents.damages) + dropped
@@ -126,13 +128,6 @@ def _survey_rest(stream: BinaryIO) -> Survey | None:
         return None
 
 
-def _advise(path: str | Path, survey: Survey | None) -> str:
-    """Return advice on a damaged file. A file without any message cannot be recovered."""
-    if survey is None or any(survey.counts.values()):
-        return f"turtlelog convert --recover {path} -o OUT rewrites what can be read"
-    return NOTHING_LEFT
-
-
 def _build_whole_run(contents: Contents) -> Run:
     """Return the run of a complete file. A recovered file may lack rows, and then has a note."""
     if not contents.recovered:
@@ -144,7 +139,6 @@ def _build_whole_run(contents: Contents) -> Run:
 
 def _build_part(contents: Contents) -> Run:
     """Return the run of a file without some of its rows. A column without values is absent."""
-    head = contents.head
     run = build_run(contents)
     columns = {
         "poses": len(run.poses) > 0,
@@ -153,7 +147,8 @@ def _build_part(contents: Contents) -> Run:
         "goal_xy_m": run.goal_xy_m is not None,
         "parameters": bool(run.parameters),
     }
-    return replace(run, absent=add_lost(head, {name for name in columns if columns[name]}))
+    held = {name for name, is_there in columns.items() if is_there}
+    return replace(run, absent=add_lost(contents.head, held))
 
 
 class RecordingTail:
@@ -344,15 +339,13 @@ def _build_sensed(
     if missing.any():
         number = read[missing.argmax()]
         raise LogError(f"{place}: pose {number} is missing, which a sample read")
-    exact = _prefer(columns.pop(SENSED64.name), sensed)
-    return _spread(exact, rows, len(pose))
+    return _spread(_prefer(columns.pop(SENSED64.name), sensed), rows, len(pose))
 
 
 def _spread(found: TopicColumns, rows: Column, count: int) -> tuple[Values, Values]:
     """Return position and heading at some of `count` rows, NaN at all others."""
     xy_m, heading_rad = np.full((count, 2), np.nan), np.full(count, np.nan)
-    for place, name in enumerate(("x", "y")):
-        xy_m[rows, place] = found.fields[name]
+    xy_m[rows, 0], xy_m[rows, 1] = found.fields["x"], found.fields["y"]
     heading_rad[rows] = found.fields["theta"]
     return xy_m, heading_rad
 

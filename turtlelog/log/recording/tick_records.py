@@ -139,11 +139,10 @@ class TickRecords:
         goal, kind = scenario.goal, scenario.law.kind
         self._goal = (goal.x_m, goal.y_m, goal.heading_rad) if declaration.uses_goal else None
         self._is_exact = scenario.loop.pose_precision == "float64"
-        sensing = scenario.has_action("sense", "lose_pose")
-        shaping = scenario.has_action("shape")
-        more = {SENSED.name: sensing, SHAPED.name: shaping}
+        is_sensed = scenario.has_action("sense", "lose_pose")
+        more = {SENSED.name: is_sensed, SHAPED.name: scenario.has_action("shape")}
         self.more_topics = frozenset(name for name, is_there in more.items() if is_there)
-        topics = list_topics(declaration, kind, has_sensing=sensing, has_shaping=shaping)
+        topics = list_topics(declaration, kind, self.more_topics)
         definitions = define_types(declaration, kind)
         named = [(topic.name, topic.schema) for topic in topics]
         self._channels = describe_topics(named, definitions)

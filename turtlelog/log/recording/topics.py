@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
@@ -108,7 +108,7 @@ _POSES: Final = (GOAL, POSE, POSE64, VELOCITY64)
 _AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)
 """Topics of every recording: topics before `CONTROL`, then topics after the optional ones."""
 
-OF_SENSING: Final = (SENSED, SENSED64)
+OF_SENSING: Final[tuple[Topic, ...]] = (SENSED, SENSED64)
 """Topics of a recording whose controller reads poses through a sensor."""
 
 TOPIC_NAMES: Final = frozenset(
@@ -222,13 +222,11 @@ def find_type_hash(kind: str, definition: str) -> str | None:
         return TYPE_HASHES[kind]
     # Only the definition contains the names of a law's states.
     states = re.findall(r"^float64 (\w+)$", definition, flags=re.MULTILINE)
-    return _hash_states(kind, states) if definition == define_states(states) else None
-
-
-def _hash_states(kind: str, names: list[str]) -> str:
+    if definition != define_states(states):
+        return None
     from hashlib import sha256
 
-    fields = [{"name": name, "type": dict(_FLOAT64)} for name in names]
+    fields = [{"name": name, "type": dict(_FLOAT64)} for name in states]
     description = {
         "type_description": {"type_name": kind, "fields": fields},
         "referenced_type_descriptions": [],
@@ -237,24 +235,18 @@ def _hash_states(kind: str, names: list[str]) -> str:
 
 
 def list_topics(
-    declaration: Declaration | None,
-    kind: object = DEFAULT_LAW,
-    *,
-    has_sensing: bool = False,
-    has_shaping: bool = False,
-    has_measured: bool = False,
+    declaration: Declaration | None, kind: object = DEFAULT_LAW, more: Collection[str] = ()
 ) -> tuple[Topic, ...]:
     """Return the topics of a recording. Messages with equal times have this order.
 
     Args:
         declaration: Declaration of the law; None in format 1.
         kind: Name of the law; the message type of the law's states is named after it.
-        has_sensing: Whether the controller reads poses through a sensor.
-        has_shaping: Whether the wanted commands are shaped.
-        has_measured: Whether the robot reported its motion.
+        more: Names of the recording's optional topics among `SENSED`, `MEASURED` and `SHAPED`.
     """
-    sensed, shaped = OF_SENSING if has_sensing else (), (SHAPED,) if has_shaping else ()
-    sensed = (*sensed, MEASURED) if has_measured else sensed
+    sensed = OF_SENSING if SENSED.name in more else ()
+    sensed += (MEASURED,) if MEASURED.name in more else ()
+    shaped = (SHAPED,) if SHAPED.name in more else ()
     if declaration is None:
         return (*_POSES, *sensed, CONTROL, *shaped, *_AFTER_SAMPLES)
     states = (Topic(LAW_STATE, name_state_type(kind)),) if declaration.states else ()
@@ -292,21 +284,16 @@ def describe_topics(
         if kind not in schemas:
             data = definitions[kind].encode()
             schemas[kind] = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=data)
+        # A hash is valid for one text only; that of a type defined by others is unknown.
+        type_hash = find_type_hash(kind, definitions[kind])
         channel = Channel(
             id=number,
             topic=topic,
             message_encoding="cdr",
             schema_id=schemas[kind].id,
-            metadata=_describe_type(kind, definitions[kind]),
+            # Without the QoS entry some versions of rosbag2 refuse the channel.
+            metadata={"offered_qos_profiles": ""}
+            | ({} if type_hash is None else {"topic_type_hash": type_hash}),
         )
         pairs.append((schemas[kind], channel))
     return pairs
-
-
-def _describe_type(kind: str, definition: str) -> dict[str, str]:
-    # Without the QoS entry some versions of rosbag2 refuse the channel.
-    metadata = {"offered_qos_profiles": ""}
-    # A hash is valid for one text only; that of a type defined by others is unknown.
-    if (type_hash := find_type_hash(kind, definition)) is not None:
-        metadata["topic_type_hash"] = type_hash
-    return metadata

@@ -88,12 +88,9 @@ def time_rows(
     motion follows the stamps: the timeline has the rate of the stamps, and commands are mapped to
     it. Commands with usable stamps are timed by their stamps, like poses.
 
-    Args:
-        poses: Stamps of the pose topic, in order of log time.
-        commands: Stamps of the command topic, in order of log time; None without commands.
-        time: `auto`: stamps of poses if they are usable, or else log times.
-        noun: Name of the rows given as poses: `commands` for a bag without poses. No command is
-            dropped, however close in time.
+    Both topics are in order of log time. With `auto`, stamps of poses are used if they are usable.
+    In a bag without poses, its commands are given as poses, with this noun. No command is dropped,
+    however close in time.
 
     Raises:
         LogError: If stamps are requested and no pose has a usable stamp.

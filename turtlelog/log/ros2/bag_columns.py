@@ -132,11 +132,8 @@ def extract_commands(
 ) -> dict[str, Values]:
     """Return forward and lateral speed [m/s] and turn rate [rad/s].
 
-    Args:
-        kind: Type of the messages.
-        fields: Fields of the messages.
-        wheelbase_m: Distance between the axles [m], required for Ackermann commands: a car turns
-            with speed * tan(steering angle) / wheelbase. The turn rate is NaN from 90 deg on.
+    Ackermann commands need the distance between the axles: a car turns with speed * tan(steering
+    angle) / wheelbase. The turn rate is NaN from 90 deg on.
     """
     if kind in ACKERMANN_TYPES and wheelbase_m is not None:
         drive = "drive." if kind.endswith("Stamped") else ""

@@ -198,11 +198,7 @@ def add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
 
 
 def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
-    """Return times and columns of the samples of all files, sorted by sample number.
-
-    Raises:
-        LogError: If the samples differ from those that turtlelog writes.
-    """
+    """Return times and columns of the samples of all files, sorted by sample number."""
     names = [name for parts in CONTROL_COLUMNS.values() for name in parts]
     try:
         fields = {

@@ -114,11 +114,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
 
 
 def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Run:
-    """Return a run with a note on the robots of its bag and the chosen one.
-
-    Raises:
-        LogError: If another robot was requested.
-    """
+    """Return a run with a note on the robots of its bag and the chosen one."""
     picks = (run.notes.get(name, "") for name in ("pose_topic", "command_topic"))
     topic, _, frames = next(filter(None, picks)).partition(" (")
     words = {*topic.split("/")[:-1]}
@@ -276,11 +272,7 @@ def _build_run(
 
 
 def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
-    """Return the finite poses and the number of dropped poses. Speeds with NaN are dropped.
-
-    Raises:
-        LogError: If no pose is finite.
-    """
+    """Return the finite poses and the number of dropped poses. Speeds with NaN are dropped."""
     speeds = [name for name in rows.columns if name.removeprefix("measured_") in _RATES]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
     columns = {name: column for name, column in rows.columns.items() if name not in unknown}

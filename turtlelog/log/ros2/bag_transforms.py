@@ -208,11 +208,7 @@ def choose_frames(
     Frames of a robot and of the world have well-known names. Without such names, the only moving
     link is chosen. A link below a robot's frame is a joint and is never chosen.
 
-    Args:
-        tree: The transforms.
-        robot: The robot's frame.
-        world: Reference frame.
-        name: Name of the robot, if frames of several robots begin with their names.
+    The frames of several robots may begin with their names.
 
     Raises:
         LogError: If a frame does not exist, or several are equally likely.
@@ -322,11 +318,7 @@ def _climb(tree: Tree, frame: str) -> list[str]:
 
 
 def _find_world(tree: Tree, robot: str) -> str:
-    """Return the highest frame above a frame with a name of the world, or else the root.
-
-    Raises:
-        LogError: If there is no frame above.
-    """
+    """Return the highest frame above a frame with a name of the world, or else the root."""
     above = _climb(tree, robot)
     if not above:
         raise LogError(f"pose_frame {robot}: no transform leads to it from another frame")
@@ -393,12 +385,8 @@ def locate_frame(
 ) -> tuple[Values, Values] | None:
     """Return the pose of a frame in another frame at some times; None if they are not connected.
 
-    Args:
-        tree: The transforms.
-        world: The other frame.
-        frame: The frame.
-        time_ns: Log times [ns], shape (n,). Links are used as last recorded.
-        stamp_ns: Stamp of a single time [ns]: links with stamps are interpolated at this stamp.
+    At log times [ns], shape (n,), links are used as last recorded. At the stamp of a single time
+    [ns], links with stamps are interpolated.
     """
     try:
         place_m, turn = compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)
@@ -412,11 +400,7 @@ _Step = tuple[Link, bool]
 
 
 def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
-    """Return the shortest path from one frame to another.
-
-    Raises:
-        LogError: If no transforms connect them.
-    """
+    """Return the shortest path from one frame to another."""
     ways: dict[str, list[_Step]] = {start: []}
     waiting = [start]
     while waiting and end not in ways:

@@ -67,11 +67,7 @@ class JoinedMessages:
 
 
 def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> JoinedMessages:
-    """Return the messages of a topic in all files, at least one, with the named fields.
-
-    Raises:
-        LogError: If a field is missing.
-    """
+    """Return the messages of a topic in all files, at least one, with the named fields."""
     for columns in found:
         for name in names:
             if name not in columns.fields:

@@ -73,10 +73,8 @@ def measure_paths(
 ) -> Paths:
     """Return the path lengths of a drive by poses, speeds and commands.
 
-    Args:
-        time_ns: Time of each pose [ns], shape (n,), not decreasing.
-        columns: x, y [m] and reported velocities [m/s], each shape (n,).
-        commands: Publication time [ns] and magnitude of the velocity [m/s] of each command.
+    The times of poses [ns] do not decrease; columns of shape (n,) are x, y [m] and reported
+    velocities [m/s]. Commands have a publication time [ns] and a magnitude of velocity [m/s].
     """
     xy_m = np.column_stack([columns["x"], columns["y"]])
     step_ns = np.diff(time_ns)
@@ -286,11 +284,8 @@ def judge_rates(
     """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
     Twists that were never set are all zeros; such rates are left out if the poses move. Twists
-    along the axes of the world are a common fault; they are rotated into the robot's axes.
-
-    Args:
-        time_ns: Time of each pose [ns], shape (n,), not decreasing.
-        columns: x, y [m], heading [rad] and reported rates [m/s or rad/s], each shape (n,).
+    along the axes of the world are a common fault; they are rotated into the robot's axes. The
+    times [ns] do not decrease; columns are x, y [m], heading [rad] and rates [m/s or rad/s].
     """
     left = {name: column for name, column in columns.items() if name != LATERAL}
     lateral = columns.get(LATERAL)

@@ -350,12 +350,9 @@ def _chain(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], pace: floa
 
 
 def place_log_times(clock: StampClock, of_ns: TimesNs, log_ns: TimesNs) -> TimesNs:
-    """Return recorder times mapped to the timeline of stamps at another rate.
+    """Return recorder times `log_ns` [ns] mapped to the timeline of stamps at another rate.
 
-    Args:
-        clock: Clock of the stamps.
-        of_ns: Log times of the stamped messages [ns].
-        log_ns: Recorder times to map [ns]; beyond the messages the mean rate is used.
+    The stamped messages have the log times `of_ns` [ns]. Beyond them the mean rate is used.
     """
     known, at_ns = of_ns[clock.known], np.maximum.accumulate(clock.time_ns[clock.known])
     start_ns, inside = int(known[0]), np.clip(log_ns, known[0], known[-1])
