@@ -12,8 +12,8 @@ from turtlelog.errors import ReplayError
 from turtlelog.parts import NEVER_NS
 from turtlelog.plants import find_plant
 from turtlelog.plants.kinds import PLANTS, read_plant
+from turtlelog.replay.differences import has_all_commands, has_ticks
 from turtlelog.replay.recorded_motion import CommandUse, Gap
-from turtlelog.replay.run_pairs import has_all_commands, has_ticks
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
 from turtlelog.simulate import loop
