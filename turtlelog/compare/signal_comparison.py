@@ -1,4 +1,4 @@
-"""Comparison of the signals of a run and a reference: deviations and tolerances."""
+"""Signals of a run and a reference on a common clock: deviations and tolerances."""
 
 import dataclasses
 import re

@@ -1,4 +1,4 @@
-"""Deviation of a run from a reference: from values near in time, and from the path.
+"""Deviation of a run from the values of a reference that are near in time.
 
 At time t, with a time tolerance d, a value is compared with the values of the reference in [t - d,
 t + d]. A linearly interpolated signal takes every value between its minimum and maximum there; a

@@ -2,7 +2,8 @@
 
 The causes of an effect are in its file, those of a law in the law. Each cause defines the scenario
 without it. Sampling belongs to the clock: without sampling, the same scenario is simulated with a
-finer clock.
+finer clock. The differences between two scenarios are causes as well: a group of settings that
+belong together is a cause of the second one, and its neutral values are those of the first.
 """
 
 from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""The value of a game divided among its players, exactly or from a sample of orders.
+"""The value of a game divided among its players: exactly, over sampled orders, seeds and starts.
 
 A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): the amount that a
 cause adds to the value, averaged over all orders of the causes. The amount that a set of causes

@@ -1,4 +1,4 @@
-"""The data of an explained difference between two runs."""
+"""The data of an explained difference between two runs, and their first different value."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Parameters of sequential-p from commands: gains, limits, tolerances, projection, wrapping."""
+"""Parameters of sequential-p: gains, limits, tolerances, and the rule that ended the run."""
 
 import math
 from dataclasses import dataclass
