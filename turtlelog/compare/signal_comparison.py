@@ -209,9 +209,6 @@ def trace_tube(
     """Return a numeric signal compared with the reference's; None if no comparison is possible.
 
     Angles of the reference are shifted by full turns to within half a turn of the run's angles.
-
-    Raises:
-        CompareError: If `compare_runs` raises it.
     """
     pair = _read_signals(name, reference, run)
     if pair[0] is None or pair[1] is None or pair[0].kind.compared_as == "label":
@@ -315,8 +312,7 @@ def _find_span(placed: tuple[Signal, Signal], clock: CommonClock) -> tuple[int, 
 def share_track(reference: Run, run: Run) -> bool:
     """Return whether along-track and cross-track have the same meaning in both runs.
 
-    This is true if both laws track the same path, at any speed, or no path: then each run has its
-    own line from start to goal.
+    Both laws track the same path, at any speed, or no path: then each run has its own line.
     """
     paths = [
         None if who.path is None else dataclasses.replace(who.path, speed_m_s=None)

@@ -77,15 +77,10 @@ class SignalDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
-    """Recorded and replayed values of a signal, row by row.
+    """Recorded and replayed values of a signal, row by row; NaN: no value.
 
-    Attributes:
-        signal: Name of the signal.
-        unit: Unit of the values.
-        time_ns: Time on the recording's clock [ns], shape (n,), not decreasing.
-        recorded: Recorded values, shape (n,); NaN: no value.
-        replayed: Replayed values, shape (n,); NaN: no value.
-        kind: `number`; `angle`: differences in [-pi, pi); `label`: names that are equal or not.
+    The time is that of the recording's clock and does not decrease. Differences of angles are in
+    [-pi, pi); labels are names that are equal or not.
     """
 
     signal: str
@@ -401,10 +396,7 @@ def _name_phases(answers: Answers) -> NDArray[np.str_]:
 
 
 def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:
-    """Yield the published commands paired with a law's answers; nothing if they do not match.
-
-    The n-th command belongs to the sample with the number n.
-    """
+    """Yield the n-th published command paired with the answer of sample n, if they match."""
     if not has_published(run):
         return
     commands, numbers = run.commands, run.samples.sequence[: len(answers)]

@@ -208,10 +208,7 @@ class Identification:
 
 
 def identify_plant(run: Run) -> Identification:
-    """Return facts from poses and commands, if no sample links commands to poses.
-
-    The facts are the largest commands and the number of lost commands.
-    """
+    """Return the largest commands and the number of lost ones, for a run without samples."""
     loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
     findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
     largest = {
@@ -240,8 +237,8 @@ def give_up(
 ) -> Identification:
     """Return the findings on a run that cannot be simulated again, with the reason.
 
-    Findings of law and loop that `findings` does not contain are unknown for the same reason.
-    `breaks` are sentences on the log's jumps and missing rows, which may be the cause.
+    Other findings of law and loop are unknown for this reason. `breaks` are sentences on the log's
+    jumps and missing rows, which may be the cause.
     """
     keys = (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")
     unknown = {key: miss(reason) for key in keys}

@@ -199,10 +199,7 @@ def _prefer_recorded(run: Run, found: Identification) -> Identification:
 
 
 def _add_recorded(run: Run, found: Identification) -> Identification:
-    """Return findings with the recorded settings of the law that the samples do not show.
-
-    The scenario with these settings must still reproduce every sample.
-    """
+    """Return findings with recorded settings of the law that the samples do not show, if exact."""
     recorded = {
         key: run.parameters[key]
         for key in LAW_KEYS
