@@ -118,12 +118,8 @@ LAW_KEYS: Final = (
     "law.wrap_error",
 )
 """Parameters that the commands of sequential-p show. The other parameters are `law.pause_ticks`,
-which a simulation shows, `RULE_KEYS` for the end of a run, and `ABSENT_KEYS`."""
-
-ABSENT_KEYS: Final = ("law.reorient", "law.schedule")
-"""Parameters of sequential-p that an identified run must not have. If the declaration shows such a
-parameter, the law is not identified. Without a declaration, a third phase or commands without a
-constant gain show it."""
+which a simulation shows, `RULE_KEYS` for the end of a run, and those with which the law is not
+identified, by its declaration, a third phase or gains that change: `reorient` and `schedule`."""
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",
