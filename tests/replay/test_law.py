@@ -13,7 +13,7 @@ from turtlelog.laws import LAWS, Pose
 from turtlelog.log import read_recording, read_run, write_recording
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay import LawReplay, ReplayError, replay_law
-from turtlelog.replay.run_pairs import count_missing_samples
+from turtlelog.replay.differences import count_missing_samples
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import (
     PAPER_RUNS,

@@ -1,4 +1,4 @@
-"""Differences between a run and a reference, signal by signal and metric by metric."""
+"""Differences between a run and a reference: signals, metrics, and the path."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Ranking of runs: conditions that must agree before a run is called the best."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -233,7 +233,7 @@ def judge_runs(
         difference
         for condition in CONDITIONS
         if condition not in purpose
-        for difference in _JUDGES[condition](condition, known)
+        for difference in _judge(condition, known)
         if difference.key not in purpose
     ]
     unknown = {
@@ -307,18 +307,26 @@ def _get_table(condition: str, found: Conditions) -> Keys | None:
     return found.tables[[*_TABLES].index(condition)]
 
 
-def _judge_goal(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
+def _judge(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
+    """Return how runs differ in a condition: in a whole value, or in keys of its table."""
+    if condition == "goal":
+        return _judge_goals(known)
+    if condition == "start":
+        starts = [found.start for found in known]
+        return [] if _are_near(known, starts) else [_differ(condition, starts)]
+    kinds = [found.plant for found in known]
+    if condition == "plant" and len({*kinds} - {None}) > 1:
+        return [ConditionDifference(condition=condition, key="plant.kind", values=tuple(kinds))]
+    return _judge_table(condition, known)
+
+
+def _judge_goals(known: Sequence[Conditions]) -> list[ConditionDifference]:
     goals = [found.goal for found in known]
     if None in goals:
-        return [_differ(condition, goals, is_unknown=True)]
+        return [_differ("goal", goals, is_unknown=True)]
     places = [goal for goal in goals if goal]
     is_same = len(places) in {0, len(goals)} and _are_near(known, places)
-    return [] if is_same else [_differ(condition, goals)]
-
-
-def _judge_start(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
-    starts = [found.start for found in known]
-    return [] if _are_near(known, starts) else [_differ(condition, starts)]
+    return [] if is_same else [_differ("goal", goals)]
 
 
 def _differ(
@@ -342,9 +350,8 @@ def _are_near(
         return False
     off_rad = [float(wrap_angle(heading - turned[0])) for heading in turned]
     apart_rad = max(off_rad, default=0.0) - min(off_rad, default=0.0)
-    return apart_m <= min(one.reach_m for one in known) and apart_rad <= min(
-        one.reach_rad for one in known
-    )
+    is_close = apart_m <= min(one.reach_m for one in known)
+    return is_close and apart_rad <= min(one.reach_rad for one in known)
 
 
 def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
@@ -352,9 +359,7 @@ def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionD
     held = [_get_table(condition, found) for found in known]
     tables = [None if table is None else dict(table) for table in held]
     present = [table for table in tables if table is not None]
-    keys = dict.fromkeys(
-        key for table in present for key in table if key.startswith(_TABLES[condition])
-    )
+    keys = dict.fromkeys(key for table in present for key in table)
     return [
         ConditionDifference(
             condition=condition,
@@ -364,22 +369,6 @@ def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionD
         for key in keys
         if len({repr(table.get(key)) for table in present}) > 1
     ]
-
-
-def _judge_plant(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
-    kinds = [found.plant for found in known]
-    if len({*kinds} - {None}) > 1:
-        return [ConditionDifference(condition=condition, key="plant.kind", values=tuple(kinds))]
-    return _judge_table(condition, known)
-
-
-_JUDGES: Final[Mapping[str, Callable[[str, Sequence[Conditions]], list[ConditionDifference]]]] = {
-    "goal": _judge_goal,
-    "path": _judge_table,
-    "start": _judge_start,
-    "plant": _judge_plant,
-    "limits": _judge_table,
-}
 
 
 def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:

@@ -13,20 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.compare.driven_commands import (
-    Rows,
-    Values,
-    cut_pieces,
-    drop_jumps,
-    find_impossible_steps,
-    find_known,
-    is_random,
-    list_commands,
-    list_growth_rows,
-    measure_errors,
-    silence,
-    stack_states,
-)
+from turtlelog.compare import driven_commands
+from turtlelog.compare.driven_commands import Rows, Values
 from turtlelog.compare.robot_comparison import (
     SEEDS,
     SHORTEST_S,
@@ -101,18 +89,18 @@ def compare_robot(
     zero_ns = run.start_ns
     run, notes = _take_part(run, scenario)
     motions = {axis: read_axis_motion(run, axis) for axis in AXES}
-    recorded, commands = run.poses, list_commands(run, motions, scenario)
+    recorded, commands = run.poses, driven_commands.list_commands(run, motions, scenario)
     start_ns = min(int(recorded.time_ns[0]), int(commands.time_ns[0]))
     commands = replace(commands, time_ns=commands.time_ns - start_ns)
     times_ns = recorded.time_ns - start_ns
-    states = sense_driven(silence(scenario), commands, times_ns)
+    states = sense_driven(driven_commands.silence(scenario), commands, times_ns)
     simulated = _build_poses(recorded.time_ns, states)
-    known_ns = find_known(run, scenario)
-    jumps = find_impossible_steps(run, simulated, scenario)
+    known_ns = driven_commands.find_known(run, scenario)
+    jumps = driven_commands.find_impossible_steps(run, simulated, scenario)
     cuts = {}
     for horizon_s in horizons_s:
-        cut, gaps = cut_pieces(recorded.time_ns, round(horizon_s * 1e9), known_ns)
-        sound, lost = drop_jumps(cut, jumps)
+        cut, gaps = driven_commands.cut_pieces(recorded.time_ns, round(horizon_s * 1e9), known_ns)
+        sound, lost = driven_commands.drop_jumps(cut, jumps)
         notes += _tell_lost(horizon_s, gaps, lost)
         if sound.shape[1]:
             cuts[horizon_s] = sound
@@ -122,15 +110,17 @@ def compare_robot(
         raise CompareError(_tell_too_short(run, horizons_s, known_ns, len(jumps)))
     longest = cuts[max(cuts)]
     short_s = max(SHORTEST_S, float(np.median(np.diff(recorded.time_ns))) / 1e9)
-    short, _ = drop_jumps(cut_pieces(recorded.time_ns, round(short_s * 1e9), known_ns)[0], jumps)
-    grown = list_growth_rows(recorded.time_ns, longest, max(cuts))
+    short, _ = driven_commands.drop_jumps(
+        driven_commands.cut_pieces(recorded.time_ns, round(short_s * 1e9), known_ns)[0], jumps
+    )
+    grown = driven_commands.list_growth_rows(recorded.time_ns, longest, max(cuts))
     rows = np.unique(
         np.concatenate([grown.ravel(), short.ravel(), *(cut.ravel() for cut in cuts.values())])
     )
     worlds = np.array(
         [
             sense_driven(replace(scenario, seed=_FIRST_SEED + seed), commands, times_ns[rows])
-            for seed in range(SEEDS if is_random(scenario) else 0)
+            for seed in range(SEEDS if driven_commands.is_random(scenario) else 0)
         ]
     )
     stack = _Stack(recorded, states, rows, worlds)
@@ -168,16 +158,18 @@ class _Stack:
         self, recorded: PoseColumns, predicted: Values, rows: Rows, worlds: Values
     ) -> None:
         self._time_ns, self._rows, self._worlds = recorded.time_ns, rows, worlds
-        self._recorded = stack_states(recorded)
+        self._recorded = driven_commands.stack_states(recorded)
         self._predicted = predicted
 
     def _measure(self, cut: Rows) -> tuple[Values, Values | None]:
         """Return the recorded errors, shape (2, n), and those of each seed, shape (seeds, 2, n)."""
-        recorded = measure_errors(self._recorded[cut], self._predicted[cut])
+        recorded = driven_commands.measure_errors(self._recorded[cut], self._predicted[cut])
         if not len(self._worlds):
             return recorded, None
         found = self._worlds[:, np.searchsorted(self._rows, cut)]
-        return recorded, np.array([measure_errors(one, self._predicted[cut]) for one in found])
+        return recorded, np.array(
+            [driven_commands.measure_errors(one, self._predicted[cut]) for one in found]
+        )
 
     def measure_bands(self, horizon_s: float, cut: Rows, start_ns: int) -> list[ErrorBand]:
         """Return the errors of position and heading at the ends of pieces."""

@@ -1,4 +1,4 @@
-"""Comparison of the signals of a run and a reference: deviations and tolerances."""
+"""Signals of a run and a reference on a common clock: deviations and tolerances."""
 
 import dataclasses
 import re
@@ -9,16 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compare.tube import (
-    Grid,
-    GridValues,
-    Tolerance,
-    find_deciding_values,
-    find_limit,
-    lay_grid,
-    measure_distance,
-    read_rows,
-)
+from turtlelog.compare import tube
+from turtlelog.compare.tube import Grid, GridValues, Tolerance
 from turtlelog.errors import CompareError, find_near, join_names, suggest_names
 from turtlelog.measure import SIGNALS, Signal, find_signal, list_signal_units, list_signals
 from turtlelog.replay.differences import Difference, SignalDifference as SignalDifference
@@ -217,32 +209,29 @@ def trace_tube(
     """Return a numeric signal compared with the reference's; None if no comparison is possible.
 
     Angles of the reference are shifted by full turns to within half a turn of the run's angles.
-
-    Raises:
-        CompareError: If `compare_runs` raises it.
     """
     pair = _read_signals(name, reference, run)
     if pair[0] is None or pair[1] is None or pair[0].kind.compared_as == "label":
         return None
     clock = align_runs(reference, run, alignment)
     theirs, ours = clock.place_signal(pair[0], reference), clock.place_signal(pair[1], run)
-    grid = lay_grid(theirs.time_ns, ours.time_ns, _find_span((theirs, ours), clock))
+    grid = tube.lay_grid(theirs.time_ns, ours.time_ns, _find_span((theirs, ours), clock))
     if not len(grid.at):
         return None
-    rows = read_rows(ours, grid)
+    rows = tube.read_rows(ours, grid)
     half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
-    nearest = find_deciding_values(theirs, rows, tolerance, half_width=half_width)
+    nearest = tube.find_deciding_values(theirs, rows, tolerance, half_width=half_width)
     turns = np.zeros(len(nearest))
     if theirs.kind.compared_as == "angle":
         turns = 2.0 * np.pi * np.round((rows.values - nearest) / (2.0 * np.pi))
-    limit = find_limit(theirs, nearest, tolerance)
+    limit = tube.find_limit(theirs, nearest, tolerance)
     low, high = nearest, nearest
     if half_width:
         # What comes nearest to something far beyond is the outermost value of its window.
         kind = dataclasses.replace(theirs.kind, compared_as="number")
         number = dataclasses.replace(theirs, kind=kind)
         low, high = (
-            find_deciding_values(
+            tube.find_deciding_values(
                 number,
                 GridValues(grid=grid, values=np.full(len(nearest), beyond)),
                 tolerance,
@@ -255,9 +244,9 @@ def trace_tube(
         time_ns=np.array([clock.read_ns(int(unit)) for unit in grid.at], np.int64) + to_run_ns,
         values=rows.values,
         reference=nearest + turns,
-        low=low - find_limit(theirs, low, tolerance) + turns,
-        high=high + find_limit(theirs, high, tolerance) + turns,
-        excess=measure_distance(theirs, rows.values, nearest) - limit,
+        low=low - tube.find_limit(theirs, low, tolerance) + turns,
+        high=high + tube.find_limit(theirs, high, tolerance) + turns,
+        excess=tube.measure_distance(theirs, rows.values, nearest) - limit,
     )
 
 
@@ -305,10 +294,10 @@ def compare_aligned_signals(
         source = f"{theirs.kind.source} {ours.kind.source}"
         if source not in grids:
             span = _find_span(placed, clock)
-            grids[source] = lay_grid(placed[0].time_ns, placed[1].time_ns, span)
+            grids[source] = tube.lay_grid(placed[0].time_ns, placed[1].time_ns, span)
         if not len(grids[source].at):
             continue
-        rows = read_rows(placed[1], grids[source])
+        rows = tube.read_rows(placed[1], grids[source])
         found[name] = _measure_rows(placed[0], rows, tolerance, clock, phases)
     return found
 
@@ -323,8 +312,7 @@ def _find_span(placed: tuple[Signal, Signal], clock: CommonClock) -> tuple[int, 
 def share_track(reference: Run, run: Run) -> bool:
     """Return whether along-track and cross-track have the same meaning in both runs.
 
-    This is true if both laws track the same path, at any speed, or no path: then each run has its
-    own line from start to goal.
+    Both laws track the same path, at any speed, or no path: then each run has its own line.
     """
     paths = [
         None if who.path is None else dataclasses.replace(who.path, speed_m_s=None)
@@ -342,9 +330,9 @@ def _measure_rows(
 ) -> SignalDifference:
     """Return the deviation of a run's rows from the reference's signal, both on one clock."""
     half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
-    nearest = find_deciding_values(reference, rows, tolerance, half_width=half_width)
-    off = measure_distance(reference, rows.values, nearest)
-    limit = find_limit(reference, nearest, tolerance)
+    nearest = tube.find_deciding_values(reference, rows, tolerance, half_width=half_width)
+    off = tube.measure_distance(reference, rows.values, nearest)
+    limit = tube.find_limit(reference, nearest, tolerance)
     outside = off > limit
     least = int((off - limit).argmax())
     if not outside[least] and outside.any():

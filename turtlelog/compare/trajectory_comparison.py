@@ -87,14 +87,7 @@ class TrajectorySettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryError:
-    """One error with its statistics.
-
-    Attributes:
-        kind: `ate` or `rpe`.
-        quantity: `position` [m] or `rotation` [rad]; in the plane a rotation is a heading.
-        delta: Delta of the RPE.
-        statistics: Statistics in the unit of the quantity.
-    """
+    """One error with its statistics [m or rad]; in the plane a rotation is a heading."""
 
     kind: Literal["ate", "rpe"]
     quantity: Literal["position", "rotation"]

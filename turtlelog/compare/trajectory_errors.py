@@ -64,13 +64,7 @@ class DegenerateError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alignment:
-    """The transformation of an estimate into the frame of its reference.
-
-    Attributes:
-        rotation: Rotation matrix, shape (3, 3).
-        translation_m: Translation [m], shape (3,).
-        scale: Factor of the estimate's positions; 1 if the scale is not estimated.
-    """
+    """Rotation matrix, then translation, of a scaled estimate into the frame of its reference."""
 
     rotation: Values
     translation_m: Values

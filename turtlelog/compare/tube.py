@@ -1,4 +1,4 @@
-"""Deviation of a run from a reference: from values near in time, and from the path.
+"""Deviation of a run from the values of a reference that are near in time.
 
 At time t, with a time tolerance d, a value is compared with the values of the reference in [t - d,
 t + d]. A linearly interpolated signal takes every value between its minimum and maximum there; a
@@ -114,10 +114,7 @@ def read_rows(run: Signal, grid: Grid) -> GridValues:
 def find_deciding_values(
     reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
 ) -> Values:
-    """Return the reference value that decides each row, in the shape of the rows.
-
-    If a row is far inside its tolerance, another value within its tolerance may be returned.
-    """
+    """Return the reference value that decides each row; far inside the tolerance, any within it."""
     if reference.kind.resampling == "line":
         return _find_nearest_on_line(reference, rows, half_width)
     if not half_width:
@@ -237,8 +234,8 @@ def _find_neighbours(
 ) -> tuple[Values, Values]:
     """Return the nearest value at or below `wanted`, and above it, in each segment; NaN: no value.
 
-    The search uses a tree of sorted blocks, from single rows upwards. Each segment consists of at
-    most two blocks of every size. All blocks of one size are searched by bisection in one call.
+    Each segment consists of at most two sorted blocks of every size; all blocks of one size are
+    searched by bisection in one call.
     """
     order = np.argsort(values, kind="stable")
     sorted_values = values[order]

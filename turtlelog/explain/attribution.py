@@ -51,10 +51,7 @@ class Resolution:
 def find_resolution(
     scenario: Scenario, declaration: Declaration, metric: str, value: float
 ) -> Resolution:
-    """Return the resolution of a metric of a scenario with this value.
-
-    For a law with unknown tolerances, a fraction of the value is used instead.
-    """
+    """Return the resolution of a metric of a scenario, for unknown tolerances from its value."""
     unit = list_metrics(declaration)[metric].unit
     if unit == "s":
         return Resolution(size=find_sample_period_s(scenario), reason="one sample period")

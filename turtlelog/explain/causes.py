@@ -2,7 +2,8 @@
 
 The causes of an effect are in its file, those of a law in the law. Each cause defines the scenario
 without it. Sampling belongs to the clock: without sampling, the same scenario is simulated with a
-finer clock.
+finer clock. The differences between two scenarios are causes as well: a group of settings that
+belong together is a cause of the second one, and its neutral values are those of the first.
 """
 
 from collections.abc import Iterable, Mapping
@@ -115,11 +116,7 @@ def simulate_without(scenario: Scenario, names: Iterable[str]) -> Run:
 
 
 def find_cause(name: str, table: Mapping[str, Cause], scenario: Scenario) -> Cause:
-    """Return a cause of a scenario by its name.
-
-    Raises:
-        ExplainError: If the table has no cause with that name.
-    """
+    """Return a cause of a scenario by its name, or raise ExplainError with the nearest names."""
     if name in table:
         return table[name]
     if name == SAMPLING:
@@ -237,10 +234,7 @@ def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
 
 
 def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
-    """Return the name of the group of a table or key.
-
-    A key without a group is a group of its own.
-    """
+    """Return the names of the groups of tables and keys; any other key is a group of its own."""
     names = {key: name for name, found in _list_effect_keys() for key in found}
     names |= {table: table for table in _WHOLE}
     if second.plant.kind != first.plant.kind:
@@ -277,11 +271,7 @@ def _has_one_value(scenario: Scenario, keys: Iterable[str]) -> bool:
 
 
 def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:
-    """Return a scenario with some groups of settings taken from another scenario.
-
-    Raises:
-        ScenarioError: If the settings contradict each other.
-    """
+    """Return a scenario with some groups of settings taken from another scenario."""
     values = {key: value for one in changes for key, value in one.neutral.items()}
     return set_values(second, values)
 
@@ -289,8 +279,7 @@ def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:
 def set_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     """Return a scenario with values of another scenario by dotted key; None: the key is absent.
 
-    Raises:
-        ScenarioError: If the settings contradict each other.
+    ScenarioError: the settings contradict each other.
     """
     found = {**flatten_scenario(scenario), **values}
     tables = nest_parameters({key: value for key, value in found.items() if value is not None})

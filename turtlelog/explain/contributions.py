@@ -1,4 +1,4 @@
-"""The value of a game divided among its players, exactly or from a sample of orders.
+"""The value of a game divided among its players: exactly, over sampled orders, seeds and starts.
 
 A contribution is a Shapley value (Shapley, "A value for n-person games", 1953): the amount that a
 cause adds to the value, averaged over all orders of the causes. The amount that a set of causes
@@ -190,10 +190,7 @@ def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
 
 
 def find_steady_span(values: Sequence[float | None], added: float, resolution: float) -> float:
-    """Return the largest range of values from each start that counts as steady.
-
-    `added` is the total of the causes from the scenario's own start, and `resolution` negligible.
-    """
+    """Return the largest range of values that counts as steady, for a total of the causes."""
     if abs(added) > resolution:
         return _WIDE * abs(added)
     greatest = max((abs(value) for value in values if value is not None), default=0.0)
@@ -283,10 +280,7 @@ _CENTRAL: Final = (0.025, 0.975)
 
 
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
-    """Return the attribution with its contributions, or the reason for their absence.
-
-    A seed is used only if every combination has a value with it: combinations are compared by seed.
-    """
+    """Return the attribution divided over the seeds with which every combination has a value."""
     names = found.causes
     coalitions = list_coalitions(names)
     played = {inside: game.take_out_each(set(names) - inside) for inside in coalitions}

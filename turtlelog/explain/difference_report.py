@@ -9,13 +9,7 @@ from typing import Any, Final
 from turtlelog.display import describe_count, format_pair, join_words
 from turtlelog.explain.answer_words import NAMED, choose_joint, write_joint, write_missing
 from turtlelog.explain.attribution import SAME, ValueSet, is_clear
-from turtlelog.explain.explained_difference import (
-    ROBOT,
-    SEED,
-    Change,
-    ExplainedDifference,
-    Side,
-)
+from turtlelog.explain.explained_difference import ROBOT, SEED, Change, ExplainedDifference, Side
 from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes

@@ -1,4 +1,4 @@
-"""The data of an explained difference between two runs."""
+"""The data of an explained difference between two runs, and their first different value."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -9,16 +9,9 @@ import numpy as np
 
 from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.explain.attribution import Resolution, Together, ValueSet
-from turtlelog.replay.differences import Difference, Pairing, compare_pairing, find_earliest
-from turtlelog.replay.run_pairs import (
-    compare_ends,
-    count_missing_samples,
-    count_recorded_rows,
-    find_count_difference,
-    has_ticks,
-    pair_by_sample,
-    pair_by_tick,
-)
+from turtlelog.replay import differences
+from turtlelog.replay.differences import Difference, Pairing
+from turtlelog.replay.loop_replay import compare_ends
 from turtlelog.run import Run
 
 SEED: Final = "seed"
@@ -265,9 +258,9 @@ def find_departure(first: Run, second: Run) -> Departure | None:
     Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
     samples read are compared.
     """
-    signals = [compare_pairing(one, tolerance=0.0) for one in _pair(first, second)]
+    signals = [differences.compare_pairing(one, tolerance=0.0) for one in _pair(first, second)]
     others = [*_compare_counts(first, second), compare_ends(first, second.stop_reason)]
-    found = find_earliest([*(one.first_difference for one in signals), *others])
+    found = differences.find_earliest([*(one.first_difference for one in signals), *others])
     if found is None:
         return None
     units = {one.signal: one.unit for one in signals}
@@ -284,17 +277,17 @@ def find_departure(first: Run, second: Run) -> Departure | None:
 
 def _pair(first: Run, second: Run) -> Iterator[Pairing]:
     """Yield the signals row by row; at equal times, causes before their consequences."""
-    if count_missing_samples(second.samples):  # rows are matched by sample number
+    if differences.count_missing_samples(second.samples):  # rows are matched by sample number
         return
-    by_tick = has_ticks(first) and has_ticks(second)
-    pairings = (pair_by_tick if by_tick else pair_by_sample)(first, second)
+    by_tick = differences.has_ticks(first) and differences.has_ticks(second)
+    pairings = (differences.pair_by_tick if by_tick else differences.pair_by_sample)(first, second)
     yield from (one for one in pairings if len(one.time_ns))
 
 
 def _compare_counts(first: Run, second: Run) -> Iterator[Difference | None]:
-    by_tick = has_ticks(first) and has_ticks(second)
-    for name, count in count_recorded_rows(first, second, by_tick=by_tick).items():
-        found = find_count_difference(first, name, count)
+    by_tick = differences.has_ticks(first) and differences.has_ticks(second)
+    for name, count in differences.count_recorded_rows(first, second, by_tick=by_tick).items():
+        found = differences.find_count_difference(first, name, count)
         if found is not None:
             end_ns = min(first.end_ns, second.end_ns)
             yield Difference(

@@ -164,8 +164,8 @@ def _divide(
         return replace(found, withheld="the robots' models have no value of this metric")
     is_exact = len(acting) <= _MOST_EXACT
     divided = divide_game(base, game) if is_exact else sample_game(base, game)
-    values = [[one.value for one in game.take_out_each(out)] for out in (acting, ())]
-    ends = [[value for value in side if value is not None] for side in values]
+    played = [game.take_out_each(out) for out in (acting, ())]
+    ends = [[one.value for one in side if one.value is not None] for side in played]
     changes = [_describe(one, logs) for one in parts.values()]
     surely = tuple(one for one in changes if differs_surely(one.name, one.keys, logs))
     found = replace(found, changes=surely, seeds=len(SEEDS))
@@ -175,14 +175,10 @@ def _divide(
     shares = sorted(divided.contributions, key=lambda one: -abs(one.contribution or 0.0))
     contributions = tuple(_complete(listed[one.cause], one) for one in shares)
     explained = math.fsum(one.contribution or 0.0 for one in contributions)
-    sides = [
-        replace(side, resimulated=fmean(drawn))
-        for side, drawn in zip((found.first, found.second), ends, strict=True)
-    ]
     found = replace(
         found,
-        first=sides[0],
-        second=sides[1],
+        first=replace(found.first, resimulated=fmean(ends[0])),
+        second=replace(found.second, resimulated=fmean(ends[1])),
         unexplained=difference - explained,
         orders=None if is_exact else ORDERS,
     )

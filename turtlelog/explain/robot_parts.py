@@ -105,10 +105,7 @@ def read_robot_log(run: Run) -> RobotLog:
 
 
 def share_unseen_bounds(logs: Sequence[RobotLog]) -> list[RobotLog]:
-    """Return two logs, each with the other log's bound if its own robot never exceeds the bound.
-
-    Such a log cannot show whether the bound exists, so a missing bound is not a difference.
-    """
+    """Return two logs that share a bound which one robot never exceeds, so cannot show."""
     return [_take_bounds(log, other) for log, other in zip(logs, reversed(logs), strict=True)]
 
 

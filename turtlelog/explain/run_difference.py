@@ -11,7 +11,6 @@ from turtlelog.explain.attribute import attribute_scenario, divide_game
 from turtlelog.explain.attribution import (
     SAME,
     Attribution,
-    Contribution,
     Resolution,
     choose_metric,
     find_resolution,
@@ -45,7 +44,7 @@ from turtlelog.explain.scenario_from_log.resimulation import (
 )
 from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
-from turtlelog.measure import Metric, describe_no_metric, list_metrics, measure_run
+from turtlelog.measure import describe_no_metric, list_metrics, measure_run
 from turtlelog.run import Run, require_run
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
@@ -147,9 +146,10 @@ def explain_difference(
     one, other = _take_unknown(one, other, sides[0]), _take_unknown(other, one, sides[1])
     changes = find_changes(one, other)
     if not changes and (one.seed == other.seed or not draws_random(other)):
+        before, after = (side.as_logged for side in sides)
         return replace(
             answer,
-            difference=_subtract(sides),
+            difference=None if before is None or after is None else after - before,
             has_same_settings=True,
             departure=find_departure(first, second),
         )
@@ -183,7 +183,7 @@ def _name_untrusted(
     first: Run, second: Run, metric: str, unit: str, laws: Sequence[str]
 ) -> ExplainedDifference:
     """Return the settings that differ, without contributions, because a law's code may not run."""
-    sides = [_begin_side(run, measure_run(run, only=[metric])[metric]) for run in (first, second)]
+    sides = [_begin_side(run, metric) for run in (first, second)]
     is_same = _hold_same_settings(first, second)
     of_first, of_second = first.parameters, second.parameters
     keys = [key for key in {**of_first, **of_second} if key != "name"]
@@ -210,8 +210,9 @@ def _name_untrusted(
     )
 
 
-def _begin_side(run: Run, logged: Metric) -> Side:
+def _begin_side(run: Run, metric: str) -> Side:
     """Return the values in a run's log."""
+    logged = measure_run(run, only=[metric])[metric]
     return Side(
         name=run.name,
         as_logged=logged.value,
@@ -282,8 +283,7 @@ def _stand_for(
     run: Run, metric: str, *, trust_law: bool, depth: Depth
 ) -> tuple[Side, Scenario | None]:
     """Return the facts about a run, with the scenario that represents it."""
-    logged = measure_run(run, only=[metric])[metric]
-    side = _begin_side(run, logged)
+    side = _begin_side(run, metric)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
     note = "the recording does not contain its scenario"
     if not len(run.samples):
@@ -309,11 +309,6 @@ def _stand_for(
     return side, identified.scenario
 
 
-def _subtract(sides: Sequence[Side]) -> float | None:
-    first, second = (side.as_logged for side in sides)
-    return None if first is None or second is None else second - first
-
-
 def _divide(
     found: ExplainedDifference,
     scenarios: Sequence[Scenario],
@@ -325,20 +320,20 @@ def _divide(
     first, second = scenarios
     game = ChangeGame(second, found.metric, changes, first, work)
     own = ChangeGame(first, found.metric, {}, first, work)
-    values = own.play_as_recorded().value, game.play_as_recorded().value
-    sides = [
-        replace(side, resimulated=value)
-        for side, value in zip((found.first, found.second), values, strict=True)
-    ]
+    before, after = own.play_as_recorded().value, game.play_as_recorded().value
     listed = tuple(_describe_change(one, second) for one in changes.values())
-    found = replace(found, first=sides[0], second=sides[1], changes=listed)
-    if values[0] is not None and values[1] is not None:
-        found = replace(found, difference=values[1] - values[0])
+    found = replace(
+        found,
+        first=replace(found.first, resimulated=before),
+        second=replace(found.second, resimulated=after),
+        changes=listed,
+        difference=None if before is None or after is None else after - before,
+    )
     base = Attribution(
         metric=found.metric,
         unit=found.unit,
-        resimulated=values[1],
-        without_all=values[0],
+        resimulated=after,
+        without_all=before,
         causes=tuple(changes),
         contributions=(),
         others=(),
@@ -399,7 +394,15 @@ def _list_contributions(
     listed = {one.name: one for one in found.changes}
     shares = [one for one in divided.contributions if one.cause in divided.acting]
     shares.sort(key=lambda one: -abs(one.contribution or 0.0))
-    contributions = [_complete(listed[one.cause], one) for one in shares]
+    contributions = [
+        replace(
+            listed[one.cause],
+            contribution=one.contribution,
+            standard_error=one.standard_error,
+            undone=one.alone,
+        )
+        for one in shares
+    ]
     rest = math.fsum([found.difference or 0.0, *(-(one.contribution or 0.0) for one in shares)])
     if not game.is_random or abs(rest) <= _ROUNDING * abs(found.second.resimulated or 0.0):
         return tuple(contributions)
@@ -410,27 +413,16 @@ def _list_contributions(
     return tuple(contributions)
 
 
-def _complete(change: Change, share: Contribution) -> Change:
-    return replace(
-        change,
-        contribution=share.contribution,
-        standard_error=share.standard_error,
-        undone=share.alone,
-    )
-
-
 def _compare_with_logs(found: ExplainedDifference) -> str:
     """Return why the re-simulations do not represent the logs; empty if they represent them."""
+    apart, largest = 0.0, 0.0
     for side in (found.first, found.second):
         if side.as_logged is None:
             return f"{side.name} has no value: {side.reason}"
         if side.resimulated is None:
             return f"{side.name} has no value when it is simulated again"
-    apart = max(
-        abs((side.as_logged or 0.0) - (side.resimulated or 0.0))
-        for side in (found.first, found.second)
-    )
-    largest = max(abs(side.as_logged or 0.0) for side in (found.first, found.second))
+        apart = max(apart, abs(side.as_logged - side.resimulated))
+        largest = max(largest, abs(side.as_logged))
     if apart <= max(_AGREEMENT * abs(found.difference or 0.0), SAME * largest):
         return ""
     return "logs and re-simulations differ by more than a tenth of the difference"
@@ -444,20 +436,11 @@ def _vary_starts(
     offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
     if not offsets_rad:
         return None
-    values = [
-        [
-            one.value
-            for one in iterate_outcomes(
-                metric,
-                [
-                    Play(turn_start(scenario, by), is_finer=False, may_fail=True)
-                    for by in offsets_rad
-                ],
-                jobs=1,
-            )
-        ]
+    plays = [
+        [Play(turn_start(scenario, by), is_finer=False, may_fail=True) for by in offsets_rad]
         for scenario in scenarios
     ]
+    values = [[one.value for one in iterate_outcomes(metric, side, jobs=1)] for side in plays]
     apart = subtract_values(values[1], values[0])
     spans = [span for one in (apart, *values) if (span := _find_span(one)) is not None]
     if len(spans) < 3:

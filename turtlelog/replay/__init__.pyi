@@ -4,6 +4,7 @@ from .commanded_plant import (
 )
 from .differences import (
     Difference as Difference,
+    RowCount as RowCount,
     SignalDifference as SignalDifference,
 )
 from .loop_replay import (
@@ -25,7 +26,4 @@ from .recorded_motion import (
     Jump as Jump,
     follow_commands as follow_commands,
     moves_as_turtlesim as moves_as_turtlesim,
-)
-from .run_pairs import (
-    RowCount as RowCount,
 )

@@ -12,8 +12,8 @@ from turtlelog.errors import ReplayError
 from turtlelog.parts import NEVER_NS
 from turtlelog.plants import find_plant
 from turtlelog.plants.kinds import PLANTS, read_plant
+from turtlelog.replay.differences import has_all_commands, has_ticks
 from turtlelog.replay.recorded_motion import CommandUse, Gap
-from turtlelog.replay.run_pairs import has_all_commands, has_ticks
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
 from turtlelog.simulate import loop
@@ -130,11 +130,8 @@ def _require_driveable(run: Run) -> None:
 class LaggedPoses:
     """Poses to which the recorded commands lead the robot of a recording.
 
-    Attributes:
-        states: x, y [m] and heading [rad] at the time of each recorded pose, in double precision,
-            shape (n, 3).
-        gaps: Segments of time whose poses are missing. The robot is simulated through them.
-        commands: Use of the recorded commands by the robot.
+    `states` are x, y [m] and heading [rad] at the time of each recorded pose, shape (n, 3). The
+    robot is simulated through the `gaps`, whose poses are missing.
     """
 
     states: NDArray[np.float64]
@@ -145,13 +142,12 @@ class LaggedPoses:
 def drive_lagged(run: Run) -> LaggedPoses:
     """Drive the robot of a recording from its start with all of its commands.
 
-    The scenario determines how each command reaches the robot, and the disturbances; its seed
-    determines random values. The law and the sensing are not used.
+    The scenario with its seed determines how each command reaches the robot, and the disturbances.
+    The law and the sensing are not used.
 
     Raises:
         ReplayError: If the recording does not contain its whole scenario, its commands, or poses at
             the ticks from the start on.
-        ScenarioError: If the scenario is wrong.
     """
     _require_whole(run)
     scenario, plant = restore_scenario(run), find_plant(run)
@@ -185,21 +181,12 @@ def sense_driven(
 ) -> NDArray[np.float64]:
     """Return the sensed poses, at given times, of a robot that commands drive from the origin.
 
-    The plant, transport, disturbance, sensing and seed of the scenario are used. The scenario's
-    start, law and limits are not used. Sensed poses are neither delayed nor lost: the result is
-    sorted by the time of the pose.
-
-    Args:
-        scenario: Scenario with a robot model.
-        commands: Commands as published, with times from 0 on [ns].
-        time_ns: Times of the poses [ns], not decreasing, from 0 on, shape (n,).
-
-    Returns:
-        x, y [m] and heading [rad], shape (n, 3).
+    The plant, transport, disturbance, sensing and seed of the scenario are used; its start, law and
+    limits are not. Sensed poses are neither delayed nor lost. Times do not decrease, from 0 on; the
+    poses are x, y [m] and heading [rad], shape (n, 3).
 
     Raises:
         ReplayError: If the scenario has no robot model.
-        SimulationError: If the robot diverges.
     """
     if PLANTS[scenario.plant.kind].acts_in_steps:
         raise ReplayError(
@@ -243,11 +230,7 @@ _State = tuple[float, float, float, float, float]
 
 
 class _DrivenPlant:
-    """The plant of a scenario with its transport, disturbances and sensing.
-
-    Attributes:
-        taken: Number of commands that the plant took so far; a duplicated command counts once.
-    """
+    """The plant of a scenario with transport, disturbances and sensing; `taken` commands so far."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Start at the scenario's start, on the clock of its plant."""
@@ -263,11 +246,7 @@ class _DrivenPlant:
     def follow(
         self, commands: CommandColumns, ticks: int, time_ns: NDArray[np.int64] | None = None
     ) -> Iterator[_State]:
-        """Yield the states at given times, or else at each tick, while commands drive the plant.
-
-        Raises:
-            SimulationError: If the plant diverges.
-        """
+        """Yield the states at given times, or else at each tick, while commands drive the plant."""
         period_ns = self._settings.scene.period_ns
         ends_ns = np.arange(ticks + 1) * period_ns
         # A tick owns the time up to the next: what is published then leaves after its pose.

@@ -1,15 +1,19 @@
-"""Differences of a signal from a reference: a recording, or another run."""
+"""Differences of a run from a reference: signals paired row by row, and numbers of rows."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from types import MappingProxyType
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import format_html, format_notebook, show_angle
 from turtlelog.errors import ReplayError
+from turtlelog.plants import find_plant
+from turtlelog.run import PoseColumns, Run, SampleColumns
 from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import Declaration
 
 Value = float | int | str | None
 
@@ -73,15 +77,10 @@ class SignalDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairing:
-    """Recorded and replayed values of a signal, row by row.
+    """Recorded and replayed values of a signal, row by row; NaN: no value.
 
-    Attributes:
-        signal: Name of the signal.
-        unit: Unit of the values.
-        time_ns: Time on the recording's clock [ns], shape (n,), not decreasing.
-        recorded: Recorded values, shape (n,); NaN: no value.
-        replayed: Replayed values, shape (n,); NaN: no value.
-        kind: `number`; `angle`: differences in [-pi, pi); `label`: names that are equal or not.
+    The time is that of the recording's clock and does not decrease. Differences of angles are in
+    [-pi, pi); labels are names that are equal or not.
     """
 
     signal: str
@@ -169,3 +168,271 @@ def format_replay_html(
     heads = ("signal", "unit", "largest difference", "rows that differ", "of")
     table = format_html(rows, heads=heads) if rows else ""
     return format_notebook(f"{name}: {describe_replay(samples, first)}.", table)
+
+
+Rows = NDArray[np.int64]
+
+SENSED: Final = ("sensed_x", "sensed_y", "sensed_heading")
+"""Signals of sensed poses."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowCount:
+    """Numbers of rows of one kind in a recording and in its replay."""
+
+    recorded: int
+    replayed: int
+
+
+def has_ticks(run: Run) -> bool:
+    """Return whether a run contains its poses tick by tick, like a simulation."""
+    is_whole = not (run.poses.time_ns % find_plant(run).period_ns).any()
+    return run.poses.speed_m_s is not None and is_whole
+
+
+def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
+    """Yield signals of poses matched by time of tick, samples by number, commands by order."""
+    _, rows, others = np.intersect1d(
+        run.poses.time_ns, replayed.poses.time_ns, assume_unique=True, return_indices=True
+    )
+    yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, others)
+    yield from _pair_applied(run.poses, replayed.poses, rows, others)
+    if len(run.samples):
+        rows, others = _match_samples(run, replayed)
+        yield from _pair_answers(run, replayed, rows, others)
+        yield from _pair_clocks(run, replayed, rows, others)
+    if len(run.commands) and has_all_commands(run):
+        yield from _pair_commands(run, replayed)
+
+
+def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
+    """Yield signals of samples and of the poses that they read, matched by the sample's number."""
+    rows, others = _match_samples(run, replayed)
+    read = run.samples.pose_sequence[rows], replayed.samples.pose_sequence[others]
+    yield from _pair_poses(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
+    yield from _pair_answers(run, replayed, rows, others)
+
+
+def _pair_answers(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
+    was = Answers(run.samples, run.declaration)
+    now = Answers(replayed.samples, replayed.declaration)
+    return pair_samples(was, now, rows=rows, others=others)
+
+
+def count_recorded_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, RowCount]:
+    """Return the number of rows of each kind that is recorded."""
+    kinds = ("samples", "poses", "commands") if by_tick else ("samples",)
+    return {
+        name: RowCount(recorded=count, replayed=len(getattr(replayed, name)))
+        for name in kinds
+        if (count := len(getattr(run, name)))
+    }
+
+
+def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | None:
+    """Return the difference of two counts; lost rows or a truncated recording explain fewer."""
+    if count.recorded == count.replayed:
+        return None
+    if count.recorded < count.replayed and (is_cut_short(run) or _has_holes(run)):
+        return None
+    return Difference(
+        signal=name, time_ns=run.end_ns, recorded=count.recorded, replayed=count.replayed
+    )
+
+
+def _has_holes(run: Run) -> bool:
+    ticks = run.poses.time_ns // find_plant(run).period_ns
+    return bool(count_missing_samples(run.samples)) or (
+        has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
+    )
+
+
+def _match_samples(run: Run, replayed: Run) -> tuple[Rows, Rows]:
+    numbers = run.samples.sequence
+    rows = np.flatnonzero((numbers >= 0) & (numbers < len(replayed.samples)))
+    return rows, numbers[rows]
+
+
+def _pair_poses(
+    recorded: PoseColumns, replayed: PoseColumns, time_ns: Rows, rows: Rows, others: Rows
+) -> Iterator[Pairing]:
+    """Yield the poses, and the sensed ones if both runs have a sensor; NaN: a lost pose."""
+    for names, xy, heading in (
+        (("x", "y", "heading"), "xy_m", "heading_rad"),
+        (SENSED, "sensed_xy_m", "sensed_heading_rad"),
+    ):
+        if getattr(recorded, xy) is None or getattr(replayed, xy) is None:
+            continue
+        was, now = ((getattr(one, xy), getattr(one, heading)) for one in (recorded, replayed))
+        *places, turn = names
+        for axis, name in enumerate(places):
+            yield Pairing(name, "m", time_ns, was[0][rows, axis], now[0][others, axis])
+        yield Pairing(turn, "rad", time_ns, was[1][rows], now[1][others], "angle")
+
+
+def _pair_applied(
+    recorded: PoseColumns, replayed: PoseColumns, rows: Rows, others: Rows
+) -> Iterator[Pairing]:
+    columns = (
+        ("applied_speed", "m/s", recorded.speed_m_s, replayed.speed_m_s),
+        ("applied_turn_rate", "rad/s", recorded.turn_rate_rad_s, replayed.turn_rate_rad_s),
+    )
+    for name, unit, was, now in columns:
+        if was is not None and now is not None:
+            yield Pairing(name, unit, recorded.time_ns[rows], was[rows], now[others])
+
+
+def _pair_clocks(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
+    """Yield the time of each sample, and the number of the tick whose pose the sample read."""
+    time_ns = run.samples.time_ns[rows]
+    again_ns = replayed.samples.time_ns[others]
+    yield Pairing("sample_time", "s", time_ns, time_ns / 1e9, again_ns / 1e9)
+    read, read_again = _count_ticks_read(run)[rows], _count_ticks_read(replayed)[others]
+    yield Pairing("pose_read", "tick", time_ns, read, read_again)
+
+
+def _count_ticks_read(run: Run) -> Rows:
+    """Return the number of the tick whose pose each sample read."""
+    return run.poses.time_ns[run.samples.pose_sequence] // find_plant(run).period_ns
+
+
+def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
+    was, now = run.commands, replayed.commands
+    count = min(len(was), len(now))
+    columns = (
+        ("command_time", "s", was.time_ns / 1e9, now.time_ns / 1e9),
+        ("command_speed", "m/s", was.speed_m_s, now.speed_m_s),
+        ("command_lateral_speed", "m/s", was.lateral_speed_m_s, now.lateral_speed_m_s),
+        ("command_turn_rate", "rad/s", was.turn_rate_rad_s, now.turn_rate_rad_s),
+    )
+    for name, unit, recorded, others in columns:
+        yield Pairing(name, unit, was.time_ns[:count], recorded[:count], others[:count])
+
+
+_CUT: Final = (None, "interrupted")
+"""Stop reasons of runs that were ended from outside."""
+
+
+def is_cut_short(run: Run) -> bool:
+    """Return whether a run might have continued if the recording had not ended."""
+    return run.stop_reason in _CUT
+
+
+_RowChoice = NDArray[np.int64] | slice
+
+_Read = Callable[[SampleColumns], NDArray[np.float64] | None]
+
+
+def _take(columns: NDArray[np.float64] | None, row: int) -> NDArray[np.float64] | None:
+    return None if columns is None else columns[:, row]
+
+
+_NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = MappingProxyType(
+    {
+        "wanted_speed": ("m/s", lambda samples: samples.wanted_speed_m_s),
+        "wanted_turn_rate": ("rad/s", lambda samples: samples.wanted_turn_rate_rad_s),
+        "shaped_speed": ("m/s", lambda samples: samples.shaped_speed_m_s),
+        "shaped_turn_rate": ("rad/s", lambda samples: samples.shaped_turn_rate_rad_s),
+        "speed": ("m/s", lambda samples: samples.speed_m_s),
+        "turn_rate": ("rad/s", lambda samples: samples.turn_rate_rad_s),
+        "bearing": ("rad", lambda samples: samples.bearing_rad),
+        "heading_error": ("rad", lambda samples: samples.heading_error_rad),
+        "error_x": ("m", lambda samples: _take(samples.error_xy_m, 0)),
+        "error_y": ("m", lambda samples: _take(samples.error_xy_m, 1)),
+        "distance": ("m", lambda samples: samples.distance_m),
+        "world_v_x": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 0)),
+        "world_v_y": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 1)),
+        "reference_x": ("m", lambda samples: _take(samples.reference_xy_m, 0)),
+        "reference_y": ("m", lambda samples: _take(samples.reference_xy_m, 1)),
+        "reference_heading": ("rad", lambda samples: samples.reference_heading_rad),
+    }
+)
+"""Numbers that a controller computes, by name: commands first, then errors."""
+
+_ANGLES: Final = frozenset({"bearing", "reference_heading"})
+"""Signals whose values differ by less than half a turn."""
+
+PUBLISHED: Final = ("command_speed", "command_lateral_speed", "command_turn_rate")
+"""Signals of the published commands."""
+
+COMMANDS: Final = ("speed", "turn_rate", *PUBLISHED)
+"""Signals of the controller's output: commands in the samples, and published commands."""
+
+
+class Answers(NamedTuple):
+    """Samples, with the declaration that names their phases and states."""
+
+    samples: SampleColumns
+    declaration: Declaration
+
+
+def pair_samples(
+    recorded: Answers, replayed: Answers, *, rows: _RowChoice, others: _RowChoice
+) -> Iterator[Pairing]:
+    """Yield the signals in both runs; `rows` of one run are paired with `others` of the other."""
+    time_ns = recorded.samples.time_ns[rows]
+    were, are = _read_numbers(recorded), _read_numbers(replayed)
+    for name, (unit, was) in were.items():
+        if name in are:
+            kind: Literal["angle", "number"] = "angle" if name in _ANGLES else "number"
+            yield Pairing(name, unit, time_ns, was[rows], are[name][1][others], kind)
+    phases = _name_phases(recorded)[rows], _name_phases(replayed)[others]
+    yield Pairing("phase", "1", time_ns, *phases, kind="label")
+
+
+def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]]:
+    """Return unit and column of each existing signal, with states by their names."""
+    samples, names = answers
+    found = {name: (unit, read(samples)) for name, (unit, read) in _NUMBERS.items()}
+    found |= {
+        name: (names.state_units.get(name, "1"), _take(samples.states, row))
+        for row, name in enumerate(names.states)
+    }
+    return {name: (unit, column) for name, (unit, column) in found.items() if column is not None}
+
+
+def _name_phases(answers: Answers) -> NDArray[np.str_]:
+    return np.array(answers.declaration.phase_names)[answers.samples.phase]
+
+
+def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:
+    """Yield the n-th published command paired with the answer of sample n, if they match."""
+    if not has_published(run):
+        return
+    commands, numbers = run.commands, run.samples.sequence[: len(answers)]
+    rows = np.flatnonzero(numbers < len(commands))
+    none = np.zeros(len(answers))  # no law moves sideways
+    sides = (
+        ("m/s", commands.speed_m_s, answers.speed_m_s),
+        ("m/s", commands.lateral_speed_m_s, none),
+        ("rad/s", commands.turn_rate_rad_s, answers.turn_rate_rad_s),
+    )
+    for name, (unit, recorded, replayed) in zip(PUBLISHED, sides, strict=True):
+        published = numbers[rows]
+        time_ns = commands.time_ns[published]
+        yield Pairing(name, unit, time_ns, recorded[published], replayed[rows])
+
+
+def has_published(run: Run) -> bool:
+    """Return whether there is one command per sample, lost or not; the last may be missing."""
+    count = int(run.samples.sequence[-1]) + 1
+    return count - 1 <= len(run.commands) <= count
+
+
+def list_unrecorded(recorded: Answers, replayed: Answers) -> tuple[str, ...]:
+    """Return the names of the signals that a replay has and its recording does not have."""
+    held = _read_numbers(recorded)
+    return tuple(name for name in _read_numbers(replayed) if name not in held)
+
+
+def count_missing_samples(samples: SampleColumns) -> int:
+    """Return how many samples before the last one are missing, by their numbers from 0."""
+    return int(samples.sequence[-1]) + 1 - len(samples) if len(samples) else 0
+
+
+def has_all_commands(run: Run) -> bool:
+    """Return whether the n-th command belongs to the n-th sample; the last may be missing."""
+    samples, commands = len(run.samples), len(run.commands)
+    return not samples or (
+        not count_missing_samples(run.samples) and samples - 1 <= commands <= samples
+    )

@@ -15,40 +15,36 @@ from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.plants import find_plant
 from turtlelog.replay.differences import (
-    Difference,
-    Pairing,
-    SignalDifference,
-    compare_pairing,
-    describe_replay,
-    find_earliest,
-    format_replay_html,
-    require_tolerance,
-)
-from turtlelog.replay.plant_replay import PoseError, find_pose_error
-from turtlelog.replay.recorded_motion import advise_other_mode
-from turtlelog.replay.run_pairs import (
     COMMANDS,
     PUBLISHED,
     SENSED,
-    TIME_IS_UP,
     Answers,
+    Difference,
+    Pairing,
     RowCount,
-    compare_declarations,
-    compare_ends,
-    compare_last_answer,
+    SignalDifference,
+    compare_pairing,
     count_missing_samples,
     count_recorded_rows,
+    describe_replay,
     find_count_difference,
+    find_earliest,
+    format_replay_html,
     has_all_commands,
     has_published,
     has_ticks,
+    is_cut_short,
     list_unrecorded,
     pair_by_sample,
     pair_by_tick,
     pair_published,
     pair_samples,
+    require_tolerance,
 )
+from turtlelog.replay.plant_replay import PoseError, find_pose_error
+from turtlelog.replay.recorded_motion import advise_other_mode
 from turtlelog.run import Run, SampleColumns, require_run
+from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, choose_scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import PlainLoop, SampleRow, SampleRows, simulate_run
 from turtlelog.simulate.class_law import is_built_in
@@ -393,3 +389,74 @@ def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
     is_lacking = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
     sensed = SENSED if is_lacking else ()
     return (*sensed, *list_unrecorded(was, Answers(replayed.samples, replayed.declaration)))
+
+
+_SIGNAL: Final = "stop"
+
+
+_SOMEHOW: Final = "finished"
+"""Stop reason of a log in which the controller ended without a reason."""
+
+
+TIME_IS_UP: Final = "max_duration"
+"""Stop reason of a run that the scenario's `max_duration_s` ended."""
+
+
+def compare_last_answer(
+    run: Run, row: int, stop_reason: str | None, *, blocks: bool
+) -> Difference | None:
+    """Return the difference between an end by the answer of sample `row` and the recorded end."""
+    time_ns = int(run.samples.time_ns[row])
+    if row < len(run.samples) - 1:
+        return _build(time_ns, None, stop_reason)
+    if blocks and run.stop_reason == TIME_IS_UP:
+        return None  # the time was up before it could stop
+    found = TIME_IS_UP if stop_reason is None else stop_reason
+    return None if _agrees(run, found) else _build(time_ns, run.stop_reason, stop_reason)
+
+
+def compare_ends(run: Run, stop_reason: str | None) -> Difference | None:
+    """Return the difference between the end of a replay with this reason and the recorded end."""
+    return None if _agrees(run, stop_reason) else _build(run.end_ns, run.stop_reason, stop_reason)
+
+
+def _agrees(run: Run, stop_reason: str | None) -> bool:
+    if run.stop_reason == _SOMEHOW:
+        return stop_reason != TIME_IS_UP
+    return is_cut_short(run) or run.stop_reason == stop_reason
+
+
+def _build(time_ns: int, recorded: str | None, replayed: str | None) -> Difference:
+    return Difference(signal=_SIGNAL, time_ns=time_ns, recorded=recorded, replayed=replayed)
+
+
+def compare_declarations(run: Run, replayed: Declaration) -> Difference | None:
+    """Return the difference between the declaration of the answering law and the recorded one."""
+    if run.declaration == replayed:
+        return None
+    was, now = _describe_declaration(run.declaration), _describe_declaration(replayed)
+    parts = [(a, b) for a, b in zip(was, now, strict=True) if a != b]
+    return Difference(
+        signal="declaration",
+        time_ns=run.start_ns,
+        recorded="; ".join(a for a, _ in parts),
+        replayed="; ".join(b for _, b in parts),
+    )
+
+
+def _describe_declaration(declaration: Declaration) -> tuple[str, ...]:
+    loops = [
+        f"{loop.name} ({loop.signal} by {loop.command} to {loop.reference},"
+        f" gain {loop.gain or 'none'}{'' if loop.is_proportional else ', not proportional'},"
+        f" limit {loop.limit_key})"
+        for loop in declaration.loops
+    ]
+    phases = [
+        f"{name} ({', '.join(acting) or 'no loop'})" for name, acting in declaration.phases.items()
+    ]
+    return (
+        f"loops {', '.join(loops) or 'none'}",
+        f"phases {', '.join(phases)}",
+        f"states {', '.join(declaration.states) or 'none'}",
+        "a goal" if declaration.uses_goal else "no goal",
+    )

@@ -12,16 +12,9 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.plants import LAGGED, Turtle, find_plant
 from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.replay import differences
 from turtlelog.replay.commanded_plant import drive_lagged
-from turtlelog.replay.differences import (
-    Difference,
-    Pairing,
-    SignalDifference,
-    compare_pairing,
-    describe_replay,
-    find_earliest,
-    format_replay_html,
-)
+from turtlelog.replay.differences import Difference, Pairing, SignalDifference
 from turtlelog.replay.recorded_motion import (
     CommandUse,
     Gap,
@@ -85,7 +78,7 @@ class PlantStretch:
     @property
     def first_difference(self) -> Difference | None:
         """First difference that rounding does not explain; None if rounding explains all."""
-        return find_earliest(found.first_difference for found in self.signals)
+        return differences.find_earliest(found.first_difference for found in self.signals)
 
     @property
     def within_rounding(self) -> bool:
@@ -152,11 +145,13 @@ class PlantReplay:
         return ()
 
     def __repr__(self) -> str:
-        found = describe_replay(self.samples, self.first_difference)
+        found = differences.describe_replay(self.samples, self.first_difference)
         return fit_line(f"<PlantReplay of {self.name}: {found}>")
 
     def _repr_html_(self) -> str:
-        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
+        return differences.format_replay_html(
+            self.name, self.samples, self.first_difference, self.signals
+        )
 
 
 def replay_plant(run: Run) -> PlantReplay:
@@ -188,7 +183,7 @@ def replay_plant(run: Run) -> PlantReplay:
         )
 
     stretches, heading_bits = drive(keeps_32_bits=False), 64
-    first = find_earliest(stretch.first_difference for stretch in stretches)
+    first = differences.find_earliest(stretch.first_difference for stretch in stretches)
     if first is not None:
         old = drive(keeps_32_bits=True)
         if all(stretch.within_rounding for stretch in old):
@@ -284,8 +279,8 @@ def _compare_stretch(
     places = (Pairing(name, "m", time_ns, *pairs[axis]) for axis, name in enumerate("xy"))
     turn = Pairing("heading", "rad", time_ns, *pairs[2], kind="angle")
     signals = (
-        *(compare_pairing(place, tolerance=rounding_m) for place in places),
-        compare_pairing(turn, tolerance=rounding_rad),
+        *(differences.compare_pairing(place, tolerance=rounding_m) for place in places),
+        differences.compare_pairing(turn, tolerance=rounding_rad),
     )
     return PlantStretch(
         start_ns=int(time_ns[0]),

@@ -39,17 +39,8 @@ _FEWEST_MOVING: Final = 10
 class RecordedMotion:
     """Poses, one per tick, and the steps between them; step i ends at pose i + 1.
 
-    Attributes:
-        time_ns: Time of each pose [ns], shape (n,).
-        xy_m: Position in the world frame [m], shape (n, 2).
-        heading_rad: Heading [rad], shape (n,).
-        speed_m_s: Magnitude of the velocity applied in the tick [m/s], shape (n,).
-        turn_rate_rad_s: Turn rate applied in the tick [rad/s], shape (n,).
-        step_ns: Time between poses [ns], shape (n - 1,).
-        step_xy_m: Displacement in each step [m], shape (n - 1, 2).
-        step_rad: Turn in each step, the shorter way [rad], shape (n - 1,).
-        is_simulated: Whether time stamps are exact multiples of a tick; stamps of a wall clock have
-            jitter.
+    The rates are those applied in the tick before the pose. A turn is the shorter way.
+    `is_simulated`: time stamps are exact multiples of a tick; stamps of a wall clock have jitter.
     """
 
     time_ns: NDArray[np.int64]
@@ -94,11 +85,7 @@ def advise_other_mode(run: Run) -> str:
 
 
 def read_motion(run: Run) -> RecordedMotion:
-    """Return the motion in a run of turtlesim.
-
-    Raises:
-        ReplayError: If the run has no applied velocities, or its poses are not ticks.
-    """
+    """Return the motion in a run of turtlesim, or raise ReplayError if its poses are not ticks."""
     poses = run.poses
     speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
     if speed is None or turn_rate is None:
@@ -339,12 +326,8 @@ def _count_lost(run: Run) -> int:
 class _Placer:
     """Search for the taken command, tick by tick.
 
-    Attributes:
-        is_recorded: Whether the plant's velocity is a recorded velocity instead of a command.
-        taken: Number of commands taken so far.
-        stops: Number of stops so far.
-        shown: Rows of the commands that changed the plant's velocity, and of the poses that show
-            the change.
+    `is_recorded`: the present velocity is a recorded one instead of a command. `shown` has the rows
+    of commands that changed the plant's velocity, and of the poses that show the change.
     """
 
     def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:

@@ -110,9 +110,8 @@ class LoopDesign:
 
     def find_ultimate_gain(self) -> float:
         """Return the Kp [1/s] at which P becomes unstable."""
-        return find_stable_gains(
-            PidGains(kp=self.unit_gain), period_s=self.period_s, process=self.process
-        )[-1][1]
+        gains = PidGains(kp=self.unit_gain)
+        return find_stable_gains(gains, period_s=self.period_s, process=self.process)[-1][1]
 
     def find_lag_ratio(self) -> float | None:
         """Return the Kd / Kp that cancels the slowest lag; None if no such ratio exists."""

@@ -318,9 +318,8 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
 def _find_ramp_s(loop: ControlLoop, parameters: _Parameters) -> float:
     """Return the delay of large steps by acceleration limits, as a time constant [s].
 
-    The delay is a fifth of the time for the largest change of the rate, which the largest command
-    or the bound gives. For a limit within the robot's loop, changes slower than the limit have no
-    ramp. Without a largest command, the delay is 0.
+    It is a fifth of the time for the largest change of the rate; 0 without a largest command. For a
+    limit within the robot's loop, changes slower than the limit have no ramp.
     """
     key = PLANT_KEYS[loop.command]
     command = read_number(parameters, loop.limit_key, math.inf)

@@ -33,18 +33,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
+from turtlelog.theory import pid_stability
 from turtlelog.theory.inputs import require_period, require_times
 from turtlelog.theory.pid_response import measure_pid_step
-from turtlelog.theory.pid_stability import (
-    LoopShape,
-    Margins,
-    PidGains,
-    build_shape,
-    evaluate_open_loop,
-    find_margins,
-    find_stable_intervals,
-    is_stable,
-)
+from turtlelog.theory.pid_stability import LoopShape, Margins, PidGains
 from turtlelog.theory.process import INTEGRATOR, Process, build_open_loop, sample_process
 from turtlelog.theory.sampled_loop import (
     analyse_sampled_loop,
@@ -155,7 +147,7 @@ def analyse_pid_loop(
         ),
         overshoot_percent=overshoot_percent,
         settling_time_s=settling_time_s,
-        margins=find_margins(shape, float(period_s)) if stable else None,
+        margins=pid_stability.find_margins(shape, float(period_s)) if stable else None,
     )
 
 
@@ -251,7 +243,7 @@ def find_stable_gains(
     held, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is not None:
         return ((0.0, compute_stability_gain(period_s, whole) / process.gain),)
-    found = find_stable_intervals(lambda p: replace(held, p=p), held)
+    found = pid_stability.find_stable_intervals(lambda p: replace(held, p=p), held)
     return tuple((low / per_gain, high / per_gain) for low, high in found)
 
 
@@ -279,7 +271,7 @@ def compute_open_loop(
     angle = require_times(frequency_rad_s) * period_s
     if not ((angle > 0.0) & (angle <= np.pi * (1.0 + 1e-12))).all():
         raise TheoryError("frequency_rad_s: expected frequencies above 0 and up to pi / T")
-    return evaluate_open_loop(shape, angle)
+    return pid_stability.evaluate_open_loop(shape, angle)
 
 
 def _prepare(
@@ -288,12 +280,12 @@ def _prepare(
     """Return a loop, and the dead time [samples] if the loop is P on an integrator."""
     sampled = sample_process(process, period_s, dead_time_ticks)
     is_known = gains.is_proportional and sampled.is_integrator
-    return build_shape(gains, sampled, period_s), sampled.whole if is_known else None
+    return pid_stability.build_shape(gains, sampled, period_s), sampled.whole if is_known else None
 
 
 def _judge(shape: LoopShape, whole: int | None) -> bool:
     if whole is None:
-        return is_stable(shape)
+        return pid_stability.is_stable(shape)
     return compute_stability_gain(1.0, whole) / shape.p > 1.0
 
 

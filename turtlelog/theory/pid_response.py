@@ -190,12 +190,7 @@ def measure_step_motion(
 
 
 class _Motion:
-    """Rate and signal of a process between samples, from rest at 0.
-
-    Attributes:
-        y: Signal value.
-        furthest: Largest value so far, at least 1.
-    """
+    """Rate and signal `y` of a process between samples, from rest; `furthest` is at least 1."""
 
     __slots__ = ("_gain", "_lag_s", "_pieces", "_v", "_wait_s", "furthest", "y")
 

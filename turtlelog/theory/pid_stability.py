@@ -107,10 +107,7 @@ def _count_unstable(shape: LoopShape) -> int | None:
 def find_stable_intervals(
     build: Callable[[float], LoopShape], held: LoopShape
 ) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of Kp T in which a loop is stable, in rising order.
-
-    `build` returns the loop for a Kp T; `held` has the other parameters, and its `p` is ignored.
-    """
+    """Return the intervals of Kp T in which `build(Kp T)` is stable; `held` has the other gains."""
     edges = sorted({0.0, *(p for p in _list_boundaries(held) if p > 0.0)})
     found: list[tuple[float, float]] = []
     for low, high in pairwise(edges):
@@ -414,11 +411,7 @@ class PidGains:
 
 
 def build_shape(gains: PidGains, sampled: SampledProcess, period_s: float) -> LoopShape:
-    """Return a loop in dimensionless form.
-
-    Raises:
-        TheoryError: If a number is not finite or outside its range.
-    """
+    """Return a loop in dimensionless form, or raise TheoryError if a number is out of its range."""
     period_s = require_period(period_s)
     keep, rate = gains.weigh_derivative(period_s)
     p, i, b = gains.kp * period_s, gains.ki * period_s * period_s, rate * period_s

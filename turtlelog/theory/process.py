@@ -170,11 +170,7 @@ class SampledProcess:
 
 
 def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) -> SampledProcess:
-    """Return a process sampled with a period, after an additional dead time.
-
-    Raises:
-        TheoryError: If a number is out of its range, or the total dead time exceeds 1000 samples.
-    """
+    """Return a process sampled with a period, and an additional dead time, up to 1000 samples."""
     period_s = require_period(period_s)
     whole, part = _split_dead_time(process, period_s, dead_time_ticks)
     lag = _scale_time("lag_s", process.lag_s, period_s)
@@ -234,13 +230,7 @@ def _rest(value: float) -> float:
 
 
 def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
-    """Return the open loop of a sampled PID loop as a discrete `control.TransferFunction`.
-
-    The open loop is exact, because dead time is a power of z; see `PidLoop.to_control`.
-
-    Raises:
-        LibraryError: If python-control is not installed.
-    """
+    """Return the open loop of a sampled PID as a discrete, exact `control.TransferFunction`."""
     lags = [(gap, (gap - 1.0, 1.0)) for gap in shape.gaps]
     above: list[Any] = [
         _shift(shape.numerator),

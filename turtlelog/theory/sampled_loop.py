@@ -312,11 +312,7 @@ def compute_sampled_poles(
 def compute_sampled_locus(
     kp: Sequence[float], *, period_s: float, dead_time_ticks: int = 0
 ) -> NDArray[np.complex128]:
-    """Return the poles of the sampled loop at n gains, shape (n, d + 1), one row for each gain.
-
-    Raises:
-        TheoryError: If a number is not finite or outside its range.
-    """
+    """Return the poles of the sampled loop at n gains, shape (n, d + 1), one row for each gain."""
     period_s, d = require_period(period_s), require_dead_time(dead_time_ticks)
     loop_gains = [require_gain(gain) * period_s for gain in kp]
     if d == 0:
@@ -329,10 +325,7 @@ def compute_sampled_locus(
 
 
 def _compute_meeting_gain(dead_time_ticks: int) -> float:
-    """Return Kp T = d^d / (d + 1)^(d + 1), at which the two slowest poles meet; 1 for d = 0.
-
-    This gain is the maximum of z^d (1 - z) between 0 and 1, at z = d / (d + 1).
-    """
+    """Return Kp T = d^d / (d + 1)^(d + 1), the maximum of z^d (1 - z), where two poles meet."""
     d = dead_time_ticks
     return float((d / (d + 1)) ** d / (d + 1))
 

@@ -311,10 +311,7 @@ def join_bounds(found: Sequence[StartBounds | None]) -> StartBounds | None:
 
 
 def bound_start(drive: Drive, trace: Trace) -> StartBounds | None:
-    """Return the bounds of starts for which every pose rounds to the logged pose.
-
-    The result is None if there is no such start, or if the residual exceeds rounding.
-    """
+    """Return the bounds of starts for which every pose rounds to the logged one, if any."""
     if not drive.explains or trace.missing or trace.jumps:
         return None
     poses = np.column_stack([trace.xy_m, trace.heading_rad])

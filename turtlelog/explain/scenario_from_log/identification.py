@@ -118,12 +118,8 @@ LAW_KEYS: Final = (
     "law.wrap_error",
 )
 """Parameters that the commands of sequential-p show. The other parameters are `law.pause_ticks`,
-which a simulation shows, `RULE_KEYS` for the end of a run, and `ABSENT_KEYS`."""
-
-ABSENT_KEYS: Final = ("law.reorient", "law.schedule")
-"""Parameters of sequential-p that an identified run must not have. If the declaration shows such a
-parameter, the law is not identified. Without a declaration, a third phase or commands without a
-constant gain show it."""
+which a simulation shows, `RULE_KEYS` for the end of a run, and those with which the law is not
+identified, by its declaration, a third phase or gains that change: `reorient` and `schedule`."""
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",
@@ -208,10 +204,7 @@ class Identification:
 
 
 def identify_plant(run: Run) -> Identification:
-    """Return facts from poses and commands, if no sample links commands to poses.
-
-    The facts are the largest commands and the number of lost commands.
-    """
+    """Return the largest commands and the number of lost ones, for a run without samples."""
     loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
     findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
     largest = {
@@ -240,8 +233,8 @@ def give_up(
 ) -> Identification:
     """Return the findings on a run that cannot be simulated again, with the reason.
 
-    Findings of law and loop that `findings` does not contain are unknown for the same reason.
-    `breaks` are sentences on the log's jumps and missing rows, which may be the cause.
+    Other findings of law and loop are unknown for this reason. `breaks` are sentences on the log's
+    jumps and missing rows, which may be the cause.
     """
     keys = (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")
     unknown = {key: miss(reason) for key in keys}

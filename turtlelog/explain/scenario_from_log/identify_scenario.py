@@ -10,6 +10,7 @@ import numpy as np
 
 from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
+from turtlelog.explain.scenario_from_log import loop_settings, other_law
 from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
 from turtlelog.explain.scenario_from_log.identification import (
     DEAD_TIME,
@@ -33,23 +34,6 @@ from turtlelog.explain.scenario_from_log.law_identification import (
     find_stop_rule,
     identify_rotation,
     identify_translation,
-)
-from turtlelog.explain.scenario_from_log.loop_settings import (
-    describe_goal,
-    describe_loop,
-    describe_pause,
-    describe_start,
-    read_hints,
-    read_start,
-)
-from turtlelog.explain.scenario_from_log.other_law import (
-    AROUND,
-    describe_dead_time,
-    describe_stop_rule,
-    find_lag_slack,
-    identify_other_law,
-    reject_lag,
-    require_noise,
 )
 from turtlelog.explain.scenario_from_log.resimulation import (
     LONGEST_S,
@@ -129,10 +113,12 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     with np.errstate(over="ignore", invalid="ignore"):
         reason = _find_other_law(run)
         if reason:
-            return identify_other_law(run, reason, trust_law=trust_law)
+            return other_law.identify_other_law(run, reason, trust_law=trust_law)
         recorded, plant = _identify_recorded(run), find_plant(run).name
         if recorded is None and plant != TURTLESIM.name:
-            return identify_other_law(run, f"its plant is {plant}: {AROUND}", trust_law=trust_law)
+            return other_law.identify_other_law(
+                run, f"its plant is {plant}: {other_law.AROUND}", trust_law=trust_law
+            )
         return recorded or _prefer_recorded(run, _identify_samples(run))
 
 
@@ -171,13 +157,13 @@ def _identify_recorded(run: Run) -> Identification | None:
     rotation, turning = identify_rotation(trace)
     translation, driving = identify_translation(trace)
     is_law = _contradict_law(trace, turning, driving) is None
-    findings = {**describe_goal(trace), **(rotation | translation if is_law else {})}
+    findings = {**loop_settings.describe_goal(trace), **(rotation | translation if is_law else {})}
     for loop in PHASES:
-        dead_time = require_noise(find_dead_time(motion, loop))
-        findings[f"{DEAD_TIME}{loop}"] = describe_dead_time(dead_time, motion, run)
+        dead_time = other_law.require_noise(find_dead_time(motion, loop))
+        findings[f"{DEAD_TIME}{loop}"] = other_law.describe_dead_time(dead_time, motion, run)
     note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
     findings |= take_findings(findings, recorded.scenario, note)
-    findings["stop_reason"] = describe_stop_rule(run, recorded)
+    findings["stop_reason"] = other_law.describe_stop_rule(run, recorded)
     findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
     return Identification(
         name=run.name,
@@ -213,10 +199,7 @@ def _prefer_recorded(run: Run, found: Identification) -> Identification:
 
 
 def _add_recorded(run: Run, found: Identification) -> Identification:
-    """Return findings with the recorded settings of the law that the samples do not show.
-
-    The scenario with these settings must still reproduce every sample.
-    """
+    """Return findings with recorded settings of the law that the samples do not show, if exact."""
     recorded = {
         key: run.parameters[key]
         for key in LAW_KEYS
@@ -244,12 +227,12 @@ def _add_recorded(run: Run, found: Identification) -> Identification:
 def _identify_samples(run: Run) -> Identification:
     trace = mark_breaks(trace_run(run, PHASES))
     motion = space_out(trace)
-    dead_times = {loop: require_noise(find_dead_time(motion, loop)) for loop in PHASES}
+    dead_times = {loop: other_law.require_noise(find_dead_time(motion, loop)) for loop in PHASES}
     findings = {
-        f"{DEAD_TIME}{loop}": describe_dead_time(found, motion, run)
+        f"{DEAD_TIME}{loop}": other_law.describe_dead_time(found, motion, run)
         for loop, found in dead_times.items()
     }
-    findings |= describe_goal(trace)
+    findings |= loop_settings.describe_goal(trace)
     rotation, turning = identify_rotation(trace)
     translation, driving = identify_translation(trace)
     obstacle = _contradict_law(trace, turning, driving)
@@ -268,18 +251,18 @@ def _identify_samples(run: Run) -> Identification:
     )
     ending = find_stop_rule(trace, is_certain=is_certain, is_finished=run.is_complete)
     findings |= ending.rules
-    hints = read_hints(trace)
-    known = {**_collect(findings), **read_start(trace)}
+    hints = loop_settings.read_hints(trace)
+    known = {**_collect(findings), **loop_settings.read_start(trace)}
     try:
         fits = search_loop(trace, known, hints, tuple(dead_times.values()))
         scenario = _cut_scenario(trace, fits, ending)
         again = simulate_run(scenario)
     except (ScenarioError, SimulationError) as err:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}", breaks)
-    findings |= describe_start(trace, fits)
-    fits = reject_lag(fits, dead_times)
-    slack = find_lag_slack(run, dead_times)
-    findings |= describe_loop(trace, fits, slack)
+    findings |= loop_settings.describe_start(trace, fits)
+    fits = other_law.reject_lag(fits, dead_times)
+    slack = other_law.find_lag_slack(run, dead_times)
+    findings |= loop_settings.describe_loop(trace, fits, slack)
     if fits.is_fitted and not (fits.is_exact or fits.is_partial):
         findings |= _describe_dead_times_again(dead_times, fits, slack)
     if not (fits.is_exact or fits.is_close):
@@ -287,7 +270,7 @@ def _identify_samples(run: Run) -> Identification:
     if not (fits.is_exact or fits.is_close or fits.is_fitted):
         reason = "no setting of the loop explains the motion"
         findings |= {key: miss(reason, findings[key].used) for key in LAW_KEYS}
-    findings |= {**find_pause(hints), **describe_pause(trace, fits)}
+    findings |= {**find_pause(hints), **loop_settings.describe_pause(trace, fits)}
     findings["stop_reason"] = ending.reason
     resimulation = compare_samples(trace, again)
     return Identification(

@@ -1,4 +1,4 @@
-"""Parameters of sequential-p from commands: gains, limits, tolerances, projection, wrapping."""
+"""Parameters of sequential-p: gains, limits, tolerances, and the rule that ended the run."""
 
 import math
 from dataclasses import dataclass
@@ -7,16 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.explain.scenario_from_log.gain_fit import (
-    DIGITS,
-    CommandFit,
-    Reproduce,
-    compute_gain_misfit,
-    describe_fitted_gain,
-    describe_limit,
-    fit_command,
-    measure_pose_noise,
-)
+from turtlelog.explain.scenario_from_log import gain_fit
+from turtlelog.explain.scenario_from_log.gain_fit import CommandFit, Reproduce
 from turtlelog.explain.scenario_from_log.identification import (
     Certainty,
     Finding,
@@ -74,15 +66,15 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
             "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, None),
             "law.wrap_error": miss(reason, assumed=False),
         }, None
-    noise = measure_pose_noise(np.unwrap(trace.read_heading_rad)[:, None])
-    plain = fit_command(command, partial(np.multiply, error[rows]), noise)
-    wrapped = fit_command(command, partial(np.multiply, wrap_angle(error[rows])), noise)
+    noise = gain_fit.measure_pose_noise(np.unwrap(trace.read_heading_rad)[:, None])
+    plain = gain_fit.fit_command(command, partial(np.multiply, error[rows]), noise)
+    wrapped = gain_fit.fit_command(command, partial(np.multiply, wrap_angle(error[rows])), noise)
     wraps, wrap_finding = _choose_wrapping(command, error[rows], plain, wrapped)
     fit = wrapped if wraps else plain
     error = wrap_angle(error) if wraps else error
     return {
-        "law.kp_angular": describe_fitted_gain(fit),
-        "limits.turn_rate_rad_s": describe_limit(fit),
+        "law.kp_angular": gain_fit.describe_fitted_gain(fit),
+        "limits.turn_rate_rad_s": gain_fit.describe_limit(fit),
         "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, fit),
         "law.wrap_error": wrap_finding,
     }, fit
@@ -106,16 +98,16 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
         "bearing": np.full(int(driven.sum()), trace.bearing_rad),
         "heading": trace.read_heading_rad[rows][driven],
     }
-    noise = measure_pose_noise(trace.read_xy_m)
+    noise = gain_fit.measure_pose_noise(trace.read_xy_m)
     fits = {
-        name: fit_command(command[driven], _project(errors[driven], headings), noise)
+        name: gain_fit.fit_command(command[driven], _project(errors[driven], headings), noise)
         for name, headings in along.items()
     }
     projection = _choose_projection(fits)
     fit = fits[projection.used]
     return {
-        "law.kp_linear": describe_fitted_gain(fit),
-        "limits.speed_m_s": describe_limit(fit),
+        "law.kp_linear": gain_fit.describe_fitted_gain(fit),
+        "limits.speed_m_s": gain_fit.describe_limit(fit),
         "law.position_tolerance_m": bound_position_tolerance(errors, command, fit),
         "law.projection": projection,
     }, fit
@@ -141,8 +133,8 @@ def _choose_wrapping(
         return chosen, find_exactly(chosen, "the heading error exceeds half a turn")
     if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
         return False, miss("the heading error stays within half a turn", assumed=False)
-    left = compute_gain_misfit(wrapped, command, wrap_angle(error))
-    chosen = left < compute_gain_misfit(plain, command, error)
+    left = gain_fit.compute_gain_misfit(wrapped, command, wrap_angle(error))
+    chosen = left < gain_fit.compute_gain_misfit(plain, command, error)
     evidence = "the heading error exceeds half a turn"
     return chosen, fit_value(chosen, evidence)
 
@@ -251,7 +243,7 @@ def find_round_number(low: float, high: float) -> float:
     """Return the roundest number in [low, high), 0 < high: fewest digits, then common digits."""
     if low <= 0.0:
         return float(f"1e{int(np.ceil(np.log10(high))) - 1}")  # the power of ten below it
-    for digits in range(1, DIGITS + 1):
+    for digits in range(1, gain_fit.DIGITS + 1):
         exponent = int(np.floor(np.log10(high))) - digits + 1
         found = [
             number

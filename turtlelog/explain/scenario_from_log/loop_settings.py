@@ -356,10 +356,7 @@ def _find_obstacle(fits: "Fits", key: str, chosen: Any) -> str:
 
 
 def _allow_lag(findings: Mapping[str, Finding], ticks: int) -> dict[str, Finding]:
-    """Widen the intervals of settings that a time constant of the robot could imitate.
-
-    A time constant is never longer than the dead time that it imitates.
-    """
+    """Widen intervals by a time constant, which is never longer than the dead time it imitates."""
     waits = [findings[key].used for key in _LIKE_A_LAG if key in findings and key != PAUSE_KEY]
     ticks = min(ticks, sum(waits))
     return {

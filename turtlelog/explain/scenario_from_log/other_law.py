@@ -1,7 +1,6 @@
-"""The recorded scenario as a hypothesis, and facts about the loop from samples of any law.
+"""Facts about the loop from samples of any law.
 
-This module is independent of the law. A re-simulation of the recorded scenario either reproduces
-every sample or is rejected; dead times, limits and queues come from poses, commands and the clock.
+Dead times, limits and queues come from poses, commands and the clock.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +29,7 @@ from turtlelog.explain.scenario_from_log.loop_settings import (
     read_hints,
 )
 from turtlelog.explain.scenario_from_log.resimulation import (
-    _NOT_DETERMINISTIC,
+    NOT_DETERMINISTIC,
     RecordedScenario,
     check_recorded_scenario,
 )
@@ -47,16 +46,13 @@ from turtlelog.laws import LAWS
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.measure.dead_time import LARGEST_TICKS, shows_lag
 from turtlelog.plants import TURTLESIM, find_plant
+from turtlelog.replay.loop_replay import TIME_IS_UP
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.run.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.scenario import flatten_scenario
 
 _COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
 """Possible commands in a phase without loops, with the signal and reference of each."""
-
-
-_TIME_IS_UP: Final = "max_duration"
-"""Stop reason of a run that no rule of its law ended. Only the recording shows this reason."""
 
 AROUND: Final = "a loop is identified from commands only around turtlesim"
 
@@ -75,7 +71,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     if plant == TURTLESIM.name:  # only its motion shows the loop around it
         fits = reject_lag(_fit_loop(trace, recorded, [*dead_times.values()]), dead_times)
         if recorded.scenario is not None and fits.is_driven:
-            recorded = RecordedScenario(reach=_NOT_DETERMINISTIC)
+            recorded = RecordedScenario(reach=NOT_DETERMINISTIC)
     findings = {
         **{key: miss(reason) for key in LAW_KEYS},
         **{key: miss(around) for key in (*LOOP_KEYS, "lost_commands")},
@@ -235,8 +231,8 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
 
 def describe_stop_rule(run: Run, recorded: RecordedScenario) -> Finding:
     """Return the rule that ended the run, as recorded and as simulated again."""
-    if run.stop_reason == _TIME_IS_UP:
-        return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")
+    if run.stop_reason == TIME_IS_UP:
+        return find_exactly(TIME_IS_UP, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason
     if again is None:
         return miss("only a re-simulation shows which rule of the law ended the run")

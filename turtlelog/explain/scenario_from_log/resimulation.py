@@ -1,4 +1,7 @@
-"""Comparison of a re-simulated scenario with a log, and their first difference."""
+"""Comparison of a simulated scenario with a log; test of the recorded scenario of a run.
+
+A re-simulation of the recorded scenario either reproduces every sample or is rejected.
+"""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -294,7 +297,7 @@ LONGEST_S: Final = 3600.0
 simulation."""
 
 
-_NOT_DETERMINISTIC: Final = (
+NOT_DETERMINISTIC: Final = (
     "the recorded scenario reproduces every sample once, and not when it is simulated again:"
     " its law is not deterministic, and nothing is claimed of it"
 )
@@ -348,7 +351,7 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     resimulation = compare_samples(trace, again)
     error = max(astuple(resimulation.max_abs_error))
     if error >= CLOSE or resimulation.max_command_error >= CLOSE_COMMAND:
-        return RecordedScenario(reach=_NOT_DETERMINISTIC)
+        return RecordedScenario(reach=NOT_DETERMINISTIC)
     rounding = " to rounding, not bit for bit" if error or resimulation.max_command_error else ""
     return RecordedScenario(
         scenario=scenario,
