@@ -334,8 +334,8 @@ def list_law_files(path: Path) -> list[Path]:
     return [path, *sorted(Path(file) for file in files if file)]
 
 
-class _LawFolder:
-    """A folder of laws: a package with a unique name.
+class _LawFolder(MetaPathFinder):
+    """A folder of laws: a package with a unique name, and the finder of its modules.
 
     Attributes:
         name: Name of the package; the names of the modules in the folder begin with it.
@@ -355,9 +355,14 @@ class _LawFolder:
         package.__path__ = [str(path)]
         sys.modules[name] = self._package = package
 
-    def find_spec(self, name: str, path: Sequence[str]) -> ModuleSpec | None:
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         """Return the spec of a module of the package, found below the parent module's folders."""
-        specs = (FileFinder(one, *self._loaders).find_spec(name) for one in path)
+        del target
+        if fullname.partition(".")[0] != self.name:
+            return None
+        specs = (FileFinder(one, *self._loaders).find_spec(fullname) for one in path or ())
         return next((spec for spec in specs if spec is not None), None)
 
     def _import(
@@ -404,19 +409,7 @@ class _Loader(SourceFileLoader):
         super().exec_module(module)
 
 
-class _Finder(MetaPathFinder):
-    """Finder of the modules in folders of laws, by their names."""
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        del target
-        folder = _FOLDERS.get(fullname.partition(".")[0])
-        return None if folder is None else folder.find_spec(fullname, path or ())
-
-
 _FOLDERS: Final[dict[str, _LawFolder]] = {}
-_FINDER: Final = _Finder()
 
 
 def _name_folder(path: Path) -> str:
@@ -427,6 +420,7 @@ def _open_folder(path: Path) -> _LawFolder:
     name = _name_folder(path)
     if name not in _FOLDERS:
         _FOLDERS[name] = _LawFolder(name, path)
-    if _FINDER not in sys.meta_path:
-        sys.meta_path.insert(0, _FINDER)  # before those that know files alone
-    return _FOLDERS[name]
+    folder = _FOLDERS[name]
+    if folder not in sys.meta_path:
+        sys.meta_path.insert(0, folder)  # before those that know files alone
+    return folder

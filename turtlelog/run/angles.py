@@ -8,7 +8,7 @@ Arrays broadcast: vectors of shape (..., 2) against headings of shape (...).
 """
 
 import math
-from typing import overload
+from typing import Any, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +19,10 @@ from turtlelog.errors import FrameError
 _TURN_RAD = 2.0 * math.pi
 
 
-@overload
-def wrap_angle(angle_rad: float) -> float: ...
-@overload
-def wrap_angle(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]: ...
-def wrap_angle(angle_rad: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+Angle = TypeVar("Angle", float, NDArray[np.float64])
+
+
+def wrap_angle(angle_rad: Angle) -> Angle:
     """Return the same direction in [-pi, pi) [rad]; arrays keep their shape.
 
     An angle already in this interval is returned unchanged.
@@ -48,7 +47,8 @@ def subtract_headings(
     to_rad: float | NDArray[np.float64], from_rad: float | NDArray[np.float64]
 ) -> float | NDArray[np.float64]:
     """Return the smallest rotation from one heading to another [rad], in [-pi, pi)."""
-    return wrap_angle(to_rad - from_rad)
+    turned_rad: Any = to_rad - from_rad
+    return wrap_angle(turned_rad)  # type: ignore[no-any-return]
 
 
 def build_rotation(heading_rad: ArrayLike) -> NDArray[np.float64]:

@@ -217,10 +217,7 @@ def find_on_first_lap(path: Any, arc_m: float) -> float:
 
 @called
 def locate(path: Any, pieces: Any, arc_m: float) -> Point:
-    """Return the point at an arc length [m].
-
-    Beyond the ends, a closed path is repeated, and an open path goes straight on.
-    """
+    """Return the point at an arc length [m], as `Path.locate` describes it."""
     length_m, count = path.length_m, path.count
     if arc_m == length_m:  # the end, in the direction in which it is reached
         last = pieces[count - 1]
@@ -265,13 +262,7 @@ def _find_side(path: Any, pieces: Any, position: Position, way_m: float, number:
 def find_nearest(
     path: Any, pieces: Any, position: Position, low_m: float, high_m: float
 ) -> tuple[float, float]:
-    """Return the place of a position relative to the segment between two arc lengths.
-
-    The result is the arc length of the nearest point and the distance from it, positive on the left
-    [m]. The segment of an open path is limited to its ends. A closed path is repeated: an arc
-    length may be negative or beyond the length. If several points are equally near, the first is
-    used.
-    """
+    """Return arc length and offset of a position, as `Path.find_nearest` describes them [m]."""
     x_m, y_m = position
     length_m = path.length_m
     if not path.is_closed:
@@ -306,12 +297,7 @@ def find_nearest(
 def find_ahead(
     path: Any, pieces: Any, position: Position, lookahead_m: float, from_m: float
 ) -> Point:
-    """Return the first point from an arc length on at the lookahead distance from a position.
-
-    If the path at `from_m` is further away than the lookahead, the result is the point at `from_m`.
-    If no point of a closed path is that far away, the result is the point one lookahead further
-    along the path.
-    """
+    """Return the point that `Path.find_ahead` describes."""
     x_m, y_m = position
     near = locate(path, pieces, from_m)
     if hypot(x_m - near[0], y_m - near[1]) >= lookahead_m:
@@ -334,7 +320,7 @@ def find_ahead(
 def follow(
     path: Any, pieces: Any, arc_m: float, position: Position, due_m: float
 ) -> tuple[float, float, float]:
-    """Return the place of a robot on a path; `arc_m` is its last place, NaN before the path.
+    """Return the place of a robot on a path.
 
     The robot first has to reach the path: an open path without a speed at its beginning, a path
     with a speed on the segment that the reference has passed, a closed path anywhere. From then on

@@ -24,8 +24,6 @@ _OPTIONS: Final[Any] = {"frozen": True, "slots": True, "kw_only": True}
 class _Table:
     """A table whose keys are those of parts."""
 
-    __slots__ = ()
-
     if TYPE_CHECKING:
         __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -71,35 +69,25 @@ def _build_table(kind: type[_AnyTable], keys: Iterable[tuple[Any, ...]]) -> type
 class LoopSettings(_Table):
     """Settings between plant and controller: the table `[loop]`."""
 
-    __slots__ = ()
-
 
 @_take_keys("limits")
 class Limits(_Table):
     """Limits of the controller's commands: the table `[limits]`."""
-
-    __slots__ = ()
 
 
 @_take_keys("sensing")
 class Sensing(_Table):
     """Effects between the plant's pose and the pose that is read: the table `[sensing]`."""
 
-    __slots__ = ()
-
 
 @_take_keys("shaping")
 class Shaping(_Table):
     """Effects on the wanted commands before the limits: the table `[shaping]`."""
 
-    __slots__ = ()
-
 
 @_take_keys("disturbance")
 class Disturbance(_Table):
     """Disturbances of the plant's rates, after its lag: the table `[disturbance]`."""
-
-    __slots__ = ()
 
 
 @_take_plant_keys
@@ -109,8 +97,6 @@ class PlantChoice(_Table):
     The table has the keys of all kinds of plant. A missing key of the plant's own kind gets its
     default, or stays None if files omit this key. A key of another kind is an error.
     """
-
-    __slots__ = ()
 
     kind: str
 

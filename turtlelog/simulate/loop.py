@@ -329,13 +329,6 @@ def take_pose(now: Any, rows: Any) -> int:
     return oldest
 
 
-def take_newest(now: Any) -> int:
-    """Take only the newest pose and return its number."""
-    now.poses_count = 0
-    newest: int = now.newest
-    return newest
-
-
 def find_arrival(now: Any, rows: Any) -> int:
     """Return the arrival time of the next pose [ns]."""
     while now.poses_arrived < now.ticks:
@@ -399,7 +392,10 @@ def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
             if now.is_due:
                 now.poses_count, now.is_due = 1, False
             while now.poses_count > 0 and now.stop == 0 and now.blocked < 0:
-                pose = take_pose(now, rows) if scene.timer_ns == 0 else take_newest(now)
+                if scene.timer_ns == 0:
+                    pose = take_pose(now, rows)
+                else:
+                    now.poses_count, pose = 0, now.newest
                 blocks = answer_pose(settings, state, rows, parts, time_ns, pose)
                 if now.failure != 0:
                     return
