@@ -18,15 +18,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from functools import partial
 from hashlib import sha256
+from importlib import machinery
 from importlib.abc import MetaPathFinder
-from importlib.machinery import (
-    EXTENSION_SUFFIXES,
-    SOURCE_SUFFIXES,
-    ExtensionFileLoader,
-    FileFinder,
-    ModuleSpec,
-    SourceFileLoader,
-)
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -348,8 +341,8 @@ class _LawFolder(MetaPathFinder):
         self.elsewhere: set[str] = set()
         self.builtins: dict[str, Any] = {**vars(builtins), "__import__": self._import}
         self._loaders: Any = (
-            (ExtensionFileLoader, EXTENSION_SUFFIXES),
-            (partial(_Loader, self.builtins), SOURCE_SUFFIXES),
+            (machinery.ExtensionFileLoader, machinery.EXTENSION_SUFFIXES),
+            (partial(_Loader, self.builtins), machinery.SOURCE_SUFFIXES),
         )
         package = ModuleType(name)
         package.__path__ = [str(path)]
@@ -357,12 +350,14 @@ class _LawFolder(MetaPathFinder):
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    ) -> machinery.ModuleSpec | None:
         """Return the spec of a module of the package, found below the parent module's folders."""
         del target
         if fullname.partition(".")[0] != self.name:
             return None
-        specs = (FileFinder(one, *self._loaders).find_spec(fullname) for one in path or ())
+        specs = (
+            machinery.FileFinder(one, *self._loaders).find_spec(fullname) for one in path or ()
+        )
         return next((spec for spec in specs if spec is not None), None)
 
     def _import(
@@ -394,7 +389,7 @@ class _LawFolder(MetaPathFinder):
         return True
 
 
-class _Loader(SourceFileLoader):
+class _Loader(machinery.SourceFileLoader):
     """Loader of a module of a folder of laws, without a cache, which would miss quick edits."""
 
     def __init__(self, inner: dict[str, Any], name: str, path: str) -> None:

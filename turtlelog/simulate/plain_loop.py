@@ -28,7 +28,7 @@ from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import Event
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import loop
+from turtlelog.simulate import loop, step_budget
 from turtlelog.simulate.class_law import (
     ClassLaw,
     build_goal,
@@ -54,19 +54,6 @@ from turtlelog.simulate.rows import (
     find_maker,
 )
 from turtlelog.simulate.settings import build_settings, find_states, list_acting
-from turtlelog.simulate.step_budget import (
-    STEP_BUDGET,
-    STEP_BUDGET_S,
-    TIMED_BELOW_S,
-    LimitedLoop,
-    StepBudget,
-    StepBudgetError,
-    StepEnded,
-    advise_budget,
-    describe_excess,
-    needs_watch,
-    require_budget,
-)
 
 _FORGET_EVERY: Final = 64
 """Ticks between two deletions of rows that are no longer needed. Few rows stay in the processor's
@@ -101,7 +88,7 @@ def iterate_ticks(
     scenario: Scenario,
     plant: Plant | None = None,
     *,
-    step_budget_s: float | None = STEP_BUDGET_S,
+    step_budget_s: float | None = step_budget.STEP_BUDGET_S,
     one_by_one: bool = False,
     made: list["PlainLoop"] | None = None,
 ) -> Iterator[Tick]:
@@ -127,13 +114,14 @@ def iterate_ticks(
     """
     scenario = resolve_scenario(scenario)
     if step_budget_s is not None:
-        require_budget(step_budget_s)
+        step_budget.require_budget(step_budget_s)
     made = [] if made is None else made
     ticks, kind = _iterate(scenario, plant, step_budget_s, made), scenario.law.kind
     is_ours = is_built_in(find_law(kind))
-    if step_budget_s is None or not needs_watch(step_budget_s, is_built_in=is_ours):
+    if step_budget_s is None or not step_budget.needs_watch(step_budget_s, is_built_in=is_ours):
         return ticks
-    return LimitedLoop(ticks, made, step_budget_s, law=kind, one_by_one=one_by_one).iterate()
+    watched = step_budget.LimitedLoop(ticks, made, step_budget_s, law=kind, one_by_one=one_by_one)
+    return watched.iterate()
 
 
 def _iterate(
@@ -191,16 +179,16 @@ class PlainLoop:
         self, scenario: Scenario, law: Law | None, goal: Goal
     ) -> tuple[Callable[..., Any], Callable[..., Any]]:
         """Return the functions that ask the law and record its states."""
-        is_timed = self._budget_s < TIMED_BELOW_S
+        is_timed = self._budget_s < step_budget.TIMED_BELOW_S
         if isinstance(self._law, LawPart):
             decide = bind_step(self._law.step)
             record = bind_states(self.declaration.states)
-            return (StepBudget(decide, self._budget_s) if is_timed else decide), record
+            return (step_budget.StepBudget(decide, self._budget_s) if is_timed else decide), record
         law = build_law(scenario.law) if law is None else law
         self._class_law = found = ClassLaw(
             law,
             self.declaration,
-            step=StepBudget(law.step, self._budget_s) if is_timed else law.step,
+            step=step_budget.StepBudget(law.step, self._budget_s) if is_timed else law.step,
             goal=goal,
             path=scenario.path,
             limits=(scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s),
@@ -235,7 +223,7 @@ class PlainLoop:
             if now.failure != 0:
                 failure = self._describe_numbers()
             if failure is not None:
-                now.stop = LATE if isinstance(failure, StepBudgetError) else LAW_FAILED
+                now.stop = LATE if isinstance(failure, step_budget.StepBudgetError) else LAW_FAILED
             finish_tick(settings, state, rows, parts, tick, before)
             end = now.samples
             computed = (samples[before],) if end == before + 1 else _list_rows(samples, before, end)
@@ -294,7 +282,8 @@ class PlainLoop:
     def name_stop(self, stop: int) -> str:
         """Return the stop reason of the run, in one word."""
         if stop < 0:
-            return {MAX_DURATION: "max_duration", LAW_FAILED: "law_failed", LATE: STEP_BUDGET}[stop]
+            own = {MAX_DURATION: "max_duration", LAW_FAILED: "law_failed"}
+            return own.get(stop, step_budget.STEP_BUDGET)
         if self._class_law is not None:
             return self._class_law.stops[stop - 1]
         return self._law.stops[stop - 1]  # type: ignore[union-attr]
@@ -305,15 +294,15 @@ class PlainLoop:
         row = self.rows.samples.get(number)
         at_s = (0 if row is None else row.time_ns) / 1e9
         place = f"law {self._kind}, sample {number}"
-        return f"{place} {what}, at {at_s:.3f} s; {advise_budget(self._budget_s)}"
+        return f"{place} {what}, at {at_s:.3f} s; {step_budget.advise_budget(self._budget_s)}"
 
     def describe_failure(self, err: BaseException) -> SimulationError:
         """Return the error of a law that raised an exception."""
-        if isinstance(err, StepBudgetError | StepEnded):
+        if isinstance(err, step_budget.StepBudgetError | step_budget.StepEnded):
             budget_s = self._budget_s
-            ended = describe_excess(budget_s, budget_s, has_returned=False)
-            what = ended if isinstance(err, StepEnded) else str(err)
-            return StepBudgetError(self.describe_late(what))
+            ended = step_budget.describe_excess(budget_s, budget_s, has_returned=False)
+            what = ended if isinstance(err, step_budget.StepEnded) else str(err)
+            return step_budget.StepBudgetError(self.describe_late(what))
         reason = describe_law_error(err, self._law)
         failure = SimulationError(f"law {self._kind}, sample {self.now.samples}: {reason}")
         failure.__cause__ = err
