@@ -19,15 +19,8 @@ from turtlelog.parts import Plant, PlantPart
 from turtlelog.run import Run
 from turtlelog.run.path_pieces import PathPiece
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import loop
+from turtlelog.simulate import collect, loop
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
-from turtlelog.simulate.collect import (
-    build_commands,
-    build_poses,
-    build_run,
-    build_samples,
-    pair_columns,
-)
 from turtlelog.simulate.compiled import compiled_entry
 from turtlelog.simulate.compiled.compiled_code import remove_others
 from turtlelog.simulate.compiled.twins import (
@@ -345,13 +338,15 @@ class CompiledRunner:
         senses, shapes = scenario.has_action("sense", "lose_pose"), scenario.has_action("shape")
         states = None
         if declaration.states:
-            states = pair_columns(rows.states[: len(answers)], *declaration.states)
-        return build_run(
+            states = collect.pair_columns(rows.states[: len(answers)], *declaration.states)
+        return collect.build_run(
             scenario,
             declaration,
-            poses=build_poses(np.arange(len(poses)) * plant.period_ns, poses, senses=senses),
-            commands=build_commands(answers[: now["published"]]),
-            samples=build_samples(answers, states, declaration, has_shaping=shapes),
+            poses=collect.build_poses(
+                np.arange(len(poses)) * plant.period_ns, poses, senses=senses
+            ),
+            commands=collect.build_commands(answers[: now["published"]]),
+            samples=collect.build_samples(answers, states, declaration, has_shaping=shapes),
             stop_reason=name_stop(law, int(now["stop"])),
             events=tuple(
                 describe_event(row, plant.period_ns, lambda number: name_stop(law, number))
