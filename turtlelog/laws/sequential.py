@@ -186,7 +186,8 @@ def _follow_schedule(
     law: Any, state: Any, table: Any, distance_m: float, heading_rad: float
 ) -> None:
     """Set the scheduled gains, by the distance or by the error of the last active heading loop."""
-    place = distance_m if law.has_distances else _find_error(law, state, heading_rad)
+    wanted_rad = state.goal_heading_rad if state.phase == REORIENT else state.bearing_rad
+    place = distance_m if law.has_distances else abs(_find_error(law, wanted_rad, heading_rad))
     after, last = count_begun(table, law.entries, place), law.entries - 1
     low, high = min(max(after - 1, 0), last), min(after, last)
     part = 0.0
@@ -200,11 +201,10 @@ def _follow_schedule(
             _enter_gain(state.speed if column % 2 == 1 else state.turn, column, gain)
 
 
-def _find_error(law: Any, state: Any, heading_rad: float) -> float:
-    """Return the magnitude of the error of the last active heading loop [rad]."""
-    wanted_rad = state.goal_heading_rad if state.phase == REORIENT else state.bearing_rad
-    error_rad: float = wanted_rad - heading_rad
-    return abs(wrap_angle(error_rad) if law.wrap_error else error_rad)
+def _find_error(law: Any, wanted_rad: float, heading_rad: float) -> float:
+    """Return the error of a heading loop [rad]."""
+    error_rad = wanted_rad - heading_rad
+    return wrap_angle(error_rad) if law.wrap_error else error_rad
 
 
 def _enter_gain(terms: Any, column: int, gain: float) -> None:
@@ -219,10 +219,7 @@ def _enter_gain(terms: Any, column: int, gain: float) -> None:
 def _rotate(settings: Any, state: Any, row: Any, time_ns: int, heading_rad: float) -> float:
     """Return the turn rate. If the rotation ends, switch to the next phase."""
     law = settings.law
-    error_rad = state.bearing_rad - heading_rad
-    if law.wrap_error:
-        error_rad = wrap_angle(error_rad)
-    state.heading_error_rad = error_rad
+    state.heading_error_rad = error_rad = _find_error(law, state.bearing_rad, heading_rad)
     if abs(error_rad) > law.heading_tolerance_rad:
         return _turn(settings, state, time_ns, heading_rad)
     state.phase, row.blocks_ticks, row.ends_phase = TRANSLATE, law.pause_ticks, True
@@ -231,10 +228,7 @@ def _rotate(settings: Any, state: Any, row: Any, time_ns: int, heading_rad: floa
 
 def _reorient(settings: Any, state: Any, row: Any, time_ns: int, heading_rad: float) -> float:
     law = settings.law
-    error_rad = state.goal_heading_rad - heading_rad
-    if law.wrap_error:
-        error_rad = wrap_angle(error_rad)
-    state.heading_error_rad = error_rad
+    state.heading_error_rad = error_rad = _find_error(law, state.goal_heading_rad, heading_rad)
     if abs(error_rad) <= law.heading_tolerance_rad:
         row.stop = WITHIN_TOLERANCE
         return 0.0

@@ -2,7 +2,7 @@
 
 import dataclasses
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Union, get_args, get_origin
 
 import msgspec
@@ -49,15 +49,13 @@ def set_nested(tables: dict[str, Any], key: str, value: Any) -> None:
 
 def flatten_tables(tables: Mapping[str, Any]) -> "dict[str, Parameter]":
     """Return the values of nested tables by dotted key."""
-    return dict(_walk(tables, ""))
-
-
-def _walk(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    found: dict[str, Any] = {}
     for key, value in tables.items():
         if isinstance(value, Mapping):
-            yield from _walk(value, f"{prefix}{key}.")
+            found |= {f"{key}.{inner}": one for inner, one in flatten_tables(value).items()}
         else:
-            yield f"{prefix}{key}", value
+            found[key] = value
+    return found
 
 
 _WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}

@@ -45,7 +45,6 @@ class Scene:
         first_s: Time before the first sample [s].
         causal_ns: Offset from the end of a step to the time before which a command must arrive to
             act in this step [ns]: 0 for turtlesim, 1 minus the period for a robot model.
-        start_backlog: Number of poses before the first answer.
         is_exact: Whether poses are published in 64 bits.
         newest_only: Whether the plant takes only the newest command, and drops the others.
         is_timed: Whether command delays are in nanoseconds instead of whole ticks.
@@ -70,7 +69,6 @@ class Scene:
     timer_ns: int = 0
     first_s: float = 0.0
     causal_ns: int = 0
-    start_backlog: int = 1
     is_exact: bool = False
     newest_only: bool = True
     is_timed: bool = False

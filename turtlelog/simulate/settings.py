@@ -178,7 +178,6 @@ def build_scene(scenario: Scenario, law: AnyLaw, declaration: Declaration, plant
         # turtlesim applies a command to the time since its last pose. A robot cannot: its commands
         # of a period have arrived at the period's start.
         causal_ns=0 if part.acts_in_steps else 1 - plant.period_ns,
-        start_backlog=loop.start_backlog,
         is_exact=loop.pose_precision == "float64",
         newest_only=newest_only,
         is_timed=needs_time(scenario),

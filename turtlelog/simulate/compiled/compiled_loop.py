@@ -172,7 +172,6 @@ class CompiledLoop:
         states: States that the law declares.
         kinds: Types of the loop's records.
         run: Function of settings, state and rows.
-        is_new: Whether the loop was missing in the cache.
     """
 
     law: LawPart
@@ -180,7 +179,6 @@ class CompiledLoop:
     states: tuple[str, ...]
     kinds: Kinds
     run: Any
-    is_new: bool
 
 
 @cache
@@ -222,7 +220,7 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
         run = compile_entry(compiled_entry.run_loop, name, bind, signature)
     except NumbaError as err:
         raise TwinError(describe_numba_error(str(err))) from err
-    return CompiledLoop(law, plant, states, kinds, run, not run.stats.cache_hits)
+    return CompiledLoop(law, plant, states, kinds, run)
 
 
 def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
