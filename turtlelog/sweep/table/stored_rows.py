@@ -26,13 +26,7 @@ CellType = Literal["text", "real", "whole"]
 
 
 class Key(NamedTuple):
-    """Key of a column.
-
-    Attributes:
-        name: Name of the column. If a name has several units, each unit gets its own column.
-        type: Type of the cells.
-        unit: Unit of the numbers; empty if they have no unit.
-    """
+    """Name, type and unit of a column; a name with several units has several columns."""
 
     name: str
     type: CellType = "text"
@@ -218,13 +212,10 @@ Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 
 
 class FileState(msgspec.Struct, frozen=True, array_like=True):
-    """Known facts of a file, with size and time as in `FoundRecording`.
+    """Known facts of a file, with size and time as in `FoundRecording`, and its rows.
 
-    Attributes:
-        sha256: SHA-256 of the content; None if the file must be read again in any case.
-        first: Number of the file's first row.
-        count: Number of the file's rows; 0 if the content is unchanged and its rows are already
-            known.
+    The hash is None if the file must be read again in any case. The count is 0 if the content is
+    unchanged and its rows are already known.
     """
 
     size: int
