@@ -173,9 +173,9 @@ class BandReader:
     ) -> None:
         self._run, self._formula, self._leaf = run, formula, leaf
         columns = {
-            part.name: signals[part.name]
-            for part in iterate_nodes(leaf.node)
-            if isinstance(part, Name) and isinstance(signals.get(part.name), tuple)
+            name: signals[name]
+            for name in _list_names(leaf.node)
+            if isinstance(signals.get(name), tuple)
         }
         self._signals = columns
         longest = max(columns.values(), key=lambda column: len(column[0]))[0]
@@ -209,19 +209,24 @@ class BandReader:
         if ends is None:
             return None
         for link in (part for node in self._leaf.place.beside for part in _split(node)):
-            if not self._reads_all(link):
-                continue
+            names = [name for name in _list_names(link) if name not in self._signals]
+            if any(isinstance(self._values[name], tuple) for name in names):
+                continue  # it uses other signals than the deciding comparison
             more = self._find_ends([link], measured, is_magnitude=is_magnitude)
             ends = ends if more is None else ends.narrow(more)
         low, high, excess = ends.low, ends.high, np.full(len(shown), -np.inf)
         excess = excess if high is None else np.fmax(excess, shown - high)
         excess = excess if low is None else np.fmax(excess, low - shown)
         unit, factor = find_scale(self._find_unit(measured))
+        known = list_signals(self._run.declaration)
         curve = Curve(
             start_ns=self._run.start_ns,
             time_ns=self._time_ns,
             values=shown * factor,
-            holds=self._holds(bare),
+            # In steps if one of its signals is held.
+            holds=any(
+                known[name].resampling == "hold" for name in _list_names(bare) if name in known
+            ),
         )
         return Band(
             name=format_expression(bare),
@@ -252,13 +257,6 @@ class BandReader:
             ends = ends.narrow(_Ends(low=low, high=high, is_strict=operator in {"<", ">"}))
         return ends
 
-    def _reads_all(self, link: Comparison) -> bool:
-        """Return whether a comparison uses the signals of the deciding comparison."""
-        names = [part.name for part in iterate_nodes(link) if isinstance(part, Name)]
-        return all(
-            name in self._signals or not isinstance(self._values[name], tuple) for name in names
-        )
-
     def _read_link(self, link: Comparison, measured: Node) -> tuple[str, Values | None]:
         operator: str = link.operators[0]
         if link.operands[0] != measured:
@@ -285,24 +283,17 @@ class BandReader:
         children = node.list_children()
         if operator in {"*", "/", "**"} or not children:
             return ""
-        found = {self._find_unit(child) for child in children if not _is_constant(child)}
+        found = {self._find_unit(child) for child in children if _list_names(child)}
         return found.pop() if len(found) == 1 else ""
 
-    def _holds(self, node: Node) -> bool:
-        """Return whether the curve is drawn in steps, because one of its signals is held."""
-        known = list_signals(self._run.declaration)
-        names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
-        return any(known[name].resampling == "hold" for name in names if name in known)
 
-
-def _is_constant(node: Node) -> bool:
-    return not any(isinstance(part, Name) for part in iterate_nodes(node))
+def _list_names(node: Node) -> list[str]:
+    return [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
 
 
 def names_signals(node: Node, signals: Mapping[str, Any]) -> bool:
     """Return whether any node below a node is a signal."""
-    names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
-    return any(isinstance(signals.get(name), tuple) for name in names)
+    return any(isinstance(signals.get(name), tuple) for name in _list_names(node))
 
 
 def find_scale(unit: str) -> tuple[str, float]:

@@ -137,12 +137,7 @@ _BASIS: Final = "The recorded scenarios reproduce"
 
 
 def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
-    """Return the run of the scenario in a file of metrics.
-
-    Raises:
-        ScenarioError: If the scenario is wrong or too long, or names a law whose code may not run.
-        SimulationError: If the law fails.
-    """
+    """Return the run of the scenario in a file of metrics, if its length and its law allow this."""
     scenario = _read_scenario(reference, trust_law=trust_law)
     if scenario.law.kind not in LAWS and not trust_law:
         raise ScenarioError(

@@ -180,12 +180,7 @@ _SIZE: Final = (1400, 900)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Artifacts:
-    """Files that were written.
-
-    Attributes:
-        files: .rrd if Rerun is installed, .png if a picture could be made, and .mcap.
-        notes: Files that could not be written, with reasons.
-    """
+    """Files that were written, and notes on files that could not be written, with reasons."""
 
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()

@@ -25,14 +25,13 @@ from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 
-_OF_STEP: Final = ("overshoot", "settling_time", "saturated_share")
-_OF_MOVING: Final = ("rms_error", "largest_error", "saturated_share")
-"""Metrics of a loop with a moving reference."""
-
+_OF_LOOP: Final = ("overshoot", "settling_time", "rms_error", "largest_error", "saturated_share")
 _OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
+"""Essential metrics that a specification bounds."""
+
 _SHARE: Final = 0.1
 """Smallest margin of a bound as a share of the value, which includes the scatter of repeated runs.
 
@@ -141,31 +140,25 @@ def _list_of_motion(run: Run) -> Iterator[str]:
 
 def _list_bound(name: str, largest: float, unit: str) -> Iterator[str]:
     bound, spare = choose_bound(largest, unit, up=True)
+    formula = f'holds = "always(abs({name}) <= {bound:.10g})"'
+    meaning = ": as it was commanded, at any time"
+    yield from _write_check(name, formula, format_number(largest, unit), spare, meaning)
+
+
+def _write_check(
+    title: str, formula: str, here: str, spare: str, meaning: str = ""
+) -> Iterator[str]:
     yield ""
-    yield f"[checks.{name}]"
-    yield f'holds = "always(abs({name}) <= {bound:.10g})"  # here {format_number(largest, unit)}'
+    yield f"[checks.{title}]"
+    yield f"{formula}  # here {here}"
     yield "observed = true"
-    yield f'reason = "observed, and {spare} to spare: as it was commanded, at any time"'
+    yield f'reason = "observed, and {spare} to spare{meaning}"'
 
 
 def _choose_metrics(declaration: Declaration) -> list[str]:
     """Return the ids of the metrics to check: those of every declared loop, the end and the run."""
-    of_loops = (
-        f"{loop.name}.{name}"
-        for loop in declaration.loops
-        for name in (_OF_MOVING if loop.moves else _OF_STEP)
-    )
-    known = list_metrics(declaration)
-    return [name for name in (*of_loops, *_choose_of_run(declaration)) if name in known]
-
-
-def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
-    """Return the ids for the end and the run; without goal and path, no errors are included."""
-    if declaration.uses_goal:
-        return _OF_RUN
-    follows = any(loop.reference == "path" for loop in declaration.loops)
-    others = ("run.cross_track_max",) if not follows else ()
-    return tuple(name for name in _OF_RUN if not name.startswith("final.") and name not in others)
+    essential = list_essential_metrics(declaration)
+    return [name for name in essential if name in _OF_RUN or name.rpartition(".")[2] in _OF_LOOP]
 
 
 def _is_name(text: str) -> bool:
@@ -178,28 +171,23 @@ def _list_check(metric: Metric, value: float, kind: MetricKind, tick_s: float) -
     base = value if kind.floor is None or is_higher else max(value, kind.floor)
     operator = ">=" if is_higher else "<="
     bound, spare = choose_bound(base, metric.unit, up=not is_higher, tick_s=tick_s)
-    here = format_number(value, metric.unit)
-    yield ""
-    yield f'[checks."{metric.id}"]'
-    yield f'expect = "{metric.id} {operator} {bound:.10g}"  # here {here}'
-    yield "observed = true"
-    yield f'reason = "observed, and {spare} to spare"'
+    formula = f'expect = "{metric.id} {operator} {bound:.10g}"'
+    yield from _write_check(f'"{metric.id}"', formula, format_number(value, metric.unit), spare)
 
 
 def _list_arrival(run: Run) -> Iterator[str]:
     metric = measure_run(run, only=["run.cross_track_max"])["run.cross_track_max"]
     if metric.value is None:
         return
-    yield ""
     if find_ending(run) in {RunEnding.CUT, RunEnding.LOST}:
+        yield ""
         yield "# always(abs(cross_track) <= ...): not read off, as how the run went on is unknown"
         return
     bound, spare = choose_bound(metric.value, metric.unit, up=True)
-    yield "[checks.track]"
+    formula = f'holds = "always(abs(cross_track) <= {bound:.10g})"'
+    meaning = ": how far beside the line, at any time"
     here = format_number(metric.value, metric.unit)
-    yield f'holds = "always(abs(cross_track) <= {bound:.10g})"  # here {here}'
-    yield "observed = true"
-    yield f'reason = "observed, and {spare} to spare: how far beside the line, at any time"'
+    yield from _write_check("track", formula, here, spare, meaning)
 
 
 def choose_bound(

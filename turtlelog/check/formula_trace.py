@@ -128,12 +128,7 @@ class FormulaTrace:
         window_ns: tuple[int, int] | None = None,
         ending: RunEnding = RunEnding.SETTLED,
     ) -> "FormulaTrace":
-        """Return the trace for the names of a formula.
-
-        Raises:
-            ExpressionError: If a name is unknown; the message has the column and the nearest names.
-            CheckError: If a signal is invalid, or has no value at the first time.
-        """
+        """Return the trace for the names of a formula; names and signals are checked."""
         check_names(expression, signals)
         named = {name: signals[name] for name in expression.names}
         columns = {name: found for name, found in named.items() if isinstance(found, tuple)}

@@ -56,9 +56,6 @@ def judge_check(
 
     `metrics` are those that the check names, if already measured. Values of metrics at poses of
     this run are added to `grown`.
-
-    Raises:
-        ExpressionError: If a name is unknown or operand types do not match.
     """
     metrics = measure_named([check], run) if metrics is None else metrics
     return _Judge(check, run, file, metrics, {} if grown is None else grown)()
@@ -365,10 +362,6 @@ class RecordedMetric:
         """Return the result of a comparison without searching for its first violation.
 
         The other operand is a number, a metric of the same unit, or `pytest.approx` of a number.
-
-        Raises:
-            CheckError: If the other operand cannot be compared.
-            MissingValueError: If either side has no value.
         """
         value = metric.value
         if value is None:

@@ -1,6 +1,5 @@
 """Results of a run: against a specification, a reference, or its replay."""
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -20,7 +19,7 @@ from turtlelog.check.result import CheckResult, JudgedSignal, Verdict
 from turtlelog.check.spec import Check, Spec, Tolerances
 from turtlelog.check.spec_file import count_parts, load_tolerances
 from turtlelog.check.vocabulary import TrajectoryJudge, choose_signals
-from turtlelog.compare import MetricDifference, Tolerance
+from turtlelog.compare import Tolerance
 from turtlelog.compare.difference import compare_metrics
 from turtlelog.compare.signal_comparison import compare_signals, explain_lack, find_zero_ns
 from turtlelog.display import format_number, format_pair
@@ -38,7 +37,6 @@ from turtlelog.measure import (
 )
 from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
 from turtlelog.run import Run
-from turtlelog.run.loops import Declaration
 
 _MOST_PART_ROWS: Final = 150_000_000
 """Largest product of formula parts and samples. A window takes about 10 ns for each of its four
@@ -175,7 +173,6 @@ def match_run(
         CheckError: If the reference cannot be read, or the tolerance does not fit it.
         CompareError: If there is no such alignment, or the runs do not overlap.
     """
-    file = file or run.name
     if isinstance(reference, ReferenceFile):
         reference = reference.load()
     if isinstance(reference, str | Path):
@@ -185,17 +182,17 @@ def match_run(
     if isinstance(tolerance, Tolerances) and not tolerance:
         raise CheckError("tolerance: names no signal or metric")
     if isinstance(reference, MetricsFile):
-        results = _match_metrics(run, reference.metrics, tolerance, file)
+        results = _match_metrics(run, reference.metrics, tolerance)
     elif not isinstance(reference, Run):
-        return _match_metrics(run, reference, tolerance, file)
+        results = _match_metrics(run, reference, tolerance)
     elif isinstance(tolerance, Tolerances):
-        results = [*_judge_run(run, reference, tolerance, file, alignment)]
+        results = [*_judge_run(run, reference, tolerance, alignment)]
     else:
         tolerances = _spread(run, reference, tolerance or _SIGNALS_APART)
-        window_s = 0.0 if tolerance is None else tolerance.time_s
-        length = _judge_length(run, reference, window_s, file)
-        results = [*_judge_run(run, reference, tolerances, file, alignment), length]
-    return [dataclasses.replace(one, reference=reference) for one in results]
+        length = _judge_length(run, reference, 0.0 if tolerance is None else tolerance.time_s)
+        results = [*_judge_run(run, reference, tolerances, alignment), length]
+    shown = reference if isinstance(reference, Run | MetricsFile) else None
+    return [replace(one, file=file or run.name, reference=shown) for one in results]
 
 
 def judge_replay(
@@ -213,7 +210,7 @@ def judge_replay(
     units = {signal.signal: signal.unit for signal in found.signals}
     known = list_signals(run.declaration)
     signals = [
-        dataclasses.replace(
+        replace(
             _judge_signal(signal, f"{mode}.{signal.signal}", run.start_ns, describe),
             file=file,
             expected="as recorded",
@@ -237,7 +234,7 @@ def judge_replay(
 
 
 def _judge_run(
-    run: Run, reference: Run, tolerances: Tolerances, file: str, alignment: str
+    run: Run, reference: Run, tolerances: Tolerances, alignment: str
 ) -> Iterator[CheckResult]:
     differences = compare_signals(reference, run, tolerances.signals, alignment=alignment)
     start_ns = run.start_ns - find_zero_ns(run, alignment)  # zero of the times in results
@@ -251,20 +248,12 @@ def _judge_run(
     for name, tolerance in tolerances.signals.items():
         check, names = f"signals.{name}", choose_signals([name], run.declaration)
         if name not in differences:
-            yield CheckResult(
-                file=file,
-                check=check,
-                verdict=Verdict.FAIL,
-                unit=units.get(name, ""),
-                reason=explain_lack(name, reference, run),
-                names=names,
-                is_decided=False,
-            )
+            reason = explain_lack(name, reference, run)
+            yield _leave_open(check, units.get(name, ""), reason, names)
             continue
         found = differences[name]
-        yield dataclasses.replace(
+        yield replace(
             _judge_signal(found, check, start_ns, describe),
-            file=file,
             expected=_describe_tube(found, tolerance, alignment),
             names=names,
             judged=JudgedSignal(
@@ -273,12 +262,12 @@ def _judge_run(
         )
     known = list_metrics(reference.declaration, run.declaration)
     for pair in compare_metrics(reference, run, list(tolerances.metrics)):
-        metric = pair.metric
+        metric, names = pair.metric, choose_signals([pair.metric.id], run.declaration)
         if metric.id in known:
             tolerance = tolerances.metrics[metric.id]
-            yield _judge_metric(pair, tolerance, run.declaration, file=file, is_strict=True)
+            yield _judge_metric(metric, pair.reference, tolerance, names, is_strict=True)
         else:
-            yield _leave_open(metric, metric.lack, run.declaration, file=file)
+            yield _leave_open(f"metrics.{metric.id}", metric.unit, metric.lack, names)
 
 
 def _judge_signal(
@@ -304,59 +293,51 @@ def _judge_signal(
 
 
 def _judge_metric(
-    pair: MetricDifference,
+    metric: Metric,
+    reference: Metric,
     tolerance: Tolerance,
-    declaration: Declaration,
+    names: tuple[str, ...],
     *,
-    file: str,
     is_strict: bool,
 ) -> CheckResult:
     """Return the verdict on a metric, which fails in its bad direction or with another status.
 
     If neither has a value, the metric passes unless `is_strict`.
     """
-    metric, reference = pair.metric, pair.reference
+    check, unit = f"metrics.{metric.id}", metric.unit
     if metric.value is None or reference.value is None:
         is_same = metric.status == reference.status
         reason = f"same status as the reference: {_tell_status(metric)}"
         if not is_same:
             reason = f"{_tell_status(metric)}, where the reference has {_tell_status(reference)}"
-        found = _leave_open(metric, reason, declaration, file=file)
+        found = _leave_open(check, unit, reason, names)
         if is_strict or not is_same:
             return found
-        return dataclasses.replace(found, verdict=Verdict.PASS, is_decided=True)
+        return replace(found, verdict=Verdict.PASS, is_decided=True)
     kind = find_metric_kind(metric.id)
     if kind is None or metric.unit != reference.unit:
         reason = f"in {metric.unit}, where the reference has {reference.unit}: not compared"
-        return _leave_open(metric, reason, declaration, file=file)
+        return _leave_open(check, unit, reason, names)
     off = kind.compute_loss(metric.value, reference.value)
     limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
     sides = metric.value, reference.value
     return CheckResult(
-        file=file,
-        check=f"metrics.{metric.id}",
+        file="",
+        check=check,
         verdict=Verdict.PASS if off <= limit else Verdict.FAIL,
-        expected=f"within {format_number(limit, metric.unit)} of the reference",
+        expected=f"within {format_number(limit, unit)} of the reference",
         value=off,
         limit=limit,
         margin=limit - off,
-        unit=metric.unit,
-        reason="" if off <= limit else _tell_sides(sides, metric.unit),
-        names=choose_signals([metric.id], declaration),
+        unit=unit,
+        reason="" if off <= limit else _tell_sides(sides, unit),
+        names=names,
     )
 
 
-def _leave_open(metric: Metric, reason: str, declaration: Declaration, *, file: str) -> CheckResult:
-    """Return that a metric cannot be judged, which does not count as a pass."""
-    return CheckResult(
-        file=file,
-        check=f"metrics.{metric.id}",
-        verdict=Verdict.FAIL,
-        unit=metric.unit,
-        reason=reason,
-        names=choose_signals([metric.id], declaration),
-        is_decided=False,
-    )
+def _leave_open(check: str, unit: str, reason: str, names: tuple[str, ...]) -> CheckResult:
+    """Return that a metric or signal cannot be judged, which does not count as a pass."""
+    return replace(fail_recording("", reason), check=check, unit=unit, names=names)
 
 
 def _describe_tube(found: SignalDifference, tolerance: Tolerance, alignment: str) -> str:
@@ -379,7 +360,7 @@ def _tell_status(metric: Metric) -> str:
 
 def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
     """Return one tolerance for every signal that either run contains."""
-    label = dataclasses.replace(tolerance, abs=0.0, rel=0.0)
+    label = replace(tolerance, abs=0.0, rel=0.0)
     held = {
         name: kind
         for found in (run, reference)
@@ -396,12 +377,12 @@ def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
     )
 
 
-def _judge_length(run: Run, reference: Run, window_s: float, file: str) -> CheckResult:
+def _judge_length(run: Run, reference: Run, window_s: float) -> CheckResult:
     """Return whether both runs have the same length; signals are compared on the overlap."""
     lengths_s = [(found.end_ns - found.start_ns) / 1e9 for found in (run, reference)]
     off_s, limit_s = abs(lengths_s[0] - lengths_s[1]), max(window_s, 1e-6)
     return CheckResult(
-        file=file,
+        file="",
         check="length",
         verdict=Verdict.PASS if off_s <= limit_s else Verdict.FAIL,
         expected="as long as the reference",
@@ -416,7 +397,7 @@ def _judge_length(run: Run, reference: Run, window_s: float, file: str) -> Check
 
 
 def _match_metrics(
-    run: Run, reference: Mapping[str, Metric], tolerance: Tolerance | Tolerances | None, file: str
+    run: Run, reference: Mapping[str, Metric], tolerance: Tolerance | Tolerances | None
 ) -> list[CheckResult]:
     if isinstance(tolerance, Tolerances):
         if tolerance.signals:
@@ -429,13 +410,10 @@ def _match_metrics(
     if missing:
         raise CheckError(f"reference: has no metric {missing[0]}")
     measured = measure_run(run, only=list(wanted))
-    return [
-        _judge_metric(
-            MetricDifference(metric=measured[name], reference=reference[name]),
-            found,
-            run.declaration,
-            file=file,
-            is_strict=False,
+    results = []
+    for name, found in wanted.items():
+        names = choose_signals([name], run.declaration)
+        results.append(
+            _judge_metric(measured[name], reference[name], found, names, is_strict=False)
         )
-        for name, found in wanted.items()
-    ]
+    return results

@@ -313,12 +313,7 @@ class AxisValues:
 
 
 class SimulatedRuns:
-    """Simulations with recordings in a folder.
-
-    Args:
-        folder: Folder of the recordings.
-        watch: Object that is called with every check on these recordings.
-    """
+    """Simulations with recordings in a folder; `watch` is called with every check on them."""
 
     def __init__(self, folder: Path, watch: Watch | None = None) -> None:
         self._folder, self._watch, self._count = folder, watch, 0

@@ -74,12 +74,7 @@ class ReferenceFile:
         return load_reference(self.path)
 
     def accept(self, run: Run, source: Path) -> None:
-        """Write the file from a run.
-
-        Raises:
-            CheckError: If the file is written from two recordings in one session.
-            LogError: If the file cannot be written.
-        """
+        """Write the file from a run; CheckError if one session writes it from two recordings."""
         self._claim(source.resolve())
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -135,11 +130,7 @@ def format_metrics(run: Run, file: str) -> str:
 
 
 def read_metrics_file(path: Path) -> MetricsFile | None:
-    """Return the metrics of a file (.json); None for a file of another kind, such as a log.
-
-    Raises:
-        CheckError: If the file has the metrics of several runs, or an entry that is not a metric.
-    """
+    """Return the metrics of a file (.json); None for a file of another kind, such as a log."""
     if path.suffix.lower() != ".json":
         return None
     with name_file(path, expected="a recording or metrics"), open_file(path) as stream:
@@ -207,10 +198,6 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | Me
 
     `topics` are those of the runs, in addition to the specification's. A topic that the reference
     does not have gets the default. The reference must always be complete.
-
-    Raises:
-        CheckError: If tolerances have no reference, or signals have only metrics as reference.
-        LogError: If the reference cannot be read.
     """
     require_reference(spec)
     if not spec.tolerances or spec.reference is None:
@@ -242,10 +229,6 @@ def read_reference_trajectory(
 
     `topics` are as in `read_reference_run`. With `reads_files`, runs are named by their files, from
     which poses in space are read.
-
-    Raises:
-        CheckError: If errors have no reference.
-        LogError: If the reference cannot be read.
     """
     names = sorted(list_formula_names(spec.checks) & TRAJECTORY_VALUES.keys())
     if not names:

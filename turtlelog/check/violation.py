@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,21 +88,16 @@ def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> Signal
         values=tube.values * factor,
         holds=kind.resampling == "hold",
     )
-    rows = _Rows(curve=curve, outside=outside, excess=tube.excess)
-    return SignalSearch(
-        signal=ViolatedSignal(
-            name=judged.name,
-            unit=unit,
-            curve=curve,
-            low=tube.low * factor,
-            high=tube.high * factor,
-            reference=tube.reference * factor,
-            outside=outside,
-            first=rows.tell(int(outside.argmax())),
-            worst=rows.tell(rows.find_worst()),
-            check=result.check,
-            expected=result.expected,
-        )
+    rows = _Rows(curve=curve, outside=outside)
+    worst = int(np.where(outside, tube.excess, -np.inf).argmax())
+    return rows.show(
+        result,
+        worst=rows.tell(worst),
+        name=judged.name,
+        unit=unit,
+        low=tube.low * factor,
+        high=tube.high * factor,
+        reference=tube.reference * factor,
     )
 
 
@@ -142,22 +137,16 @@ def _find_of_metric(run: Run, result: CheckResult, judged: JudgedMetric) -> Sign
     is_over_time = kind is not None and kind.grows
     if is_over_time:
         outside |= (magnitude > limit) & (curve.time_s >= first_s)
-    rows = _Rows(curve=curve, outside=outside, excess=magnitude - limit)
+    rows = _Rows(curve=curve, outside=outside)
     ends = np.full(len(magnitude), limit)
-    return SignalSearch(
-        signal=ViolatedSignal(
-            name=name,
-            unit=unit,
-            curve=curve,
-            low=-ends if (curve.values < 0.0).any() else None,
-            high=ends,
-            outside=outside,
-            first=rows.tell(int(outside.argmax())),
-            worst=rows.tell(row),
-            check=result.check,
-            expected=result.expected,
-            metric="" if is_over_time else metric.id,
-        )
+    return rows.show(
+        result,
+        worst=rows.tell(row),
+        name=name,
+        unit=unit,
+        low=-ends if (curve.values < 0.0).any() else None,
+        high=ends,
+        metric="" if is_over_time else metric.id,
     )
 
 
@@ -203,40 +192,43 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
         return SignalSearch(reason=f"{found.decided_by}: {_NO_BAND}")
     outside = leaf.find_failing(formula, trace, band.curve.time_ns) & band.is_beyond
     first_s = 0.0 if result.first_violation_s is None else result.first_violation_s
-    rows = _Rows(curve=band.curve, outside=outside, excess=band.excess)
+    rows = _Rows(curve=band.curve, outside=outside)
     worst = rows.find(first_s if result.value_s is None else result.value_s)
     furthest = float(np.max(band.excess[outside], initial=-np.inf))
     is_nearest = bool(outside.any()) and float(band.excess[worst]) < furthest - _SAME * furthest
-    return SignalSearch(
-        signal=ViolatedSignal(
-            name=band.name,
-            unit=band.unit,
-            curve=band.curve,
-            low=band.low,
-            high=band.high,
-            outside=outside,
-            first=ViolationMoment(
-                time_s=first_s, value=float(band.curve.values[rows.find(first_s)])
-            ),
-            worst=rows.tell(worst),
-            worst_word="nearest" if is_nearest else "worst",
-            check=result.check,
-            expected=result.expected,
-        )
+    first = ViolationMoment(time_s=first_s, value=float(band.curve.values[rows.find(first_s)]))
+    return rows.show(
+        result,
+        first=first,
+        worst=rows.tell(worst),
+        worst_word="nearest" if is_nearest else "worst",
+        name=band.name,
+        unit=band.unit,
+        low=band.low,
+        high=band.high,
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Rows:
-    """Rows of a curve, which of them are outside a band, and by how much."""
+    """Rows of a curve, and which of them are outside a band."""
 
     curve: Curve
     outside: NDArray[np.bool_]
-    excess: Values
 
-    def find_worst(self) -> int:
-        """Return the row that is furthest outside."""
-        return int(np.where(self.outside, self.excess, -np.inf).argmax())
+    def show(
+        self, result: CheckResult, *, first: ViolationMoment | None = None, **more: Any
+    ) -> SignalSearch:
+        """Return the signal of these rows; by default, the first row outside is the first."""
+        signal = ViolatedSignal(
+            curve=self.curve,
+            outside=self.outside,
+            first=first or self.tell(int(self.outside.argmax())),
+            check=result.check,
+            expected=result.expected,
+            **more,
+        )
+        return SignalSearch(signal=signal)
 
     def find(self, time_s: float) -> int:
         """Return the row that is valid at a time; of rows with equal times, the last."""

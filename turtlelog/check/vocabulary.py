@@ -99,9 +99,6 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
 
     Without a run, any loop may have the existing metrics, and the parameters and states of a law
     may have any name. With `over_time`, the formula may contain signals and temporal operators.
-
-    Raises:
-        ExpressionError: If there is such a name; the message has the column and the nearest names.
     """
     for node in iterate_nodes(formula.root):
         if isinstance(node, Temporal | Until) and not over_time:

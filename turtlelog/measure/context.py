@@ -94,16 +94,6 @@ class MeasureSettings:
             path_xy_m = _require_path(self.reference_path_xy_m)
             object.__setattr__(self, "reference_path_xy_m", path_xy_m)
 
-    def get_initial(self, loop: str) -> float | None:
-        """Return the initial value of a loop's step; None for the first value of its segment."""
-        return self.initial.get(loop) if isinstance(self.initial, Mapping) else self.initial
-
-    def get_final(self, loop: str) -> Target:
-        """Return the final value of the step of a loop."""
-        if isinstance(self.final, Mapping):
-            return self.final.get(loop, "reference")
-        return self.final
-
     def require_loops(self, declaration: Declaration) -> None:
         """Raise an error if a value is given for a loop that the law does not declare.
 
@@ -187,11 +177,10 @@ class RunContext:
 
     def get_response(self, loop: ControlLoop) -> Response | Missing:
         """Return the response of a loop to its reference, or the reason why there is none."""
-        key = "response", loop.name
-        if key not in self._known:
-            signal = self.get_signal(loop.signal)
-            self._known[key] = find_response(self.run, loop, signal, self.settings)
-        return cast("Response | Missing", self._known[key])
+        signal = self.get_signal(loop.signal)
+        return self.recall(
+            ("response", loop.name), lambda: find_response(self.run, loop, signal, self.settings)
+        )
 
     @cached_property
     def spaced_poses(self) -> SpacedPoses | None:

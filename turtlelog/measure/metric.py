@@ -106,8 +106,7 @@ class Numeric(ABC):
     def __add__(self, other: Any) -> Any:
         return float(self) + other
 
-    def __radd__(self, other: Any) -> Any:
-        return other + float(self)
+    __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
         return float(self) - other
@@ -118,8 +117,7 @@ class Numeric(ABC):
     def __mul__(self, other: Any) -> Any:
         return float(self) * other
 
-    def __rmul__(self, other: Any) -> Any:
-        return other * float(self)
+    __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> Any:
         return float(self) / other

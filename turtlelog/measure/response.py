@@ -1,6 +1,7 @@
 """The response of a loop to its reference, in the segment of the run in which the loop acts."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import dropwhile, takewhile
@@ -338,7 +339,9 @@ def _find_step(
     loop: ControlLoop, values: Values, target: float, settings: "MeasureSettings"
 ) -> tuple[float, float]:
     """Return the initial and final values of the step of a loop."""
-    initial, final = settings.get_initial(loop.name), settings.get_final(loop.name)
+    initial, final = settings.initial, settings.final
+    initial = initial.get(loop.name) if isinstance(initial, Mapping) else initial
+    final = final.get(loop.name, "reference") if isinstance(final, Mapping) else final
     first, last = float(values[0]), float(values[-1])
     initial = first if initial is None else _turn_towards(loop, initial, first)
     if final == "last":

@@ -146,11 +146,9 @@ def _find_limits(view: SweptView, name: str, gain: SweptAxis) -> LoopLimits:
             notes.setdefault(f"the dead time is the least; {model.growth} may let it grow", [])
     told = []
     for text, places in notes.items():
-        where = (
-            ""
-            if other is None or not places or len(places) == len(columns)
-            else (f" where {other.name} is {_tell_places(other, places)}")
-        )
+        where = ""
+        if other is not None and 0 < len(places) < len(columns):
+            where = f" where {other.name} is {_tell_places(other, places)}"
         told.append(f"{name}: {text}{where}")
     return LoopLimits(loop=name, gain=gain, columns=tuple(columns), notes=tuple(told))
 

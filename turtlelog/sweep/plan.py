@@ -273,9 +273,6 @@ def build_row_scenario(
     """Return the scenario of a row, named after the row. No code is loaded.
 
     `source` is the prefix of error messages. `trust_law` is as in `override_scenario`.
-
-    Raises:
-        ScenarioError: If the values do not form a valid scenario.
     """
     changes = dict(zip(keys, values, strict=True))
     if "law.kind" in changes:  # another law has other keys, so it is chosen first
@@ -327,9 +324,6 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
     """Parse a key, an equals sign, and a range or values, such as `law.kp_linear=0.5:12:0.25`.
 
     If rows are sampled, any number in `A:B` is allowed, so that the steps need not end at B.
-
-    Raises:
-        SweepError: If the text contains no values to vary.
     """
     key, equals, rest = (part.strip() for part in text.partition("="))
     if not equals or not all(key.split(".")) or not rest:

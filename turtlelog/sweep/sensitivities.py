@@ -180,10 +180,8 @@ def _correlate(results: SweptResults, metric: SweptMetric) -> Sensitivities:
     rows = int(known.sum())
     axes = list_varied(results)
     numeric = [axis for axis in axes if axis.is_number]
-    notes = [
-        f"{metric.name}: {axis.name} has words, which have no ranks" for axis in axes
-        if not axis.is_number
-    ]  # fmt: skip
+    words = [axis.name for axis in axes if not axis.is_number]
+    notes = [f"{metric.name}: {name} has words, which have no ranks" for name in words]
     if rows < len(known):
         left = len(known) - rows
         notes.append(f"{metric.name}: {left} of {len(known)} rows have no value and are left out")

@@ -73,12 +73,9 @@ class RowChunk:
 
 @dataclass(slots=True, kw_only=True)
 class MetricCells:
-    """Values of a metric in the rows of a chunk.
+    """Values of a metric per row, None without one, and their units, several if laws differ.
 
-    Attributes:
-        units: Units of the values; several if laws differ.
-        values: Value per row; None for a missing value.
-        statuses: Status per row; None if the row's law has no such metric, or the row failed.
+    A status is None if the row's law has no such metric, or if the row failed.
     """
 
     units: list[str]
@@ -282,12 +279,7 @@ def _list_asked(condition: expressions.Expression) -> list[str]:
 
 
 def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]) -> bool:
-    """Return whether a condition holds; False if a value that it needs is missing.
-
-    Raises:
-        ExpressionError: If the condition contains an unknown name.
-        SweepError: If the expression is not a condition.
-    """
+    """Return whether a condition holds; False if a value that it needs is missing."""
     truth = expressions.evaluate_expression(condition, values)
     if truth is not None and not isinstance(truth, bool):
         raise SweepError(f"{condition.source}: expected a condition, found {truth!r}")
@@ -295,12 +287,7 @@ def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]
 
 
 def require_condition(records: RowRecords | None, parameters: Mapping[str, Any]) -> None:
-    """Refuse a condition that cannot be evaluated for any row.
-
-    Raises:
-        ExpressionError: If the condition cannot be parsed, or contains an unknown name.
-        SweepError: If the expression is not a condition.
-    """
+    """Refuse a condition that cannot be evaluated for any row, given the parameters of one."""
     condition = _parse_condition(records)
     if condition is not None:
         known = {"name": "", "stop_reason": "", **parameters}

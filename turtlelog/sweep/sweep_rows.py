@@ -363,11 +363,7 @@ class SweptRows:
 
 
 def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -> ResultTable:
-    """Return the table of a sweep, whose rows are loaded on demand.
-
-    Raises:
-        SweepError: If rows are missing or duplicated.
-    """
+    """Return the table of a sweep, whose rows are loaded on demand."""
     ordered, units = rows.order(plan.row_count), rows.list_metrics()
     keys = [
         *(key for name in units for key in (Key(name, "real"), Key(f"{name}{STATUS}"))),

@@ -28,18 +28,22 @@ from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.sweep.batch.batch_columns import LINE, Coverage, find_coverage
 from turtlelog.sweep.plan import build_row_scenario
 
-_OF_LAW: Final = (
-    *("law.kp_linear", "law.kp_angular", "law.ki_linear", "law.ki_angular"),
-    *("law.kd_linear", "law.kd_angular"),
-    *("law.heading_tolerance_rad", "law.position_tolerance_m", "law.pause_ticks", "law.timeout_s"),
-    *("law.settled_within_m", "law.settled_for_s", "law.standstill_samples"),
-    *("law.standstill_below", "law.derivative_filter_s", "law.tracking_time_s"),
+FREE_KEYS: Final = frozenset(
+    {
+        *("law.kp_linear", "law.kp_angular", "law.ki_linear", "law.ki_angular"),
+        *("law.kd_linear", "law.kd_angular"),
+        *(
+            "law.heading_tolerance_rad",
+            "law.position_tolerance_m",
+            "law.pause_ticks",
+            "law.timeout_s",
+        ),
+        *("law.settled_within_m", "law.settled_for_s", "law.standstill_samples"),
+        *("law.standstill_below", "law.derivative_filter_s", "law.tracking_time_s"),
+        *("plant.speed_gain", "plant.turn_gain", "plant.speed_lag_s", "plant.turn_lag_s"),
+        "seed",
+    }
 )
-_OF_PLANT: Final = (
-    *("plant.speed_gain", "plant.turn_gain", "plant.speed_lag_s", "plant.turn_lag_s"),
-)
-
-FREE_KEYS: Final = frozenset({*_OF_LAW, *_OF_PLANT, "seed"})
 """Keys whose values can be validated one by one. No rule combines these keys with others, each may
 be any number between two bounds, and each is a number of the loop itself. Other keys are validated
 in combination."""

@@ -48,11 +48,7 @@ def name_partial(output: Path) -> Path:
 
 
 def has_results(output: Path, facts: Mapping[str, str]) -> bool:
-    """Return whether the results of this sweep already exist.
-
-    Raises:
-        SweepError: If the file contains something else.
-    """
+    """Return whether the results of this sweep already exist; SweepError for another content."""
     if not has_result_file(output):
         return False
     found = read_result_facts(output)
@@ -104,9 +100,6 @@ class KeptParts(Generic[T]):
 
         If the file has other facts, `require` is called with its path and its facts, and raises an
         error; without `require`, the file is replaced.
-
-        Raises:
-            SweepError: If another process writes to the file, or the file cannot be written.
         """
         self.path, self._output = name_partial(output), output
         self.places: list[int] = []

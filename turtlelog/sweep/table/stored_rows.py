@@ -1,7 +1,7 @@
 """Rows of texts and numbers in columns: most parts are on disk, a few in memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Literal, NamedTuple
 
@@ -26,13 +26,7 @@ CellType = Literal["text", "real", "whole"]
 
 
 class Key(NamedTuple):
-    """Key of a column.
-
-    Attributes:
-        name: Name of the column. If a name has several units, each unit gets its own column.
-        type: Type of the cells.
-        unit: Unit of the numbers; empty if they have no unit.
-    """
+    """Name, type and unit of a column; a name with several units has several columns."""
 
     name: str
     type: CellType = "text"
@@ -126,31 +120,18 @@ class Columns:
     cells: Mapping[Key, StoredCells]
 
 
-@dataclass(slots=True)
 class StoredRows:
     """Rows in parts that are loaded on demand."""
 
-    _ends: list[int] = field(default_factory=lambda: [0])
-    _loads: list[Callable[[], Columns]] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.ends = [0]
+        self.loads: list[Callable[[], Columns]] = []
 
     def add(self, count: int, load: Callable[[], Columns]) -> int:
         """Add a part, and return the number of its first row."""
-        self._loads.append(load)
-        self._ends.append(self._ends[-1] + count)
-        return self._ends[-2]
-
-    def gather(self, rows: NDArray[np.intp]) -> Columns:
-        """Return rows by number; each part is loaded once."""
-        ends = np.array(self._ends)
-        parts = np.searchsorted(ends, rows, "right") - 1
-        found: dict[Key, StoredCells] = {}
-        for part in np.unique(parts).tolist():
-            places = np.flatnonzero(parts == part)
-            for key, cells in self._loads[part]().cells.items():
-                if key not in found:
-                    found[key] = StoredCells.fill(key.type, len(rows))
-                found[key].put(places, cells, rows[places] - ends[part])
-        return Columns(len(rows), found)
+        self.loads.append(load)
+        self.ends.append(self.ends[-1] + count)
+        return self.ends[-2]
 
 
 class WindowedRows:
@@ -164,12 +145,21 @@ class WindowedRows:
     def __len__(self) -> int:
         return len(self._order)
 
-    def load(self, rows: slice) -> Columns:
-        """Return a segment of the rows."""
-        begin, end, _ = rows.indices(len(self))
-        if (begin, end) != self._stretch:
-            self._held = self._stored.gather(np.asarray(self._order[begin:end], np.intp))
-            self._stretch = begin, end
+    def load(self, segment: slice) -> Columns:
+        """Return a segment of the rows; each part is loaded once."""
+        begin, end, _ = segment.indices(len(self))
+        if (begin, end) == self._stretch:
+            return self._held
+        rows, ends = np.asarray(self._order[begin:end], np.intp), np.array(self._stored.ends)
+        parts = np.searchsorted(ends, rows, "right") - 1
+        found: dict[Key, StoredCells] = {}
+        for part in np.unique(parts).tolist():
+            places = np.flatnonzero(parts == part)
+            for key, cells in self._stored.loads[part]().cells.items():
+                if key not in found:
+                    found[key] = StoredCells.fill(key.type, len(rows))
+                found[key].put(places, cells, rows[places] - ends[part])
+        self._stretch, self._held = (begin, end), Columns(len(rows), found)
         return self._held
 
 
@@ -222,13 +212,10 @@ Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 
 
 class FileState(msgspec.Struct, frozen=True, array_like=True):
-    """Known facts of a file, with size and time as in `FoundRecording`.
+    """Known facts of a file, with size and time as in `FoundRecording`, and its rows.
 
-    Attributes:
-        sha256: SHA-256 of the content; None if the file must be read again in any case.
-        first: Number of the file's first row.
-        count: Number of the file's rows; 0 if the content is unchanged and its rows are already
-            known.
+    The hash is None if the file must be read again in any case. The count is 0 if the content is
+    unchanged and its rows are already known.
     """
 
     size: int
@@ -320,43 +307,37 @@ class FileRows:
         begins = np.cumsum(counts) - counts
         firsts = np.array([state.first for state in states], np.intp)
         rows = WindowedRows(self._stored, np.arange(len(which)) + (firsts - begins)[which])
-        looked = _look_through(rows, begins)
+        keys, used, failed, errors = _look_through(rows, begins)
         columns = (
             _repeat(FILE, labels, which),
             *(_repeat(key, [getattr(one, key.name) for one in states], which) for key in _STATE),
-            *build_result_columns(rows, (ERROR, *order(looked.keys, looked.used))),
+            *build_result_columns(rows, (ERROR, *order(keys, used))),
         )
         table = ResultTable(kind=kind, columns=columns, facts=facts)
-        errors = tuple((labels[file], text) for file, text in looked.errors)
-        return table, looked.failed, errors
+        return table, failed, tuple((labels[file], text) for file, text in errors)
 
 
-@dataclass(slots=True)
-class _Looked:
-    """Contents of rows: column keys, keys with a cell that is not None, and errors of files."""
+def _look_through(
+    rows: WindowedRows, begins: NDArray[np.intp]
+) -> tuple[set[Key], set[Key], int, list[tuple[int, str]]]:
+    """Return the keys of rows, those with a value, and number and first errors of failed files.
 
-    keys: set[Key] = field(default_factory=set)
-    used: set[Key] = field(default_factory=set)
-    failed: int = 0
-    errors: list[tuple[int, str]] = field(default_factory=list)
-
-
-def _look_through(rows: WindowedRows, begins: NDArray[np.intp]) -> _Looked:
-    """Return the contents of rows. The error of a file is in the first row of the file."""
-    looked = _Looked()
+    The error of a file is in the first row of the file.
+    """
+    keys, used, count = set[Key](), set[Key](), 0
+    errors: list[tuple[int, str]] = []
     for stretch in cut_groups(len(rows), _COLUMNS_LOOKED):
         cells = rows.load(stretch).cells
-        looked.keys |= cells.keys() - {*HEAD}
-        looked.used |= {key for key in cells.keys() - looked.used if cells[key].has_value.any()}
+        keys |= cells.keys()
+        used |= {key for key in cells.keys() - used if cells[key].has_value.any()}
         if ERROR in cells:
             first, last = np.searchsorted(begins, (stretch.start, stretch.stop))
             places = begins[first:last] - stretch.start
             failed = np.flatnonzero(cells[ERROR].has_value[places])
-            looked.failed += len(failed)
-            for file in failed[: _ERRORS_KEPT - len(looked.errors)].tolist():
-                looked.errors.append((int(first) + file, cells[ERROR][places[file]]))
-    looked.used -= {*HEAD}
-    return looked
+            count += len(failed)
+            for file in failed[: _ERRORS_KEPT - len(errors)].tolist():
+                errors.append((int(first) + file, cells[ERROR][places[file]]))
+    return keys - {*HEAD}, used - {*HEAD}, count, errors
 
 
 def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultColumn:

@@ -457,11 +457,7 @@ class Candidates:
 def spread_keys(
     keys: Sequence[str], gains: Sequence[str], *, source: str
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the scenario's keys that each searched key sets: `kp` sets all gains of the law.
-
-    Raises:
-        TuneError: If the law declares no gain, or one of its gains is searched in addition to `kp`.
-    """
+    """Return the scenario's keys that each searched key sets: `kp` sets all gains of the law."""
     if KP not in keys:
         return tuple((key,) for key in keys)
     if not gains:
