@@ -16,7 +16,7 @@ T = TypeVar("T")
 _WAITS_S: Final = (0.1, 0.5)
 """Waiting times before a failed request is repeated [s]: three attempts in all."""
 
-CONNECT_S: Final = 10
+_CONNECT_S: Final = 10
 STALL_S: Final = 20
 """Time without any byte after which a server counts as hanging [s]."""
 
@@ -148,7 +148,7 @@ def _choose_options(url: str) -> dict[str, Any]:
             from aiohttp import ClientTimeout
         except ImportError:
             return {}
-        timeout = ClientTimeout(total=None, sock_connect=CONNECT_S, sock_read=STALL_S)
+        timeout = ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=STALL_S)
         client = {"timeout": timeout, **conf.get("client_kwargs", {})}
         headers = {**conf.get("headers", {}), "Accept-Encoding": "identity"}
         # What is percent-encoded already is signed like that.
@@ -158,7 +158,7 @@ def _choose_options(url: str) -> dict[str, Any]:
         return {"client_kwargs": client, "headers": headers, "encoded": is_encoded}
     if scheme in {"s3", "s3a"}:
         usual = {
-            "connect_timeout": CONNECT_S,
+            "connect_timeout": _CONNECT_S,
             "read_timeout": STALL_S,
             "retries": {"total_max_attempts": 1},
         }

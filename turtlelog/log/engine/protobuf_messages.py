@@ -102,7 +102,7 @@ class ProtobufType:
 
     def _decode(self, data: bytes) -> dict[str, Any]:
         found = dict(self.zeros)
-        for number, wire, value in iterate_fields(data):
+        for number, wire, value in _iterate_fields(data):
             known = self.fields.get(number)
             if known is None:
                 continue
@@ -209,7 +209,7 @@ def _collect(data: Any) -> dict[int, list[Any]]:
     if not isinstance(data, bytes):
         raise LogError("expected descriptors, found a number in the place of one")
     found: dict[int, list[Any]] = {}
-    for number, _, value in iterate_fields(data):
+    for number, _, value in _iterate_fields(data):
         found.setdefault(number, []).append(value)
     return found
 
@@ -224,12 +224,8 @@ def _read_number(parts: Mapping[int, list[Any]], number: int) -> int:
     return value if isinstance(value, int) else 0
 
 
-def iterate_fields(data: bytes) -> Iterator[tuple[int, int, Any]]:
-    """Yield number, wire type and value of each field of a message. Values are numbers or bytes.
-
-    Raises:
-        LogError: If the bytes are not a message.
-    """
+def _iterate_fields(data: bytes) -> Iterator[tuple[int, int, Any]]:
+    """Yield number, wire type and value of each field of a message. Values are numbers or bytes."""
     place, end = 0, len(data)
     while place < end:
         key, place = _read_varint(data, place)

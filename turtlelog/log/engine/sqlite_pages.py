@@ -37,7 +37,7 @@ _LONGEST_VARINT: Final = 9
 _DEEPEST: Final = 20  # levels; SQLite reads no deeper tree
 _READ_BYTES: Final = 2**20
 
-MOST_DEFINED: Final = 2**16
+_MOST_DEFINED: Final = 2**16
 """Largest size of table definitions [bytes]. A bag has 2,000; SQLite stores 100 times as many."""
 
 _MOST_TABLES: Final = 2**10
@@ -145,9 +145,9 @@ class _Pages:
             rows = batch.find_rows()
             lengths = batch.read_varints(rows)
             defined, tables = defined + int(lengths.sum()), tables + len(rows)
-            if defined > MOST_DEFINED or tables > _MOST_TABLES:
+            if defined > _MOST_DEFINED or tables > _MOST_TABLES:
                 raise DamageError(
-                    f"expected up to {MOST_DEFINED} bytes that define up to {_MOST_TABLES} tables,"
+                    f"expected up to {_MOST_DEFINED} bytes that define up to {_MOST_TABLES} tables,"
                     " found more: this is no bag"
                 )
             for place, length in zip(rows.tolist(), lengths.tolist(), strict=True):

@@ -105,7 +105,7 @@ silent for longer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BagFiles:
+class _BagFiles:
     """The files of a bag.
 
     Attributes:
@@ -129,11 +129,11 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
     return _find_bag_files(path).files
 
 
-def _find_bag_files(path: str | Path) -> BagFiles:
+def _find_bag_files(path: str | Path) -> _BagFiles:
     """Return the files of a bag as named in metadata.yaml; without it, the files in the folder."""
     path = make_path(path)
     if not path.is_dir():
-        return BagFiles(files=(path,))
+        return _BagFiles(files=(path,))
     present = _list_present(path)
     place = path / METADATA_FILE
     is_described = True
@@ -180,7 +180,7 @@ def read_compression(folder: Path) -> str:
     return found if found == "message" else ""
 
 
-def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
+def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> _BagFiles:
     """Return the files in the folder, at least one, if no readable metadata name files."""
     is_described = (folder / METADATA_FILE).exists()
     if not present and is_described:
@@ -193,10 +193,10 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
         )
     names = ", ".join(file.name for file in present)
     reason = reason if is_described else f"{METADATA_FILE} is missing"
-    return BagFiles(files=present, notes={"bag_files": f"{reason}; in order of name: {names}"})
+    return _BagFiles(files=present, notes={"bag_files": f"{reason}; in order of name: {names}"})
 
 
-def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
+def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> _BagFiles:
     """Return the files named in the metadata, each once. A single renamed file is accepted."""
     files: dict[Path, None] = {}  # ordered, with fast look-up
     missing: list[str] = []
@@ -211,7 +211,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
             files[file] = None
     duration_ns = metadata.duration_ns
     if not missing:
-        return BagFiles(files=tuple(files), duration_ns=duration_ns)
+        return _BagFiles(files=tuple(files), duration_ns=duration_ns)
     others = [file for file in present if file not in files]
     names = ", ".join(file.name for file in others) or "none"
     if len(missing) != len(others) or (files and len(others) > 1):
@@ -221,7 +221,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
         found.insert(metadata.files.index(missing[0]), others[0])
     lost = ", ".join(missing)
     note = f"{METADATA_FILE} names {lost}, not in the folder; read instead: {names}"
-    return BagFiles(files=tuple(found), duration_ns=duration_ns, notes={"bag_files": note})
+    return _BagFiles(files=tuple(found), duration_ns=duration_ns, notes={"bag_files": note})
 
 
 def _find_file(folder: Path, name: str, base: str) -> Path | None:

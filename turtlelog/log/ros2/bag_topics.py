@@ -17,7 +17,7 @@ TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
 FIX: Final = "sensor_msgs/msg/NavSatFix"
 JOINTS: Final = "sensor_msgs/msg/JointState"
 PATH: Final = "nav_msgs/msg/Path"
-GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
+_GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
 _TIERS: Final = {
     "turtlesim/msg/Pose": 0,
@@ -242,7 +242,7 @@ def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick |
     fitting = [
         topic
         for topic in present
-        if topic.type == GOAL_TYPE
+        if topic.type == _GOAL_TYPE
         and _GOAL.fullmatch(_take_last(topic.topic))
         and not _is_another_robots(topic.topic, pose_topic)
     ]

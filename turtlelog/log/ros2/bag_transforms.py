@@ -371,7 +371,7 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
             " found static ones alone"
         )
     leading = moving[-1]
-    place_m, turn = compose_way(steps, leading.time_ns)
+    place_m, turn = _compose_way(steps, leading.time_ns)
     traced = replace(leading, parent=choice.world, child=choice.robot, place_m=place_m, turn=turn)
     return traced, tuple(link for link in moving if link is not leading)
 
@@ -389,7 +389,7 @@ def locate_frame(
     [ns], links with stamps are interpolated.
     """
     try:
-        place_m, turn = compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)
+        place_m, turn = _compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)
     except LogError:
         return None
     return (place_m, turn) if np.isfinite(place_m).all() else None
@@ -418,7 +418,7 @@ def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
     return ways[end]
 
 
-def compose_way(
+def _compose_way(
     steps: Sequence[_Step], time_ns: NDArray[np.int64], stamp_ns: int | None = None
 ) -> tuple[Values, Values]:
     """Return place and turn at the end of a way, each link as held or interpolated."""
