@@ -98,11 +98,7 @@ class RemoteFile:
             self.size = self._copy_whole()
 
     def require_copy(self) -> None:
-        """Refuse to fetch the whole file if it is too large.
-
-        Raises:
-            RemoteError: If the file is larger than allowed.
-        """
+        """Refuse to fetch the whole file if it is too large."""
         if self.size > self._most:
             raise RemoteError(_describe_too_long(self._most))
 

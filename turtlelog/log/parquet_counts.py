@@ -196,11 +196,7 @@ class _Thrift:
         self.place = 0
 
     def read_struct(self, wanted: _Wanted, depth: int = 0) -> dict[int, Any]:
-        """Return the wanted fields that exist.
-
-        Raises:
-            DamageError: If the bytes are not a struct, or contain too many values.
-        """
+        """Return the wanted fields that exist."""
         self._count_part(depth)
         found: dict[int, Any] = {}
         number = 0

@@ -49,10 +49,7 @@ class Numbering:
     """
 
     def __init__(
-        self,
-        schemas: Iterable[Schema],
-        channels: Iterable[Channel],
-        allowance: Allowance,
+        self, schemas: Iterable[Schema], channels: Iterable[Channel], allowance: Allowance
     ) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Pair] = {}

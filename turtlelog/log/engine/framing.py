@@ -93,11 +93,7 @@ _LONE: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
 
 
 def check_start(stream: BinaryIO) -> None:
-    """Check the magic bytes at the start.
-
-    Raises:
-        LogError: If the file is not MCAP.
-    """
+    """Check the magic bytes at the start."""
     stream.seek(0)
     reason = find_wrong_start(stream.read(START_SIZE))
     if reason is not None:

@@ -11,12 +11,7 @@ import zstandard
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.engine.framing import (
-    MCAP0_MAGIC,
-    SQLITE_MAGIC,
-    START_SIZE,
-    find_wrong_start,
-)
+from turtlelog.log.engine.framing import MCAP0_MAGIC, SQLITE_MAGIC, START_SIZE, find_wrong_start
 from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, ZSTD_MAGIC, Allowance, measure_stored
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
@@ -118,11 +113,7 @@ class Damaged:
 
 @contextmanager
 def open_damaged(path: Path) -> Iterator[Damaged]:
-    """Open a file for recovery. Errors do not contain the file's name yet.
-
-    Raises:
-        LogError: If nothing in the file can be read.
-    """
+    """Open a file for recovery. Errors do not contain the file's name yet."""
     faults: list[str] = []
     with ExitStack() as closing:
         stream, place = closing.enter_context(_open_content(path, faults))

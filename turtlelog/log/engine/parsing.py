@@ -136,12 +136,7 @@ def take_whole(data: bytes, place: Place) -> bytes:
 
 
 def parse_record(place: Place, body: bytes, byte: int) -> Any:
-    """Return a record of a rare kind from its bytes after checksum checks; None for other kinds.
-
-    Raises:
-        DamageError: If the bytes are not a valid record; `byte` is the offset of the record in the
-            file.
-    """
+    """Return a record of a rare kind from its bytes after checksum checks; None for other kinds."""
     kind = _RARE.get(place.opcode)
     if kind is None:
         return None
@@ -342,9 +337,6 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
 
     In a strided view, a row starts at every byte. Indexing this view with the places takes a sixth
     of the time of copying field by field.
-
-    Raises:
-        LogError: If fewer than `size` bytes follow a place.
     """
     if not len(starts):
         return np.empty(0, f"V{size}")

@@ -87,11 +87,7 @@ class ProtobufType:
     zeros: dict[str, Any] = field(default_factory=dict)
 
     def decode(self, row: int, data: bytes) -> dict[str, Any]:
-        """Return a message as an object.
-
-        Raises:
-            LogError: If the bytes are not a message of this type.
-        """
+        """Return a message as an object."""
         if len(data) > LONGEST_MESSAGE:
             most = LONGEST_MESSAGE
             raise LogError(f"message {row}: expected up to {most} bytes, found {len(data)}")
@@ -134,11 +130,7 @@ class ProtobufType:
 
 
 def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
-    """Return a type from the FileDescriptorSet that defines the type.
-
-    Raises:
-        LogError: If the data are not such a set, or do not define the type.
-    """
+    """Return a type from the FileDescriptorSet that defines the type."""
     if len(data) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
     described: dict[str, list[Mapping[int, list[Any]]]] = {}

@@ -135,11 +135,7 @@ class _Pages:
         self.is_damaged = False
 
     def list_roots(self) -> list[int]:
-        """Return the first page of every tree in the table of tables.
-
-        Raises:
-            DamageError: If the table of tables is damaged, or far larger than that of a bag.
-        """
+        """Return the first page of every tree in the table of tables."""
         roots, defined, tables = [], 0, 0
         for batch in self._walk(1):
             rows = batch.find_rows()
@@ -178,11 +174,7 @@ class _Pages:
         return more if more <= self._usable - 35 else least
 
     def count_tree(self, root: int) -> None:
-        """Add the number of bytes that the rows of a tree claim.
-
-        Raises:
-            LogError: If the rows claim too much.
-        """
+        """Add the number of bytes that the rows of a tree claim."""
         for batch in self._walk(root):
             lengths = batch.read_varints(batch.find_rows())
             if self.is_damaged:

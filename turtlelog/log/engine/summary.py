@@ -127,11 +127,7 @@ def read_ends(stream: BinaryIO) -> Ends:
 
 
 def check_data(stream: BinaryIO, ends: Ends) -> None:
-    """Check the checksum of the data section, in one pass over the file.
-
-    Raises:
-        DamageError: If the bytes differ from those that were written.
-    """
+    """Check the checksum of the data section, in one pass over the file."""
     found = _compute_checksum(stream, 0, ends.data_end if ends.data_crc else 0)
     if found != ends.data_crc:
         raise DamageError(
@@ -190,11 +186,7 @@ def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
 
 
 def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
-    """Return the contents of the summary section; `byte` is its offset in the file.
-
-    Raises:
-        DamageError: If a record in the summary is invalid, or there are too many records.
-    """
+    """Return the contents of the summary section; `byte` is its offset in the file."""
     chunks: list[ChunkEntry] = []
     statistics, named = None, dict[int, tuple[int, str]]()
     described: dict[bytes, Schema | Channel] = {}

@@ -109,9 +109,6 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
     """Raise an error if the written files do not contain the rows of the run.
 
     The run in a recording or bag was `read` back; tables are read here.
-
-    Raises:
-        LogError: If rows differ; the message gives file, table and column.
     """
     if read is not None:
         for name in TABLES:
@@ -126,9 +123,6 @@ def require_same_poses(path: Path, run: Run) -> None:
     """Raise an error if the written trajectory does not contain the poses of the run.
 
     The headings of the file are computed from its quaternions.
-
-    Raises:
-        LogError: If poses differ; the message gives file and column.
     """
     poses, first = run.poses, 0
     for time_ns, xy_m, heading_rad in _iterate_trajectory(path):

@@ -134,11 +134,7 @@ def _parse_text(text: str, size: int) -> PlainTable:
 
 
 def require_few_columns(columns: int) -> None:
-    """Refuse a table with too many columns.
-
-    Raises:
-        LogError: If there are too many columns; the message is one clause.
-    """
+    """Refuse a table with too many columns."""
     if columns > _MOST_COLUMNS:
         raise LogError(
             f"the table has more than {_MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
@@ -201,12 +197,7 @@ class _TextColumns:
         self.lines: Sequence[int] = ()
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of some columns.
-
-        Raises:
-            LogError: If a line has another number of cells, or there are too many rows for the
-                file's size.
-        """
+        """Return the cells of some columns."""
         found: list[list[str]] = [[] for _ in places]
         lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
         pairs = [*zip(places, found, strict=True)]
@@ -310,11 +301,7 @@ class _StoredColumns:
         self.lines: Sequence[int] = range(1, file.row_count + 1)
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of some columns.
-
-        Raises:
-            LogError: If a column needs too much memory, contains lists, or has a duplicate name.
-        """
+        """Return the cells of some columns."""
         return [self._read_one(self.names[place]) for place in places]
 
     def _read_one(self, name: str) -> Sequence[Any]:

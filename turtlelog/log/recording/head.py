@@ -236,11 +236,7 @@ def format_scenario_file(run: "Run") -> dict[str, bytes]:
 
 
 def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
-    """Return the attached tables, and whether they are a complete scenario. No law is loaded.
-
-    Raises:
-        LogError: If the attachment is not TOML.
-    """
+    """Return the attached tables, and whether they are a complete scenario. No law is loaded."""
     name = SCENARIO_FILE if SCENARIO_FILE in attachments else _PARAMETER_FILE
     text = attachments.get(name, b"")
     if len(text) > _LONGEST:

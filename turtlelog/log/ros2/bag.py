@@ -13,13 +13,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
 from turtlelog.log.file_access import name_file
-from turtlelog.log.file_info import (
-    RecordingInfo,
-    TopicInfo,
-    list_absent,
-    merge_topics,
-    read_info,
-)
+from turtlelog.log.file_info import RecordingInfo, TopicInfo, list_absent, merge_topics, read_info
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
 
 
@@ -153,11 +147,7 @@ def _find_bag_files(path: str | Path) -> _BagFiles:
 
 
 def list_present_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of a bag to recover, in the bag's order if known.
-
-    Raises:
-        LogError: If there are no files.
-    """
+    """Return the files of a bag to recover, in the bag's order if known."""
     try:
         return _find_bag_files(folder).files
     except LogError as err:

@@ -58,11 +58,7 @@ class RobotTrack:
 def add_references(
     run: Run, bag: Bag, source: PoseSource, track: RobotTrack, choice: ReadChoice
 ) -> Run:
-    """Return a run with the goal and the path in its bag, or the requested ones.
-
-    Raises:
-        LogError: If a requested path topic does not exist.
-    """
+    """Return a run with the goal and the path in its bag, or the requested ones."""
     topics = bag.topics
     given = choice.goal
     goal_pick = None if given else choose_goal_topic(topics, pose_topic=source.home)

@@ -158,11 +158,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
 
 
 def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
-    """Return the requested topic of joint states, or else the one with the usual name.
-
-    Raises:
-        LogError: If there is no such topic, or several are equally likely.
-    """
+    """Return the requested topic of joint states, or else the one with the usual name."""
     held = [topic for topic in topics if topic.count]
     if asked is not None:
         return _find_asked(held, asked, (JOINTS,), "pose_topic")

@@ -127,11 +127,7 @@ def name_frame(columns: TopicColumns, row: int = 0) -> str:
 def collect_links(
     messages: Iterable[TopicColumns], *, is_static: bool
 ) -> dict[tuple[str, str], Link]:
-    """Return the transforms in TFMessage messages, by parent and child.
-
-    Raises:
-        LogError: If the messages have other fields.
-    """
+    """Return the transforms in TFMessage messages, by parent and child."""
     rows: dict[tuple[str, str], list[tuple[int, dict[str, Any]]]] = defaultdict(list)
     for columns in map(_wrap_foxglove, messages):
         if "transforms" not in columns.fields:
@@ -197,11 +193,7 @@ def _build_link(
 
 
 def choose_frames(
-    tree: Tree,
-    *,
-    robot: str | None = None,
-    world: str | None = None,
-    name: str | None = None,
+    tree: Tree, *, robot: str | None = None, world: str | None = None, name: str | None = None
 ) -> FrameChoice:
     """Return the requested frames, completed by the most likely ones.
 
@@ -358,9 +350,6 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
 
     Returns:
         The link from world to robot, NaN before the first message of a held link; the held links.
-
-    Raises:
-        LogError: If no transforms join the two frames.
     """
     steps = _find_way(tree, choice.world, choice.robot)
     moving = [link for link, _ in steps if link.moves]
@@ -377,11 +366,7 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
 
 
 def locate_frame(
-    tree: Tree,
-    world: str,
-    frame: str,
-    time_ns: NDArray[np.int64],
-    stamp_ns: int | None = None,
+    tree: Tree, world: str, frame: str, time_ns: NDArray[np.int64], stamp_ns: int | None = None
 ) -> tuple[Values, Values] | None:
     """Return the pose of a frame in another frame at some times; None if they are not connected.
 
