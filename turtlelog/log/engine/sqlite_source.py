@@ -130,7 +130,7 @@ class SqliteSource:
         return self._connection.execute(query, values)
 
     def count_messages(self) -> tuple[Counter[int], tuple[int, int] | None]:
-        """Return the number of messages by channel, and the first and last log time [ns] or None."""
+        """Return the number of messages by channel; the first and last log time [ns], if any."""
         counts, times = Counter[int](), list[int]()
         query = (
             "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages NOT INDEXED"

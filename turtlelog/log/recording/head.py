@@ -7,7 +7,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+import numpy as np
 from mcap.records import Metadata
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
@@ -221,6 +223,13 @@ def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
     expected = (name for name in _COLUMNS if has_goal or name != "goal_xy_m")
     lost = [name for name in expected if name not in held]
     return tuple(dict.fromkeys([*lost, *head.absent]))
+
+
+def lacks_values(name: str, values: NDArray[np.float64]) -> bool:
+    """Return whether a column of samples was not recorded. Some may lack a world velocity."""
+    unknown = np.isnan(values)
+    is_unknown = unknown.all() if name == "world_velocity_m_s" else unknown.any()
+    return bool(unknown.size and is_unknown)
 
 
 def format_scenario_file(run: "Run") -> dict[str, bytes]:

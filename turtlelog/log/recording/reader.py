@@ -41,6 +41,7 @@ from turtlelog.log.recording.head import (
     add_lost,
     declare_format1,
     describe_damages,
+    lacks_values,
     parse_scenario_file,
 )
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
@@ -394,10 +395,8 @@ def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
     The metadata at the start of a live recording cannot list the columns that its samples will
     lack.
     """
-    if head.format_version > 1 and name in _FOUND_LATE:
-        is_nan = np.isnan(values)
-        if is_nan.size and (is_nan.all() if name == "world_velocity_m_s" else is_nan.any()):
-            return None
+    if head.format_version > 1 and name in _FOUND_LATE and lacks_values(name, values):
+        return None
     return _unless_nan(head, f"samples.{name}", values)
 
 
