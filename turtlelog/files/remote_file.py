@@ -78,9 +78,9 @@ class RemoteFile:
         self._ends: dict[int, bytes] = {}
         self._copy: IO[bytes] | None = None
         self._failure: RemoteError | None = None
-        self._http: HttpFile | None = None
+        self._http: _HttpFile | None = None
         if "::" not in url and urlsplit(url).scheme.lower() in {"http", "https"}:
-            self._http = http = try_thrice(lambda: HttpFile(self._system, url), url)
+            self._http = http = try_thrice(lambda: _HttpFile(self._system, url), url)
             if http.head:  # it shows the kind of the file
                 self._ends[0] = http.head
             if http.size is None and re.match(rb"\s*<(!doctype|html|\?xml)", http.head, re.I):
@@ -98,13 +98,9 @@ class RemoteFile:
             self.size = self._copy_whole()
 
     def require_copy(self) -> None:
-        """Refuse to fetch the whole file if it is too large.
-
-        Raises:
-            RemoteError: If the file is larger than allowed.
-        """
+        """Refuse to fetch the whole file if it is too large."""
         if self.size > self._most:
-            raise RemoteError(describe_too_long(self._most))
+            raise RemoteError(_describe_too_long(self._most))
 
     def open(self) -> BinaryIO:
         """Return a stream of the file, which the caller must close."""
@@ -197,7 +193,7 @@ class RemoteFile:
             while data := source.read(_WINDOW // 8):
                 copy.write(data)
                 if copy.tell() > self._most:
-                    raise AnswerError(describe_too_long(self._most))
+                    raise AnswerError(_describe_too_long(self._most))
 
 
 class RangeStream(io.RawIOBase):
@@ -283,7 +279,7 @@ class RangeStream(io.RawIOBase):
         return self._start, self._data
 
 
-class HttpFile:
+class _HttpFile:
     """A file read over http or https.
 
     Attributes:
@@ -380,7 +376,7 @@ class HttpFile:
             async for piece in _read_pieces(answer):
                 count += len(piece)
                 if count > (most if length is None else length):
-                    raise AnswerError(describe_too_long(most))
+                    raise AnswerError(_describe_too_long(most))
                 target.write(piece)
 
     def _require_same(self, answer: Any) -> None:
@@ -396,7 +392,7 @@ class HttpFile:
             raise ReplacedError
 
 
-def describe_too_long(most: int) -> str:
+def _describe_too_long(most: int) -> str:
     """Return the message about a file that is too large to download."""
     return (
         f"expected at most {format_size(most)}, found a file that is longer;"

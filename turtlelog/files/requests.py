@@ -16,7 +16,7 @@ T = TypeVar("T")
 _WAITS_S: Final = (0.1, 0.5)
 """Waiting times before a failed request is repeated [s]: three attempts in all."""
 
-CONNECT_S: Final = 10
+_CONNECT_S: Final = 10
 STALL_S: Final = 20
 """Time without any byte after which a server counts as hanging [s]."""
 
@@ -71,11 +71,7 @@ def open_system(url: str) -> tuple[Any, str]:
 
 
 def require_writable(url: str) -> tuple[Any, str]:
-    """Return the file system of a URL and the file's name in it, as `open_system` does.
-
-    Raises:
-        RemoteError: If the URL is not writable, as for http.
-    """
+    """Return the file system of a URL and the file's name in it, as `open_system` does."""
     if url.endswith("/"):
         raise RemoteError("expected the URL of a file to write to, found that of a folder")
     system, path = open_system(url)
@@ -85,11 +81,7 @@ def require_writable(url: str) -> tuple[Any, str]:
 
 
 def find_objects(url: str) -> bool:
-    """Return whether any object exists below a writable URL.
-
-    Raises:
-        RemoteError: If this cannot be determined, or the URL is not writable.
-    """
+    """Return whether any object exists below a writable URL."""
     system, path = require_writable(url.rstrip("/"))
 
     def look() -> bool:
@@ -103,11 +95,7 @@ def find_objects(url: str) -> bool:
 
 
 def find_object(url: str) -> bool:
-    """Return whether an object exists. The bucket must exist.
-
-    Raises:
-        RemoteError: If this cannot be determined, or the bucket does not exist.
-    """
+    """Return whether an object exists. The bucket must exist."""
     system, path = open_system(url)
 
     def look() -> bool:
@@ -128,11 +116,7 @@ _WITH_BUCKETS: Final = frozenset({"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss
 
 
 def put_file(source: Path, url: str) -> None:
-    """Upload a local file to a URL, replacing an existing object.
-
-    Raises:
-        RemoteError: If the upload is not permitted or fails.
-    """
+    """Upload a local file to a URL, replacing an existing object."""
     system, path = require_writable(url)
     try_thrice(lambda: system.put_file(str(source), path), url)
 
@@ -148,7 +132,7 @@ def _choose_options(url: str) -> dict[str, Any]:
             from aiohttp import ClientTimeout
         except ImportError:
             return {}
-        timeout = ClientTimeout(total=None, sock_connect=CONNECT_S, sock_read=STALL_S)
+        timeout = ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=STALL_S)
         client = {"timeout": timeout, **conf.get("client_kwargs", {})}
         headers = {**conf.get("headers", {}), "Accept-Encoding": "identity"}
         # What is percent-encoded already is signed like that.
@@ -158,7 +142,7 @@ def _choose_options(url: str) -> dict[str, Any]:
         return {"client_kwargs": client, "headers": headers, "encoded": is_encoded}
     if scheme in {"s3", "s3a"}:
         usual = {
-            "connect_timeout": CONNECT_S,
+            "connect_timeout": _CONNECT_S,
             "read_timeout": STALL_S,
             "retries": {"total_max_attempts": 1},
         }

@@ -182,11 +182,7 @@ class RemotePath(_LocalPath):
         return self._file
 
     def put(self, source: Path) -> None:
-        """Upload a complete local file, replacing an existing object.
-
-        Raises:
-            RemoteError: If the upload is not permitted or fails.
-        """
+        """Upload a complete local file, replacing an existing object."""
         from turtlelog.files.requests import put_file
 
         put_file(source, self.url)
@@ -203,11 +199,7 @@ class RemotePath(_LocalPath):
         return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 1, 0, 0, self.file.size, 0, 0, 0))
 
     def mkdir(self, *_: Any, **__: Any) -> None:
-        """Refuse to create a folder; folders exist only on disks.
-
-        Raises:
-            OSError: Always.
-        """
+        """Refuse to create a folder; folders exist only on disks."""
         raise OSError(errno.ENOTSUP, "a URL, where only single files are written", str(self))
 
     def is_dir(self, **_: Any) -> bool:

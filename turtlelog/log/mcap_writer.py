@@ -96,7 +96,7 @@ def write_columns(
                 file.add_metadata(name, entries)
             for name, data in attachments.items():
                 file.add_attachment(name, data)
-            file.add_chunks(cut_chunks(channels))
+            file.add_chunks(_cut_chunks(channels))
             file.finish()
     except (LogError, UnicodeEncodeError) as err:
         raise name_write_error(path, err) from err
@@ -381,7 +381,7 @@ def _format_index(channel: int, entries: NDArray[np.uint64], front: int) -> byte
     return _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(moved), channel, len(moved)) + moved
 
 
-def cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
+def _cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
     """Yield chunks of all records in order of log time; at equal times, channel by channel.
 
     The records of each channel are in order of log time. A record larger than a chunk gets its own.

@@ -241,10 +241,7 @@ def _name_fields(fields: tuple[Field, ...], prefix: str) -> Iterator[str]:
 
 
 def encode_message(
-    fields: tuple[Field, ...],
-    values: Mapping[str, Any],
-    channel: int,
-    stamp: tuple[int, int, int],
+    fields: tuple[Field, ...], values: Mapping[str, Any], channel: int, stamp: tuple[int, int, int]
 ) -> bytes:
     """Return the record of one message; `stamp` is its sequence, log and publish time [ns].
 

@@ -63,7 +63,7 @@ class ChunkClaim:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FooterClaims:
+class _FooterClaims:
     """Contents of the footer.
 
     Attributes:
@@ -96,7 +96,7 @@ class PageClaim:
 
 def read_footer_claims(
     stream: BinaryIO, *, most_bytes: int, most_parts: int, advice: str = ""
-) -> FooterClaims:
+) -> _FooterClaims:
     """Return the contents of a Parquet file's footer.
 
     Raises:
@@ -118,7 +118,7 @@ def read_footer_claims(
     stream.seek(size - _ENDING - length)
     footer = _Thrift(stream.read(length), most_parts).read_struct(_FOOTER)
     groups = footer.get(4, [])
-    return FooterClaims(
+    return _FooterClaims(
         row_count=sum(group.get(3, 0) for group in groups),
         depth=_measure_depth([element.get(5, 0) for element in footer.get(2, [])]),
         group_rows=tuple(group.get(3, 0) for group in groups),
@@ -196,11 +196,7 @@ class _Thrift:
         self.place = 0
 
     def read_struct(self, wanted: _Wanted, depth: int = 0) -> dict[int, Any]:
-        """Return the wanted fields that exist.
-
-        Raises:
-            DamageError: If the bytes are not a struct, or contain too many values.
-        """
+        """Return the wanted fields that exist."""
         self._count_part(depth)
         found: dict[int, Any] = {}
         number = 0

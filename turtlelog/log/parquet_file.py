@@ -169,11 +169,7 @@ class ParquetFile:
             self._believed = self._path.file.fetch_whole()
 
     def require_cells(self, columns: int, rows: int | None = None) -> None:
-        """Refuse to read more cells than the memory limit allows. Default: all rows.
-
-        Raises:
-            LogError: If there are more cells. The message does not contain the file's name.
-        """
+        """Refuse to read more cells than the memory limit allows. Default: all rows."""
         rows = self.row_count if rows is None else rows
         most = _CELLS_A_ROW * max(MOST_ROWS, self._believed // _ROW_BYTES)
         if rows * columns > most:
@@ -219,11 +215,7 @@ class _PageCounts:
         self._most_pages, self._most_text_bytes = pages, text_bytes
 
     def count(self, stream: BinaryIO, chunks: Sequence[ChunkClaim], leaf: Any) -> bool:
-        """Count the pages of a column, and return whether it is read as a dictionary of texts.
-
-        Raises:
-            LogError: If the pages exceed the limits.
-        """
+        """Count the pages of a column, and return whether it is read as a dictionary of texts."""
         if leaf.physical_type == "BYTE_ARRAY":
             return self._count_texts([page for one in chunks for page in self._list(stream, one)])
         base, share = _PAGE_BYTES

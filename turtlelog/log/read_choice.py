@@ -193,7 +193,7 @@ def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
     Raises:
         LogError: If there are not two lengths > 0.
     """
-    if len(values) != 2 or not all(map(is_length, values)):
+    if len(values) != 2 or not all(map(_is_length, values)):
         raise LogError(
             f"wheels: expected radius and track above 0 in m, as in (0.033, 0.16), found"
             f" {values!r:.60}"
@@ -207,11 +207,11 @@ def parse_wheelbase(value: float) -> float:
     Raises:
         LogError: If the value is not a length > 0.
     """
-    if not is_length(value):
+    if not _is_length(value):
         raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
     return float(value)
 
 
-def is_length(value: float) -> bool:
+def _is_length(value: float) -> bool:
     """Return whether a number can be a length [m]."""
     return 0.0 < value < math.inf

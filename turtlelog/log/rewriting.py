@@ -49,10 +49,7 @@ class Numbering:
     """
 
     def __init__(
-        self,
-        schemas: Iterable[Schema],
-        channels: Iterable[Channel],
-        allowance: Allowance,
+        self, schemas: Iterable[Schema], channels: Iterable[Channel], allowance: Allowance
     ) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Pair] = {}
@@ -205,10 +202,10 @@ class Rewriter:
         if known.get(body[:2]) == digest:
             return
         if opcode == Opcode.SCHEMA:
-            self.numbering.add_schema(parse_exact_record(Schema, body))
+            self.numbering.add_schema(_parse_exact_record(Schema, body))
             self._last[Opcode.CHANNEL].clear()  # their ids may have another meaning now
         else:
-            channel = parse_exact_record(Channel, body)
+            channel = _parse_exact_record(Channel, body)
             if self.numbering.is_news(channel):
                 self._allowance.spend(CHANGES)
                 flush()
@@ -218,7 +215,7 @@ class Rewriter:
     def _take_record(self, opcode: int, body: bytes) -> None:
         """Write a header, metadata or an attachment."""
         if opcode == Opcode.HEADER:
-            self._begin(parse_exact_record(Header, body))
+            self._begin(_parse_exact_record(Header, body))
             return
         self._notes += 1
         if self._notes > _MOST_NOTES:
@@ -227,9 +224,9 @@ class Rewriter:
             )
         note: Metadata | Attachment
         if opcode == Opcode.METADATA:
-            note = parse_exact_record(Metadata, body)
+            note = _parse_exact_record(Metadata, body)
         else:
-            note = parse_exact_record(Attachment, body)
+            note = _parse_exact_record(Attachment, body)
         self._begin()
         self._write_small()
         if isinstance(note, Metadata):
@@ -346,12 +343,8 @@ def _rename(records: bytearray, places: Numbers, numbers: Numbers) -> None:
     array[places + _CHANNEL + 1] = numbers >> 8
 
 
-def parse_exact_record(kind: type[Described], body: bytes) -> Described:
-    """Return a record with consistent lengths. Bytes that a later version appended are ignored.
-
-    Raises:
-        LogError: If the lengths are inconsistent; the message is one clause.
-    """
+def _parse_exact_record(kind: type[Described], body: bytes) -> Described:
+    """Return a record with consistent lengths. Bytes that a later version appended are ignored."""
     record, size = parse_body(kind, body)
     if isinstance(record, Channel | Schema):
         if size != _measure(record):

@@ -348,11 +348,7 @@ def read_ros1_type(name: str, text: str) -> MessageType:
 
 
 def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tuple[bytes, Places]:
-    """Return ROS 1 messages, given as records with their starts, as records of CDR messages.
-
-    Raises:
-        LogError: If a message does not have this type.
-    """
+    """Return ROS 1 messages, given as records with their starts, as records of CDR messages."""
     heads, steps = gather_heads(data, starts), _plan(fields)
     ends = starts + RECORD.size + heads["length"].astype(np.int64)
     found, places = bytearray(), np.empty_like(starts)

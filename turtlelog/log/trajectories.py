@@ -1,8 +1,7 @@
 """Reading of any file as a trajectory, in 3D if the file has heights and rotations."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -156,12 +155,11 @@ def _build_kitti(path: Path, table: PlainTable, times: Path | None) -> Trajector
         )
     turns = np.full((len(values), 4), np.nan)
     turns[known] = find_quaternions(rotations[known])
-    count = len(values)
-    time_ns = (
-        np.arange(count, dtype=np.int64) * _FRAME_NS if times is None else _read_times(times, count)
-    )
-    found = _build(path.stem, time_ns, matrices[:, :, 3], turns, notes={})
-    return found if times is not None else replace(found, clock="frame")
+    if times is not None:
+        time_ns = _read_times(times, len(values))
+        return _build(path.stem, time_ns, matrices[:, :, 3], turns, notes={})
+    time_ns = np.arange(len(values), dtype=np.int64) * _FRAME_NS
+    return replace(_build(path.stem, time_ns, matrices[:, :, 3], turns, notes={}), clock="frame")
 
 
 def _read_times(path: Path, count: int) -> Times:
@@ -171,33 +169,21 @@ def _read_times(path: Path, count: int) -> Times:
         data = stream.read(_LONGEST_TIMES + 1)
         if len(data) > _LONGEST_TIMES:
             raise LogError(f"a file of times has at most {_LONGEST_TIMES // 2**20} MiB")
-        lines = data.decode("utf-8", errors="replace").splitlines()
+        lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
         kept = [
-            (number, line)
-            for number, line in enumerate(lines, 1)
-            if line.strip() and not line.lstrip().startswith("#")
+            (number, line) for number, line in lines if line.strip() and line.lstrip()[0] != "#"
         ]
         if len(kept) != count:
             raise LogError(
                 f"expected a time for each of {describe_count(count, 'pose')}, found"
                 f" {describe_count(len(kept), 'line')}"
             )
-        for number, line in islice(kept, count):
+        for number, line in kept:
             time_ns = importers.read_time(line.strip(), 9)
             if time_ns is None:
                 raise LogError(f"line {number}: expected a time in s, found {line[:40]!r}")
             found.append(time_ns)
     return np.array(found, dtype=np.int64)
-
-
-@dataclass(slots=True)
-class _Rows:
-    """The poses of a bag's topic, file by file."""
-
-    log_ns: list[Times]
-    stamp_ns: list[Times]
-    xyz_m: list[Values]
-    turns: list[Values]
 
 
 def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory | None:
@@ -209,8 +195,8 @@ def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory 
             source = find_poses(bag, topics, choice)
         except NoPosesError:
             return None  # a run may be made of commands alone
-        rows = _Rows([], [], [], [])
-        is_spatial = True
+        rows: list[tuple[Values, Values]] = []
+        log_ns, stamp_ns, is_spatial = list[Times](), list[Times](), True
         for of_file in source.found:
             columns = of_file.get(source.topic.topic)
             if columns is None or not len(columns):
@@ -219,14 +205,14 @@ def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory 
             if shape is None:
                 return None
             is_spatial &= shape.heading is None and f"{shape.position}z" in columns.fields
-            stamp_ns = read_stamps(columns)
-            rows.log_ns.append(columns.log_time_ns)
-            rows.stamp_ns += [] if stamp_ns is None else [stamp_ns]
-            _collect(rows, columns.fields, shape)
-        if not rows.log_ns:
+            stamps = read_stamps(columns)
+            log_ns.append(columns.log_time_ns)
+            stamp_ns += [] if stamps is None else [stamps]
+            rows.append(_read_poses(columns.fields, shape))
+        if not rows:
             return None
-        time_ns, clock = _choose_times(rows, choice)
-        xyz_m, turns = np.concatenate(rows.xyz_m), np.concatenate(rows.turns)
+        time_ns, clock = _choose_times(log_ns, stamp_ns, choice)
+        xyz_m, turns = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         turns[(turns**2).sum(axis=1) == 0.0] = np.nan
         never = time_ns <= 0
         if never.all() and len(never) > 1:
@@ -236,23 +222,20 @@ def _read_bag(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory 
             )
         turns[never if never.sum() > 1 else []] = np.nan  # a simulation begins at 0 once
         name = bag.path.name if bag.path.is_dir() else bag.path.stem
+        name += f":{source.topic.topic}" if names_topic else ""
         notes = {CHOSEN: f"poses from {source.notes['pose_topic']}", "timed_by": clock}
-        found = _build(
-            f"{name}:{source.topic.topic}" if names_topic else name,
-            time_ns,
-            xyz_m,
-            turns,
-            notes=notes,
-        )
+        found = _build(name, time_ns, xyz_m, turns, notes=notes)
     return found if is_spatial else replace(found, space="plane")
 
 
-def _choose_times(rows: _Rows, choice: ReadChoice) -> tuple[Times, str]:
+def _choose_times(
+    logged: list[Times], stamps: list[Times], choice: ReadChoice
+) -> tuple[Times, str]:
     """Return the times of poses and the name of their clock."""
-    log_ns = np.concatenate(rows.log_ns)
-    if choice.time == "log" or len(rows.stamp_ns) < len(rows.log_ns):
+    log_ns = np.concatenate(logged)
+    if choice.time == "log" or len(stamps) < len(logged):
         return log_ns, "the recorder's clock"
-    stamp_ns, order = np.concatenate(rows.stamp_ns), np.argsort(log_ns, kind="stable")
+    stamp_ns, order = np.concatenate(stamps), np.argsort(log_ns, kind="stable")
     clock = read_stamp_clock(Stamps(log_ns=log_ns[order], stamp_ns=stamp_ns[order]))
     if not clock.reason:
         return stamp_ns, "header stamps"
@@ -261,17 +244,19 @@ def _choose_times(rows: _Rows, choice: ReadChoice) -> tuple[Times, str]:
     return log_ns, f"the recorder's clock ({clock.reason})"
 
 
-def _collect(rows: _Rows, fields: Mapping[str, NDArray[np.generic]], shape: PoseShape) -> None:
+def _read_poses(
+    fields: Mapping[str, NDArray[np.generic]], shape: PoseShape
+) -> tuple[Values, Values]:
+    """Return positions [m] and rotations as quaternions w, x, y, z."""
     place = [fields[f"{shape.position}{axis}"].astype(np.float64) for axis in "xy"]
     has_height = f"{shape.position}z" in fields
     height = fields[f"{shape.position}z"].astype(np.float64) if has_height else 0.0 * place[0]
-    rows.xyz_m.append(np.column_stack([*place, height]))
+    xyz_m = np.column_stack([*place, height])
     if shape.heading is not None:
         heading = fields[shape.heading].astype(np.float64)
-        rows.turns.append(turn_headings(np.radians(heading) if shape.is_degrees else heading))
-    else:
-        parts = [fields[f"{shape.orientation}{axis}"].astype(np.float64) for axis in "wxyz"]
-        rows.turns.append(np.column_stack(parts))
+        return xyz_m, turn_headings(np.radians(heading) if shape.is_degrees else heading)
+    parts = [fields[f"{shape.orientation}{axis}"].astype(np.float64) for axis in "wxyz"]
+    return xyz_m, np.column_stack(parts)
 
 
 def _build(

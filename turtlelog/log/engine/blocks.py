@@ -79,17 +79,11 @@ class Block:
 
 
 def build_indexed_block(
-    entry: ChunkEntry,
-    stored: bytes,
-    described: Mapping[bytes, Any],
-    largest: int = LARGEST_CHUNK,
+    entry: ChunkEntry, stored: bytes, described: Mapping[bytes, Any], largest: int = LARGEST_CHUNK
 ) -> Block:
     """Return a chunk as a block, given the bytes of the chunk and its indexes.
 
     Schemas and channels in `described`, by their bytes, are not parsed again.
-
-    Raises:
-        DamageError: If chunk, indexes or summary are damaged or inconsistent.
     """
     byte = entry.start
     opcode, length = RECORD.unpack_from(stored) if len(stored) > RECORD.size else (0, 0)
@@ -146,11 +140,7 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
 
 
 def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Block:
-    """Return records as a block by reading their headers.
-
-    Raises:
-        DamageError: If the records are invalid or too many.
-    """
+    """Return records as a block by reading their headers."""
     stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
     starts, offsets = stretch.starts.astype(np.int64), dict[int, Offsets]()
     if len(starts):
@@ -219,11 +209,7 @@ def walk_through(
 
 
 def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> RecordStretch:
-    """Return the offsets of records that must all be valid.
-
-    Raises:
-        DamageError: If a record is invalid, or there are too many.
-    """
+    """Return the offsets of records that must all be valid."""
     left = allowance.count_left(RECORDS)
     stretch = take_apart(data, is_chunk=is_chunk, most_records=left)
     try:
@@ -239,11 +225,7 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
 
 
 def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
-    """Return all records of a segment that are not messages.
-
-    Raises:
-        DamageError: If a record is damaged.
-    """
+    """Return all records of a segment that are not messages."""
     return tuple(
         parse_record(
             Place(opcode, start + RECORD.size, end - start - RECORD.size),

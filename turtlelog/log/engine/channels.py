@@ -174,11 +174,7 @@ class Catalogue:
         return self._plans[topic]
 
     def group_channels(self, numbers: Collection[int], byte: int) -> Mapping[str, list[int]]:
-        """Return channels by topic.
-
-        Raises:
-            DamageError: If a channel is unknown.
-        """
+        """Return channels by topic."""
         topics: dict[str, list[int]] = {}
         for number in numbers:
             if number not in self.channels:

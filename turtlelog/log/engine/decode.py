@@ -63,10 +63,6 @@ def unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tupl
     """Decompress messages that rosbag2 compressed one by one; return others unchanged.
 
     The first byte shows whether a message is compressed: it is 0 for plain CDR, and not 0 for zstd.
-
-    Raises:
-        LogError: If a message is damaged, or the messages unpack to far more than the file's size
-            allows.
     """
     if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
         return block, starts
@@ -94,11 +90,7 @@ def unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tupl
 
 
 def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block, Offsets]:
-    """Return ROS 1 messages as CDR, others unchanged.
-
-    Raises:
-        LogError: If a message does not have the topic's type.
-    """
+    """Return ROS 1 messages as CDR, others unchanged."""
     if not plan.is_ros1:
         return block, starts
     from turtlelog.log.ros1 import convert_ros1  # only files of ROS 1 need it
@@ -127,9 +119,6 @@ class FixedColumns:
         """Copy messages into the rows from `first` on; return whether there was enough room.
 
         Several threads may fill different rows at the same time.
-
-        Raises:
-            LogError: If a message does not have the topic's type.
         """
         end = first + len(starts)
         if end > self._count:

@@ -36,6 +36,8 @@ SUMMARY_ONLY: Final = frozenset(
 )
 """Kinds of records that occur only after the data section."""
 
+_AFTER_DATA: Final = SUMMARY_ONLY | {Opcode.FOOTER, Opcode.SCHEMA, Opcode.CHANNEL}
+
 _CHAIN: Final = 4
 """Number of consecutive records that are accepted without a checksum.
 
@@ -49,6 +51,7 @@ SQLITE_MAGIC: Final = b"SQLite format 3\0"
 _RERUN: Final = b"RRF2"
 _BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
 _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
+_LETTERS: Final = frozenset((*b"\t\n\r", *range(0x20, 0x7F)))
 START_SIZE: Final = len(SQLITE_MAGIC)
 """Number of bytes at the start of a file that determine its kind."""
 
@@ -90,11 +93,7 @@ _LONE: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
 
 
 def check_start(stream: BinaryIO) -> None:
-    """Check the magic bytes at the start.
-
-    Raises:
-        LogError: If the file is not MCAP.
-    """
+    """Check the magic bytes at the start."""
     stream.seek(0)
     reason = find_wrong_start(stream.read(START_SIZE))
     if reason is not None:
@@ -112,13 +111,9 @@ def find_wrong_start(start: bytes) -> str | None:
         found = "it is a Rerun recording, which turtlelog view shows"
     elif start.startswith(_BAG_DESCRIPTION):
         found = "it is the metadata.yaml of a bag: name the folder that it is in"
-    elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
+    elif start and set(start.removeprefix(_BYTE_ORDER_MARK)) <= _LETTERS:
         found = "it is text; names of logs and tables end in .csv, .json, .tsv, .tum or .txt"
     return f"not an MCAP file: {found}"
-
-
-def _is_text(start: bytes) -> bool:
-    return all(byte in b"\t\n\r" or 0x20 <= byte < 0x7F for byte in start)
 
 
 class FileWindow:
@@ -319,12 +314,7 @@ def _is_borne_out(window: FileWindow, place: int) -> bool:
         return is_record_start(window, end, after=opcode)
     if opcode == Opcode.DATA_END:
         follows = window.read(end, 1)
-        return bool(follows) and follows[0] in {
-            Opcode.FOOTER,
-            Opcode.SCHEMA,
-            Opcode.CHANNEL,
-            *SUMMARY_ONLY,
-        }
+        return bool(follows) and follows[0] in _AFTER_DATA
     if opcode == Opcode.MESSAGE_INDEX:
         pairs = measure_record(window, place, opcode, end) - place - RECORD.size - _INDEX_HEAD
         return pairs % _PAIR == 0

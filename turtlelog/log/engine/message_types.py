@@ -168,22 +168,21 @@ def read_type(name: str, definition: str) -> MessageType:
         LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
     """
     known = _KEPT.get((name, definition))
-    if known is None:
-        fields, size = _parse_schema(name, definition)
-        layout = _lay_out(fields)
-        known = MessageType(
-            fields=fields,
-            layout=layout,
-            size=size,
-            sequence=_find_sequence(fields),
-            row_size=ROW_HEAD + (_measure(fields) if layout is None else layout.size),
-        )
-        if known.size <= MOST_KEPT_FIELDS and len(definition) <= LONGEST_KEPT:
-            with _KEEPING:
-                if len(_KEPT) == _MOST_KEPT:  # the oldest type is removed
-                    del _KEPT[next(iter(_KEPT))]
-                _KEPT[name, definition] = known
-    return known
+    if known is not None:
+        return known
+    fields, size = _parse_schema(name, definition)
+    layout = _lay_out(fields)
+    row_size = ROW_HEAD + (_measure(fields) if layout is None else layout.size)
+    sequence = _find_sequence(fields)
+    found = MessageType(
+        fields=fields, layout=layout, size=size, sequence=sequence, row_size=row_size
+    )
+    if size <= MOST_KEPT_FIELDS and len(definition) <= LONGEST_KEPT:
+        with _KEEPING:
+            if len(_KEPT) == _MOST_KEPT:  # the oldest type is removed
+                del _KEPT[next(iter(_KEPT))]
+            _KEPT[name, definition] = found
+    return found
 
 
 def _measure(fields: tuple[Field, ...]) -> int:
@@ -202,10 +201,7 @@ def _measure_field(field: Field) -> int:
 def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
     """Return the fields of the message type `name`, including nested types, and their total size.
 
-    Args:
-        name: `package/msg/Type` or `package/Type`.
-        text: Definition of the type. Definitions of nested types follow, each after a line of
-            equals signs.
+    Definitions of nested types follow in the text, each after a line of equals signs.
     """
     first, *others = _SEPARATOR.split(text.removesuffix("\n") + "\n")
     definitions = dict(_BUILTIN)
@@ -296,10 +292,11 @@ def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
     end = _place(fields, "", 0, places)
     if end > _LARGEST_RECORD:
         return None
-    kinds = {name: kind for name, kind, _, _ in places}
-    size = ENCAPSULATION + end
     return Layout(
-        little=_join(places, end, "<"), big=_join(places, end, ">"), size=size, kinds=kinds
+        little=_join(places, end, "<"),
+        big=_join(places, end, ">"),
+        size=ENCAPSULATION + end,
+        kinds={name: kind for name, kind, *_ in places},
     )
 
 
@@ -362,10 +359,8 @@ def _place(
 def _join(
     places: list[tuple[str, str, int | None, int]], end: int, order: str
 ) -> np.dtype[np.void]:
-    formats = []
-    for _, kind, length, _ in places:
-        code = f"{order}{kind.replace('?', 'u1')}"
-        formats.append(code if length is None else f"({length},){code}")
+    codes = ((f"{order}{kind.replace('?', 'u1')}", length) for _, kind, length, _ in places)
+    formats = [code if length is None else f"({length},){code}" for code, length in codes]
     assert MESSAGE.names is not None
     layout = {
         "names": [*MESSAGE.names, *(name for name, *_ in places)],

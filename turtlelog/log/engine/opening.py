@@ -11,12 +11,7 @@ import zstandard
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.engine.framing import (
-    MCAP0_MAGIC,
-    SQLITE_MAGIC,
-    START_SIZE,
-    find_wrong_start,
-)
+from turtlelog.log.engine.framing import MCAP0_MAGIC, SQLITE_MAGIC, START_SIZE, find_wrong_start
 from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, ZSTD_MAGIC, Allowance, measure_stored
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
@@ -118,11 +113,7 @@ class Damaged:
 
 @contextmanager
 def open_damaged(path: Path) -> Iterator[Damaged]:
-    """Open a file for recovery. Errors do not contain the file's name yet.
-
-    Raises:
-        LogError: If nothing in the file can be read.
-    """
+    """Open a file for recovery. Errors do not contain the file's name yet."""
     faults: list[str] = []
     with ExitStack() as closing:
         stream, place = closing.enter_context(_open_content(path, faults))
@@ -130,15 +121,14 @@ def open_damaged(path: Path) -> Iterator[Damaged]:
         if _read_head(stream) == SQLITE_MAGIC:
             stream.close()
             bag = closing.enter_context(open_sqlite(place, stored_size, is_damaged=True))
-        fault = faults[0] if faults else None
+        fault = next(iter(faults), None)
         yield Damaged(place=place, bag=bag, fault=fault, stored_size=stored_size)
 
 
 @contextmanager
 def open_place(found: Damaged) -> Iterator[BinaryIO]:
     """Open a file for recovery again, at the path of the unpacked file."""
-    is_remote = isinstance(found.place, RemotePath)
-    place = found.place
+    place, is_remote = found.place, isinstance(found.place, RemotePath)
     with open_file(place) if is_remote else _Unpacked(place, found.stored_size) as stream:
         yield stream
 
@@ -147,9 +137,7 @@ def open_place(found: Damaged) -> Iterator[BinaryIO]:
 def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple[BinaryIO, Path]]:
     """Open a file, unpacked if it is compressed as a whole; yield the stream and its path.
 
-    Args:
-        path: Path of the file.
-        faults: List that receives errors of the compression, which are then not raised.
+    Errors of the compression go into `faults`, if given, and are then not raised.
     """
     with ExitStack() as closing:
         stream, place = closing.enter_context(open_file(path)), path
@@ -214,21 +202,21 @@ def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="turtlelog-"))
     # Also at the end of worker processes, which atexit does not notice.
     Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
-    copy_ros1_bag(stream, folder / "copied.mcap", stored_size)
+    copy = folder / "copied.mcap"
+    copy_ros1_bag(stream, copy, stored_size)
     if len(_COPIES) == _MOST_COPIES:
         oldest = next(iter(_COPIES))
         shutil.rmtree(_COPIES.pop(oldest).parent, ignore_errors=True)
     if key is not None:
-        _COPIES[key] = folder / "copied.mcap"
-    return folder / "copied.mcap"
+        _COPIES[key] = copy
+    return copy
 
 
 def _require_start(path: Path, stream: BinaryIO) -> None:
     """Refuse a file that has the suffix of a SQLite bag but another content."""
     head = _read_head(stream)
-    if ".db3" not in path.suffixes or find_wrong_start(head) is None:
-        return
-    raise LogError(f"byte 0: not a bag in SQLite: it begins with 0x{head[:8].hex()}")
+    if ".db3" in path.suffixes and find_wrong_start(head) is not None:
+        raise LogError(f"byte 0: not a bag in SQLite: it begins with 0x{head[:8].hex()}")
 
 
 def _read_head(stream: BinaryIO) -> bytes:

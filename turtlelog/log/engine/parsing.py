@@ -136,12 +136,7 @@ def take_whole(data: bytes, place: Place) -> bytes:
 
 
 def parse_record(place: Place, body: bytes, byte: int) -> Any:
-    """Return a record of a rare kind from its bytes after checksum checks; None for other kinds.
-
-    Raises:
-        DamageError: If the bytes are not a valid record; `byte` is the offset of the record in the
-            file.
-    """
+    """Return a record of a rare kind from its bytes after checksum checks; None for other kinds."""
     kind = _RARE.get(place.opcode)
     if kind is None:
         return None
@@ -206,8 +201,7 @@ def _read_channel(body: bytes) -> tuple[Channel, int]:
 def _read_metadata(body: bytes) -> tuple[Metadata, int]:
     name, place = _take_field(body, 0)
     table, end = _take_field(body, place)
-    entries = _read_entries(table, len(table))
-    return Metadata(name=name.decode(), metadata=entries), end
+    return Metadata(name=name.decode(), metadata=_read_entries(table, len(table))), end
 
 
 def _read_entries(table: bytes, most: int) -> dict[str, str]:
@@ -326,17 +320,16 @@ def _check_others(count: int, opcode: int, length: int) -> str | None:
     """Return why a chunk may not contain one more schema or channel; None if it may."""
     if count == MOST_DESCRIBED:
         return f"expected up to {MOST_DESCRIBED} schemas and channels, found more"
-    if length > LONGEST_DESCRIBED:
-        expected = f"a record (opcode {opcode}) of up to {LONGEST_DESCRIBED} bytes"
-        return f"expected {expected}, found {length}"
-    return None
+    if length <= LONGEST_DESCRIBED:
+        return None
+    return f"expected a record (opcode {opcode}) of up to {LONGEST_DESCRIBED} bytes, found {length}"
 
 
 def _describe_fault(opcode: int, left: int, length: int) -> str:
     if left < RECORD.size:
         return f"expected a record, found {left} bytes"
-    found = f"opcode {opcode} with {length}"
-    return f"expected a record of up to {left - RECORD.size} bytes, found {found}"
+    most = left - RECORD.size
+    return f"expected a record of up to {most} bytes, found opcode {opcode} with {length}"
 
 
 def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) -> NDArray[Any]:
@@ -344,9 +337,6 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
 
     In a strided view, a row starts at every byte. Indexing this view with the places takes a sixth
     of the time of copying field by field.
-
-    Raises:
-        LogError: If fewer than `size` bytes follow a place.
     """
     if not len(starts):
         return np.empty(0, f"V{size}")

@@ -87,11 +87,7 @@ class ProtobufType:
     zeros: dict[str, Any] = field(default_factory=dict)
 
     def decode(self, row: int, data: bytes) -> dict[str, Any]:
-        """Return a message as an object.
-
-        Raises:
-            LogError: If the bytes are not a message of this type.
-        """
+        """Return a message as an object."""
         if len(data) > LONGEST_MESSAGE:
             most = LONGEST_MESSAGE
             raise LogError(f"message {row}: expected up to {most} bytes, found {len(data)}")
@@ -102,7 +98,7 @@ class ProtobufType:
 
     def _decode(self, data: bytes) -> dict[str, Any]:
         found = dict(self.zeros)
-        for number, wire, value in iterate_fields(data):
+        for number, wire, value in _iterate_fields(data):
             known = self.fields.get(number)
             if known is None:
                 continue
@@ -134,11 +130,7 @@ class ProtobufType:
 
 
 def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
-    """Return a type from the FileDescriptorSet that defines the type.
-
-    Raises:
-        LogError: If the data are not such a set, or do not define the type.
-    """
+    """Return a type from the FileDescriptorSet that defines the type."""
     if len(data) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
     described: dict[str, list[Mapping[int, list[Any]]]] = {}
@@ -209,7 +201,7 @@ def _collect(data: Any) -> dict[int, list[Any]]:
     if not isinstance(data, bytes):
         raise LogError("expected descriptors, found a number in the place of one")
     found: dict[int, list[Any]] = {}
-    for number, _, value in iterate_fields(data):
+    for number, _, value in _iterate_fields(data):
         found.setdefault(number, []).append(value)
     return found
 
@@ -224,12 +216,8 @@ def _read_number(parts: Mapping[int, list[Any]], number: int) -> int:
     return value if isinstance(value, int) else 0
 
 
-def iterate_fields(data: bytes) -> Iterator[tuple[int, int, Any]]:
-    """Yield number, wire type and value of each field of a message. Values are numbers or bytes.
-
-    Raises:
-        LogError: If the bytes are not a message.
-    """
+def _iterate_fields(data: bytes) -> Iterator[tuple[int, int, Any]]:
+    """Yield number, wire type and value of each field of a message. Values are numbers or bytes."""
     place, end = 0, len(data)
     while place < end:
         key, place = _read_varint(data, place)

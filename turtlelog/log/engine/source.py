@@ -224,11 +224,7 @@ class Selection:
         return self.start_ns <= 0 and self.end_ns >= EVER
 
     def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
-        """Return the plans of the requested topics that are known so far.
-
-        Raises:
-            LogError: If a topic requested by name cannot be decoded.
-        """
+        """Return the plans of the requested topics that are known so far."""
         known = catalogue.topics
         names = sorted(known if self.topics is None else self.topics.intersection(known))
         plans = ((topic, self.choose_plan(catalogue, topic)) for topic in names)
@@ -256,11 +252,7 @@ class Selection:
         return None if plan.reason else plan
 
     def require_topics(self, catalogue: Catalogue) -> None:
-        """Check that every topic requested by name exists, or that any topic can be decoded.
-
-        Raises:
-            LogError: If a topic is missing, or no topic of the file can be decoded.
-        """
+        """Check that every topic requested by name exists, or that any topic can be decoded."""
         if self.topics is None and not self.is_lenient:
             plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
             if plans and all(plan.reason for plan in plans):
@@ -331,11 +323,7 @@ def read_piece(
     offsets: Mapping[int, Offsets],
     wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
 ) -> Piece:
-    """Return the requested messages among those at some offsets of a block.
-
-    Raises:
-        LogError: If a message does not have its topic's type.
-    """
+    """Return the requested messages among those at some offsets of a block."""
     found = {}
     for topic, channels in catalogue.group_channels(offsets, block.byte).items():
         parts = [offsets[channel] for channel in channels]

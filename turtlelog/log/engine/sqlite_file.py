@@ -183,11 +183,7 @@ class BagTable:
 
 
 def list_tables(execute: _Execute) -> dict[str, BagTable]:
-    """Return the tables of a bag by name.
-
-    Raises:
-        LogError: If a required table is missing, or is not a plain table.
-    """
+    """Return the tables of a bag by name."""
     kinds = {}
     for kind, name, sql in execute("SELECT type, name, sql FROM sqlite_master"):
         if kind in {"table", "view"}:
@@ -231,16 +227,9 @@ def _describe_table(execute: _Execute, table: str, needed: Collection[str]) -> B
 
 
 def read_channels(
-    execute: _Execute,
-    tables: Mapping[str, BagTable],
-    catalogue: Catalogue,
-    allowance: Allowance,
+    execute: _Execute, tables: Mapping[str, BagTable], catalogue: Catalogue, allowance: Allowance
 ) -> dict[int, int]:
-    """Add the topics to the catalogue; return the channel number of each topic by its id.
-
-    Raises:
-        LogError: If a row of `topics` or `message_definitions` is wrong, or there are too many.
-    """
+    """Add the topics to the catalogue; return the channel number of each topic by its id."""
     numbers: dict[int, int] = {}
     described = tables.get("message_definitions")
     definitions = _read_definitions(execute, described, allowance) if described else {}

@@ -37,7 +37,7 @@ _LONGEST_VARINT: Final = 9
 _DEEPEST: Final = 20  # levels; SQLite reads no deeper tree
 _READ_BYTES: Final = 2**20
 
-MOST_DEFINED: Final = 2**16
+_MOST_DEFINED: Final = 2**16
 """Largest size of table definitions [bytes]. A bag has 2,000; SQLite stores 100 times as many."""
 
 _MOST_TABLES: Final = 2**10
@@ -135,19 +135,15 @@ class _Pages:
         self.is_damaged = False
 
     def list_roots(self) -> list[int]:
-        """Return the first page of every tree in the table of tables.
-
-        Raises:
-            DamageError: If the table of tables is damaged, or far larger than that of a bag.
-        """
+        """Return the first page of every tree in the table of tables."""
         roots, defined, tables = [], 0, 0
         for batch in self._walk(1):
             rows = batch.find_rows()
             lengths = batch.read_varints(rows)
             defined, tables = defined + int(lengths.sum()), tables + len(rows)
-            if defined > MOST_DEFINED or tables > _MOST_TABLES:
+            if defined > _MOST_DEFINED or tables > _MOST_TABLES:
                 raise DamageError(
-                    f"expected up to {MOST_DEFINED} bytes that define up to {_MOST_TABLES} tables,"
+                    f"expected up to {_MOST_DEFINED} bytes that define up to {_MOST_TABLES} tables,"
                     " found more: this is no bag"
                 )
             for place, length in zip(rows.tolist(), lengths.tolist(), strict=True):
@@ -178,11 +174,7 @@ class _Pages:
         return more if more <= self._usable - 35 else least
 
     def count_tree(self, root: int) -> None:
-        """Add the number of bytes that the rows of a tree claim.
-
-        Raises:
-            LogError: If the rows claim too much.
-        """
+        """Add the number of bytes that the rows of a tree claim."""
         for batch in self._walk(root):
             lengths = batch.read_varints(batch.find_rows())
             if self.is_damaged:

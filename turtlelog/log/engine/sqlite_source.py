@@ -130,11 +130,7 @@ class SqliteSource:
         return self._connection.execute(query, values)
 
     def count_messages(self) -> tuple[Counter[int], tuple[int, int] | None]:
-        """Return the number of messages by channel, and the first and last log time [ns] or None.
-
-        Raises:
-            DamageError: If a message has no topic, or an invalid time.
-        """
+        """Return the number of messages by channel; the first and last log time [ns], if any."""
         counts, times = Counter[int](), list[int]()
         query = (
             "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages NOT INDEXED"
@@ -204,11 +200,7 @@ class SqliteSource:
             yield self.build_block(rows, first)
 
     def build_block(self, rows: SqliteRows, first: int) -> Block:
-        """Return rows as a block; `first` is the number of the first row, from 1.
-
-        Raises:
-            DamageError: If a row has no topic, or a time below 0.
-        """
+        """Return rows as a block; `first` is the number of the first row, from 1."""
         time_ns, ids = np.frombuffer(rows.times, np.int64), np.frombuffer(rows.ids, np.int64)
         known = np.array(sorted(self._numbers), np.int64)
         places = np.minimum(np.searchsorted(known, ids), len(known) - 1)
@@ -276,9 +268,6 @@ def open_sqlite(
     """Open a SQLite bag, as `open_connection` opens its file.
 
     The size of the file, packed if it was compressed [bytes], sets the limits.
-
-    Raises:
-        LogError: If the file cannot be read or is not a bag; the message is one clause.
     """
     with open_connection(path, is_damaged=is_damaged) as (connection, size):
         yield SqliteSource(connection, size, stored_size)

@@ -126,24 +126,8 @@ def read_ends(stream: BinaryIO) -> Ends:
     return Ends(data_end=data_end, data_crc=data_crc, summary_start=start, summary=summary)
 
 
-def read_summary(stream: BinaryIO) -> tuple[int, bytes]:
-    """Return start and records of the summary section of a file, even if its data are damaged.
-
-    Raises:
-        DamageError: If the file is truncated, or its footer or summary is damaged.
-    """
-    place, start, checksum = _read_footer(stream)
-    if not checksum:  # without a checksum only this confirms the start
-        _read_data_end(stream, start)
-    return start, _read_summary(stream, place, start, checksum)
-
-
 def check_data(stream: BinaryIO, ends: Ends) -> None:
-    """Check the checksum of the data section, in one pass over the file.
-
-    Raises:
-        DamageError: If the bytes differ from those that were written.
-    """
+    """Check the checksum of the data section, in one pass over the file."""
     found = _compute_checksum(stream, 0, ends.data_end if ends.data_crc else 0)
     if found != ends.data_crc:
         raise DamageError(
@@ -202,11 +186,7 @@ def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
 
 
 def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
-    """Return the contents of the summary section; `byte` is its offset in the file.
-
-    Raises:
-        DamageError: If a record in the summary is invalid, or there are too many records.
-    """
+    """Return the contents of the summary section; `byte` is its offset in the file."""
     chunks: list[ChunkEntry] = []
     statistics, named = None, dict[int, tuple[int, str]]()
     described: dict[bytes, Schema | Channel] = {}
@@ -257,7 +237,7 @@ def find_lone_records(
     start = len(MCAP0_MAGIC)
     for entry in (*summary.chunks, None):
         end = ends.data_end if entry is None else entry.start
-        if entry is not None and not _is_indexed(entry, known):
+        if entry and not (entry.channels and entry.index_length and entry.channels <= known):
             return None
         places = _find_between(stream, start, end, allowance)
         if places is None:
@@ -265,10 +245,6 @@ def find_lone_records(
         lone += places
         start = end if entry is None else entry.end
     return tuple(lone)
-
-
-def _is_indexed(entry: ChunkEntry, known: set[int]) -> bool:
-    return bool(entry.channels and entry.index_length) and entry.channels <= known
 
 
 def _find_between(
@@ -294,18 +270,14 @@ def _parse_entry(data: bytes, place: Place, byte: int) -> ChunkEntry:
     body = data[place.start : place.end]
     try:
         start_ns, end_ns, start, length, offsets_size = _TIMES.unpack_from(body)
-        offsets = np.frombuffer(
-            body[_TIMES.size : _TIMES.size + offsets_size],
-            _OFFSET,
-            offsets_size // _OFFSET.itemsize,
-        )
-        index_length, name_length = _SIZES.unpack_from(body, _TIMES.size + offsets_size)
-        (size,) = struct.unpack_from("<Q", body, _TIMES.size + offsets_size + 20 + name_length)
+        after = _TIMES.size + offsets_size
+        count = offsets_size // _OFFSET.itemsize
+        offsets = np.frombuffer(body[_TIMES.size : after], _OFFSET, count)
+        index_length, name_length = _SIZES.unpack_from(body, after)
+        (size,) = struct.unpack_from("<Q", body, after + 20 + name_length)
     except (struct.error, ValueError) as err:
-        found = describe_error(err)
-        raise DamageError(
-            f"byte {byte + place.start}: expected the index of a chunk, found {found}"
-        ) from err
+        expected = f"byte {byte + place.start}: expected the index of a chunk"
+        raise DamageError(f"{expected}, found {describe_error(err)}") from err
     return ChunkEntry(
         start=start,
         length=length,
@@ -320,7 +292,10 @@ def _parse_entry(data: bytes, place: Place, byte: int) -> ChunkEntry:
 def salvage_summary(stream: BinaryIO) -> FileSummary | None:
     """Return the last record of each id in the summary; None if its end or checksum is wrong."""
     try:
-        start, data = read_summary(stream)
+        place, start, checksum = _read_footer(stream)
+        if not checksum:  # without a checksum only this confirms the start
+            _read_data_end(stream, start)
+        data = _read_summary(stream, place, start, checksum)
         summary = parse_summary(data, start, Allowance(measure_stored(stream)))
     except DamageError:
         return None

@@ -118,7 +118,7 @@ def read_columns(
             place.
     """
     with open_source(path) as source:
-        return collect_columns(source, _select_topics(topics, start_ns, end_ns))
+        return _collect_columns(source, _select_topics(topics, start_ns, end_ns))
 
 
 def read_some_columns(
@@ -132,7 +132,7 @@ def read_some_columns(
     """
     with open_source(path) as source:
         selection = Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
-        return collect_columns(source, selection)
+        return _collect_columns(source, selection)
 
 
 def iter_columns(
@@ -167,7 +167,7 @@ def iter_columns(
             yield build_columns(batch, source.catalogue.types)
 
 
-def collect_columns(
+def _collect_columns(
     source: Source | SqliteSource, selection: Selection
 ) -> Mapping[str, TopicColumns]:
     """Return the columns of an open file, including topics without messages."""

@@ -35,7 +35,7 @@ from turtlelog.run.columns import PAIRS
 from turtlelog.run.loops import DONE, PAUSE, Declaration, parse_declaration
 from turtlelog.run.tables import Table
 
-TABLE_SUFFIXES: Final = (".csv", ".parquet")
+_TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
 _ROWS_AT_ONCE: Final = 4096
@@ -54,14 +54,14 @@ _CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandC
 """Classes of the tables with fixed columns. Samples also have states of their law."""
 
 
-def find_table(columns: Sequence[str]) -> str | None:
+def _find_table(columns: Sequence[str]) -> str | None:
     """Return the name of the run's table with these columns; None for other tables."""
     return next((name for name, marks in _MARKS.items() if marks <= {*columns}), None)
 
 
 def list_table_files(folder: Path) -> tuple[Path, ...]:
     """Return the table files from `turtlelog convert` in a folder; empty for other folders."""
-    for suffix in TABLE_SUFFIXES:
+    for suffix in _TABLE_SUFFIXES:
         if (folder / f"poses{suffix}").is_file():
             files = (folder / f"{name}{suffix}" for name in TABLES)
             return tuple(path for path in files if path.is_file())
@@ -72,10 +72,10 @@ def holds_tables(path: Path) -> bool:
     """Return whether a folder or file contains tables by turtlelog, judging by the first line."""
     if path.is_dir():
         return bool(list_table_files(path))
-    if path.suffix.lower() not in TABLE_SUFFIXES:
+    if path.suffix.lower() not in _TABLE_SUFFIXES:
         return False
     try:
-        return find_table(read_header(path)) is not None
+        return _find_table(read_header(path)) is not None
     except ValueError:  # not a Parquet file despite its name
         return True
 
@@ -109,9 +109,6 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
     """Raise an error if the written files do not contain the rows of the run.
 
     The run in a recording or bag was `read` back; tables are read here.
-
-    Raises:
-        LogError: If rows differ; the message gives file, table and column.
     """
     if read is not None:
         for name in TABLES:
@@ -126,9 +123,6 @@ def require_same_poses(path: Path, run: Run) -> None:
     """Raise an error if the written trajectory does not contain the poses of the run.
 
     The headings of the file are computed from its quaternions.
-
-    Raises:
-        LogError: If poses differ; the message gives file and column.
     """
     poses, first = run.poses, 0
     for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
@@ -163,7 +157,7 @@ def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
     with name_file(path, expected="a table of a run"):
         is_parquet = path.suffix.lower() == ".parquet"
         table, facts = _open_parquet(path) if is_parquet else (_read_csv(path), {})
-        name = find_table([*table])
+        name = _find_table([*table])
         if name is None:
             found = ", ".join(table)[:80] or "none"
             raise LogError(f"expected the columns of a table that turtlelog wrote, found {found}")
@@ -195,7 +189,7 @@ def _read_csv(path: Path) -> Table:
         rows = filter(None, csv.reader(text))
         head, count = [*chain(*_take_rows(rows, 0, most=1))], 0
         require_few_columns(len(head))
-        known = _list_known(find_table(head), head)
+        known = _list_known(_find_table(head), head)
         # Rows are parsed in parts and stored as arrays: cells as texts take ten times as much
         # memory.
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in head if name in known}
@@ -261,7 +255,7 @@ def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
     facts = {
         key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
     }
-    known = _list_known(find_table(file.schema.names), file.schema.names)
+    known = _list_known(_find_table(file.schema.names), file.schema.names)
     file.require_rows()
     file.require_cells(len(known))
     return _ParquetTable(path, file, [name for name in file.schema.names if name in known]), facts

@@ -146,9 +146,6 @@ def build_paper_run(log: _PaperLog, *, sort: bool) -> Run:
     """Return the run in a log.
 
     The log contains no stop reason, so a complete run gets `finished`.
-
-    Raises:
-        LogError: If the times do not increase.
     """
     columns, states = dict(log.columns), log.states
     notes = {**log.notes, "pose_times": _POSE_TIMES}
@@ -279,11 +276,7 @@ _HEADINGS: Final = MappingProxyType(
 
 
 def parse_paper_json(text: str, path: Path) -> _PaperLog:
-    """Return the log in a JSON text.
-
-    Raises:
-        LogError: If the text is not JSON, or has another layout.
-    """
+    """Return the log in a JSON text."""
     tables = _require_table("the file", _parse_json(text))
     data = _require_table("data", tables.get("data"))
     lists = {name: _require_list(name, data) for name in _PLACES}

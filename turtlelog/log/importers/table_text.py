@@ -15,7 +15,7 @@ from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, 
 from turtlelog.log.file_access import open_file
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
 
-TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """Columns of a TUM trajectory, which has no header: time, position, quaternion."""
 
 KITTI_COLUMNS: Final = (
@@ -31,7 +31,7 @@ _LONGEST_HEAD: Final = 64 * 1024
 """Longest first line with column names, or longest comments above it [bytes]: 250 states with names
 of 60 letters, and the other columns, fit."""
 
-MOST_COLUMNS: Final = 10_000
+_MOST_COLUMNS: Final = 10_000
 """Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
 searched once for each quantity, which takes 1 s."""
 
@@ -43,7 +43,7 @@ _BLANK: Final = " "
 """Delimiter that means any number of spaces and tabs."""
 
 
-class TableColumns(Protocol):
+class _TableColumns(Protocol):
     """Reader of the columns of a table.
 
     Attributes:
@@ -70,7 +70,7 @@ class PlainTable:
     """
 
     names: tuple[str, ...]
-    columns: "TableColumns"
+    columns: "_TableColumns"
     word: str
     has_header: bool = True
     units: Mapping[str, str] = field(default_factory=dict)
@@ -116,7 +116,7 @@ def _parse_text(text: str, size: int) -> PlainTable:
     if not first:
         raise LogError("expected a table, found no rows")
     delimiter = _find_delimiter(first)
-    require_few_columns(len(first.split(None if delimiter == _BLANK else delimiter, MOST_COLUMNS)))
+    require_few_columns(len(first.split(None if delimiter == _BLANK else delimiter, _MOST_COLUMNS)))
     header = _split_line(first, delimiter)
     has_header = True
     is_first = all(map(_is_number, header))
@@ -134,14 +134,10 @@ def _parse_text(text: str, size: int) -> PlainTable:
 
 
 def require_few_columns(columns: int) -> None:
-    """Refuse a table with too many columns.
-
-    Raises:
-        LogError: If there are too many columns; the message is one clause.
-    """
-    if columns > MOST_COLUMNS:
+    """Refuse a table with too many columns."""
+    if columns > _MOST_COLUMNS:
         raise LogError(
-            f"the table has more than {MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
+            f"the table has more than {_MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
             " time, x, y, heading and the commands"
         )
 
@@ -168,19 +164,19 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
             if (
-                len(comment.split(None if candidate == _BLANK else candidate, MOST_COLUMNS))
-                > MOST_COLUMNS
+                len(comment.split(None if candidate == _BLANK else candidate, _MOST_COLUMNS))
+                > _MOST_COLUMNS
             ):
                 continue
             names = _split_line(comment, candidate)
             if len(names) == count and not any(map(_is_number, names)):
                 return True, names
-    for known in (TUM_COLUMNS, KITTI_COLUMNS):
+    for known in (_TUM_COLUMNS, KITTI_COLUMNS):
         if count == len(known):
             return False, [*known]
     raise LogError(
         "expected a header that names the columns, the 8 columns of a TUM trajectory"
-        f" ({' '.join(TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
+        f" ({' '.join(_TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
     )
 
 
@@ -201,12 +197,7 @@ class _TextColumns:
         self.lines: Sequence[int] = ()
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of some columns.
-
-        Raises:
-            LogError: If a line has another number of cells, or there are too many rows for the
-                file's size.
-        """
+        """Return the cells of some columns."""
         found: list[list[str]] = [[] for _ in places]
         lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
         pairs = [*zip(places, found, strict=True)]
@@ -310,11 +301,7 @@ class _StoredColumns:
         self.lines: Sequence[int] = range(1, file.row_count + 1)
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of some columns.
-
-        Raises:
-            LogError: If a column needs too much memory, contains lists, or has a duplicate name.
-        """
+        """Return the cells of some columns."""
         return [self._read_one(self.names[place]) for place in places]
 
     def _read_one(self, name: str) -> Sequence[Any]:

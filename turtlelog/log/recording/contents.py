@@ -127,11 +127,7 @@ def _keep_notes(records: Iterable[Any]) -> list[Any]:
 
 
 def salvage_contents(stream: BinaryIO) -> Contents:
-    """Return the readable contents of a damaged or unfinished recording.
-
-    Raises:
-        LogError: If the file is not MCAP, or a topic of turtlelog has another type.
-    """
+    """Return the readable contents of a damaged or unfinished recording."""
     allowance, damages = Allowance(measure_stored(stream)), list[Loss]()
     catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
@@ -163,12 +159,7 @@ def build_contents(
     damages: Collection[Loss],
     head: Head | None = None,
 ) -> Contents:
-    """Return the contents from records outside chunks and the rows of topics in parts.
-
-    Raises:
-        LogError: If the file is not a turtlelog recording, or a topic of turtlelog has another
-            type.
-    """
+    """Return the contents from records outside chunks and the rows of topics in parts."""
     head, topics = head or _find_head(records), dict[str, TopicColumns]()
     states = () if head.declaration is None else head.declaration.states
     # For an unfinished recording, its topics show its effects.

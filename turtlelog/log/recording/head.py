@@ -7,7 +7,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+import numpy as np
 from mcap.records import Metadata
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
@@ -223,6 +225,13 @@ def add_lost(head: Head, held: Collection[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*lost, *head.absent]))
 
 
+def lacks_values(name: str, values: NDArray[np.float64]) -> bool:
+    """Return whether a column of samples was not recorded. Some may lack a world velocity."""
+    unknown = np.isnan(values)
+    is_unknown = unknown.all() if name == "world_velocity_m_s" else unknown.any()
+    return bool(unknown.size and is_unknown)
+
+
 def format_scenario_file(run: "Run") -> dict[str, bytes]:
     """Return the attached TOML text by its name; nothing if no parameter is known."""
     if not run.parameters and not run.scenario_is_complete:
@@ -236,11 +245,7 @@ def format_scenario_file(run: "Run") -> dict[str, bytes]:
 
 
 def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
-    """Return the attached tables, and whether they are a complete scenario. No law is loaded.
-
-    Raises:
-        LogError: If the attachment is not TOML.
-    """
+    """Return the attached tables, and whether they are a complete scenario. No law is loaded."""
     name = SCENARIO_FILE if SCENARIO_FILE in attachments else _PARAMETER_FILE
     text = attachments.get(name, b"")
     if len(text) > _LONGEST:

@@ -35,7 +35,7 @@ from turtlelog.simulate.step_budget import STEP_BUDGET_S
 CHUNK_BYTES: Final = 2**16
 """Approximate chunk size in a live recording [bytes]."""
 
-FLUSH_S: Final = 1.0
+_FLUSH_S: Final = 1.0
 """Time after which a chunk is written even if it is not full, by the wall clock [s]."""
 
 INTERRUPTED: Final = "interrupted"
@@ -201,7 +201,7 @@ class Recorder:
         path: str | Path,
         scenario: Scenario,
         *,
-        flush_s: float = FLUSH_S,
+        flush_s: float = _FLUSH_S,
         create: Callable[[Path], BinaryIO] = create_file,
     ) -> None:
         """Create the file and write the metadata of the scenario.

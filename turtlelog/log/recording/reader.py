@@ -25,6 +25,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.file_access import DamageError, UnfinishedError, is_live, name_file, open_file
 from turtlelog.log.file_info import Survey, survey_file
+from turtlelog.log.recording import topics
 from turtlelog.log.recording.contents import (
     Contents,
     ForeignFileError,
@@ -40,24 +41,8 @@ from turtlelog.log.recording.head import (
     add_lost,
     declare_format1,
     describe_damages,
+    lacks_values,
     parse_scenario_file,
-)
-from turtlelog.log.recording.topics import (
-    COMMAND,
-    CONTROL,
-    CONTROL_COLUMNS,
-    EVENT,
-    GOAL,
-    LAW_STATE,
-    MEASURED,
-    POSE,
-    POSE64,
-    REFERENCE,
-    REFERENCE64,
-    SENSED,
-    SENSED64,
-    SHAPED,
-    VELOCITY64,
 )
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
@@ -199,7 +184,7 @@ class RecordingTail:
         """
         with name_file(self._path, expected="a turtlelog recording"):
             has_grown = [self._take(section) for section in self._read_sections()]
-            return self._build() if any(has_grown) and POSE.name in self._parts else None
+            return self._build() if any(has_grown) and topics.POSE.name in self._parts else None
 
     def read_last_run(self) -> Run:
         """Return the run so far, even if it is incomplete.
@@ -250,15 +235,15 @@ def build_run(contents: Contents) -> Run:
     columns = contents.topics
     declaration = head.declaration
     if declaration is None:
-        declaration = declare_format1(tables, has_samples=len(columns[CONTROL.name]) > 0)
-    goal, goal_xy_m = columns[GOAL.name].fields, None
-    if len(columns[GOAL.name]):
+        declaration = declare_format1(tables, has_samples=len(columns[topics.CONTROL.name]) > 0)
+    goal, goal_xy_m = columns[topics.GOAL.name].fields, None
+    if len(columns[topics.GOAL.name]):
         goal_xy_m = float(goal["pose.position.x"][0]), float(goal["pose.position.y"][0])
     # Each table frees its source before the next is built.
-    columns.pop(REFERENCE.name, None)
+    columns.pop(topics.REFERENCE.name, None)
     poses = _build_poses(columns, head)
-    commands = _build_commands(columns.pop(COMMAND.name))
-    events = _build_events(columns.pop(EVENT.name))
+    commands = _build_commands(columns.pop(topics.COMMAND.name))
+    events = _build_events(columns.pop(topics.EVENT.name))
     samples = _build_samples(columns, head, declaration)
     return Run(
         name=head.name,
@@ -281,14 +266,14 @@ def build_run(contents: Contents) -> Run:
 
 
 def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
-    pose = columns.pop(POSE.name)
+    pose = columns.pop(topics.POSE.name)
     if not len(pose):
-        raise LogError(f"topic {POSE.name}: no messages")
-    position = _prefer(columns.pop(POSE64.name), pose).fields
-    velocity = _prefer(columns.pop(VELOCITY64.name), pose).fields
+        raise LogError(f"topic {topics.POSE.name}: no messages")
+    position = _prefer(columns.pop(topics.POSE64.name), pose).fields
+    velocity = _prefer(columns.pop(topics.VELOCITY64.name), pose).fields
     speed = velocity["linear.x" if "linear.x" in velocity else "linear_velocity"]
     turn_rate = velocity["angular.z" if "angular.z" in velocity else "angular_velocity"]
-    sensed = _build_sensed(columns, pose, columns[CONTROL.name].fields["pose_sequence"])
+    sensed = _build_sensed(columns, pose, columns[topics.CONTROL.name].fields["pose_sequence"])
     return PoseColumns(
         time_ns=pose.log_time_ns,
         xy_m=_gather(position, ("x", "y")),
@@ -305,9 +290,9 @@ def _build_measured(
     columns: dict[str, TopicColumns], pose: TopicColumns, head: Head
 ) -> dict[str, Values | None]:
     """Return the motion that the robot reported; empty without reports."""
-    if MEASURED.name not in columns:
+    if topics.MEASURED.name not in columns:
         return {}
-    found = columns.pop(MEASURED.name)
+    found = columns.pop(topics.MEASURED.name)
     if not np.array_equal(found.log_time_ns, pose.log_time_ns):
         expected = f"the times of the {len(pose)} poses"
         raise LogError(f"topic {found.topic}: expected {expected}, found {len(found)} others")
@@ -322,10 +307,10 @@ def _build_sensed(
     columns: dict[str, TopicColumns], pose: TopicColumns, read: Column
 ) -> tuple[Values | None, Values | None]:
     """Return sensed position and heading, NaN for poses that dropped out."""
-    if SENSED.name not in columns:
+    if topics.SENSED.name not in columns:
         return None, None
-    sensed = columns.pop(SENSED.name)
-    rows, place = sensed.sequence, f"topic {SENSED.name}"
+    sensed = columns.pop(topics.SENSED.name)
+    rows, place = sensed.sequence, f"topic {topics.SENSED.name}"
     is_rising = bool((rows[1:] > rows[:-1]).all())
     if not is_rising or not (rows < len(pose)).all():
         raise LogError(
@@ -339,7 +324,7 @@ def _build_sensed(
     if missing.any():
         number = read[missing.argmax()]
         raise LogError(f"{place}: pose {number} is missing, which a sample read")
-    return _spread(_prefer(columns.pop(SENSED64.name), sensed), rows, len(pose))
+    return _spread(_prefer(columns.pop(topics.SENSED64.name), sensed), rows, len(pose))
 
 
 def _spread(found: TopicColumns, rows: Column, count: int) -> tuple[Values, Values]:
@@ -374,15 +359,15 @@ def _build_commands(columns: TopicColumns) -> CommandColumns:
 def _build_samples(
     columns: dict[str, TopicColumns], head: Head, declaration: Declaration
 ) -> SampleColumns:
-    sequence = columns[CONTROL.name].fields["sequence"]
+    sequence = columns[topics.CONTROL.name].fields["sequence"]
     reference_xy_m, reference_heading_rad = _build_reference(columns, head, sequence)
     states = _build_states(columns, declaration.states, sequence)
     shaped = _build_shaped(columns, sequence)
-    samples = columns.pop(CONTROL.name)
+    samples = columns.pop(topics.CONTROL.name)
     time_ns, fields = samples.log_time_ns, dict(samples.fields)
     del samples, sequence
     found: dict[str, Any] = {}
-    for name, parts in CONTROL_COLUMNS.items():
+    for name, parts in topics.CONTROL_COLUMNS.items():
         found[name] = _gather(fields, parts)
         for part in parts:
             del fields[part]
@@ -410,10 +395,8 @@ def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
     The metadata at the start of a live recording cannot list the columns that its samples will
     lack.
     """
-    if head.format_version > 1 and name in _FOUND_LATE:
-        is_nan = np.isnan(values)
-        if is_nan.size and (is_nan.all() if name == "world_velocity_m_s" else is_nan.any()):
-            return None
+    if head.format_version > 1 and name in _FOUND_LATE and lacks_values(name, values):
+        return None
     return _unless_nan(head, f"samples.{name}", values)
 
 
@@ -422,15 +405,15 @@ def _build_states(
 ) -> Values | None:
     if not names:
         return None
-    found = columns.pop(LAW_STATE)
+    found = columns.pop(topics.LAW_STATE)
     _require_numbers(found, sequence)
     return np.column_stack([found.fields[name] for name in names])
 
 
 def _build_shaped(columns: dict[str, TopicColumns], sequence: Column) -> Mapping[str, Column]:
-    if SHAPED.name not in columns:
+    if topics.SHAPED.name not in columns:
         return {}
-    found = columns.pop(SHAPED.name)
+    found = columns.pop(topics.SHAPED.name)
     _require_numbers(found, sequence)
     return found.fields
 
@@ -446,13 +429,13 @@ def _build_reference(
     columns: dict[str, TopicColumns], head: Head, sequence: Column
 ) -> tuple[Values | None, Values | None]:
     """Return reference position and heading by sample; NaN for samples without a reference."""
-    found = columns.pop(REFERENCE64.name, None)
+    found = columns.pop(topics.REFERENCE64.name, None)
     if found is None or "samples.reference_xy_m" in head.nan_columns:
         return None, None
     is_rising = bool((found.sequence[1:] > found.sequence[:-1]).all())
     if not is_rising or not np.isin(found.sequence, sequence).all():
         expected = f"numbers of the {len(sequence)} samples, each once"
-        raise LogError(f"topic {REFERENCE64.name}: expected {expected}, found others")
+        raise LogError(f"topic {topics.REFERENCE64.name}: expected {expected}, found others")
     return _spread(found, np.searchsorted(sequence, found.sequence), len(sequence))
 
 

@@ -14,32 +14,8 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_write_error
 from turtlelog.log.mcap_writer import write_columns
 from turtlelog.log.message_encoding import PackedItems, lay_out_alike
+from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
-from turtlelog.log.recording.topics import (
-    COMMAND,
-    CONTROL,
-    CONTROL_COLUMNS,
-    EVENT,
-    GOAL,
-    LAW_STATE,
-    MEASURED,
-    ODOMETRY,
-    PATH,
-    PHASE,
-    POSE,
-    POSE64,
-    REFERENCE,
-    REFERENCE64,
-    SCHEMAS,
-    SENSED,
-    SENSED64,
-    SHAPED,
-    TRANSFORMS,
-    VELOCITY64,
-    Topic,
-    define_types,
-    name_state_type,
-)
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW
@@ -64,14 +40,14 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
     """
     require_run(run)
     try:
-        topics = build_messages(run)
-        topics += build_shared_messages(run) if shares_poses else ()
+        messages = build_messages(run)
+        messages += build_shared_messages(run) if shares_poses else ()
         head, scenario = format_head(describe_run(run)), format_scenario_file(run)
     except (LogError, UnicodeEncodeError) as err:
         raise name_write_error(path, err) from err
-    definitions = define_types(run.declaration, run.parameters.get("law.kind", DEFAULT_LAW))
+    definitions = topics.define_types(run.declaration, run.parameters.get("law.kind", DEFAULT_LAW))
     write_columns(
-        topics, path, definitions=definitions, metadata={HEAD: head}, attachments=scenario
+        messages, path, definitions=definitions, metadata={HEAD: head}, attachments=scenario
     )
 
 
@@ -86,7 +62,7 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     _require_range("samples.time_ns", run.samples.time_ns, 2**63)
     _require_range("samples.sequence", run.samples.sequence, 2**32)
     _require_range("events.time_ns", np.array([event.time_ns for event in run.events]), 2**63)
-    topics = (
+    messages = (
         _build_goal(run),
         *_build_poses(run.poses),
         *_build_sensed(run.poses),
@@ -99,7 +75,7 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
         _build_phases(run),
         _build_events(run.events),
     )
-    return tuple(messages for messages in topics if len(messages))
+    return tuple(of_topic for of_topic in messages if len(of_topic))
 
 
 def describe_pose(time_ns: int, x_m: float, y_m: float, heading_rad: float | None) -> Values:
@@ -135,7 +111,7 @@ def _require_range(name: str, values: NDArray[np.int64], end: int) -> None:
 
 
 def _collect(
-    topic: Topic,
+    topic: topics.Topic,
     time_ns: NDArray[np.int64],
     fields: Mapping[str, Column],
     sequence: NDArray[np.uint32] | None = None,
@@ -152,7 +128,9 @@ def _collect(
 
 
 def _collect_rows(
-    topic: Topic, rows: Sequence[tuple[int, Values]], sequence: NDArray[np.uint32] | None = None
+    topic: topics.Topic,
+    rows: Sequence[tuple[int, Values]],
+    sequence: NDArray[np.uint32] | None = None,
 ) -> TopicColumns:
     names = rows[0][1] if rows else ()
     fields = {name: np.array([row[name] for _, row in rows], dtype=object) for name in names}
@@ -162,10 +140,10 @@ def _collect_rows(
 
 def _build_goal(run: Run) -> TopicColumns:
     if run.goal_xy_m is None:
-        return _collect_rows(GOAL, [])
+        return _collect_rows(topics.GOAL, [])
     time_ns = int(run.poses.time_ns[0])
     goal = describe_pose(time_ns, *run.goal_xy_m, run.goal_heading_rad)
-    return _collect_rows(GOAL, [(time_ns, goal)])
+    return _collect_rows(topics.GOAL, [(time_ns, goal)])
 
 
 def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
@@ -174,11 +152,11 @@ def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
     speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
     velocity = [_or_nan(values, len(poses)) for values in (speed, turn_rate)]
     names = ("linear_velocity", "angular_velocity"), ("linear.x", "angular.z")
-    yield _collect(POSE, poses.time_ns, place | dict(zip(names[0], velocity, strict=True)))
+    yield _collect(topics.POSE, poses.time_ns, place | dict(zip(names[0], velocity, strict=True)))
     if not (_fits_float32(poses.xy_m) and _fits_float32(poses.heading_rad)):
-        yield _collect(POSE64, poses.time_ns, place)
+        yield _collect(topics.POSE64, poses.time_ns, place)
     if not (_fits_float32(speed) and _fits_float32(turn_rate)):
-        yield _collect(VELOCITY64, poses.time_ns, dict(zip(names[1], velocity, strict=True)))
+        yield _collect(topics.VELOCITY64, poses.time_ns, dict(zip(names[1], velocity, strict=True)))
 
 
 def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
@@ -194,9 +172,9 @@ def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
     time_ns, sequence = poses.time_ns[has], np.flatnonzero(has).astype(np.uint32)
     place = dict(zip(("x", "y", "theta"), rows[has].T, strict=True))
     none = dict.fromkeys(("linear_velocity", "angular_velocity"), _or_nan(None, len(time_ns)))
-    yield _collect(SENSED, time_ns, place | none, sequence)
+    yield _collect(topics.SENSED, time_ns, place | none, sequence)
     if not _fits_float32(rows[has]):
-        yield _collect(SENSED64, time_ns, place, sequence)
+        yield _collect(topics.SENSED64, time_ns, place, sequence)
 
 
 def _build_measured(poses: PoseColumns) -> Iterator[TopicColumns]:
@@ -204,32 +182,34 @@ def _build_measured(poses: PoseColumns) -> Iterator[TopicColumns]:
     if speed is not None or turn_rate is not None:
         found = {"linear.x": speed, "angular.z": turn_rate}
         columns = {name: _or_nan(values, len(poses)) for name, values in found.items()}
-        yield _collect(MEASURED, poses.time_ns, columns)
+        yield _collect(topics.MEASURED, poses.time_ns, columns)
 
 
 def _build_shaped(samples: SampleColumns) -> Iterator[TopicColumns]:
     speed, turn_rate = samples.shaped_speed_m_s, samples.shaped_turn_rate_rad_s
     if speed is not None and turn_rate is not None:
         columns = {"linear.x": speed, "angular.z": turn_rate}
-        yield _collect(SHAPED, samples.time_ns, columns, samples.sequence.astype(np.uint32))
+        yield _collect(topics.SHAPED, samples.time_ns, columns, samples.sequence.astype(np.uint32))
 
 
 def _build_samples(samples: SampleColumns) -> TopicColumns:
     columns: dict[str, Column] = {}
-    for name, fields in CONTROL_COLUMNS.items():
+    for name, fields in topics.CONTROL_COLUMNS.items():
         values = getattr(samples, name)
         if values is None:
             columns |= dict.fromkeys(fields, _or_nan(None, len(samples)))
         else:
             columns |= zip(fields, values.T.reshape(len(fields), -1), strict=True)
-    return _collect(CONTROL, samples.time_ns, columns, samples.sequence.astype(np.uint32))
+    return _collect(topics.CONTROL, samples.time_ns, columns, samples.sequence.astype(np.uint32))
 
 
 def _build_states(run: Run) -> list[TopicColumns]:
     samples, names = run.samples, run.declaration.states
     if samples.states is None or not names:
         return []
-    topic = Topic(LAW_STATE, name_state_type(run.parameters.get("law.kind", DEFAULT_LAW)))
+    topic = topics.Topic(
+        topics.LAW_STATE, topics.name_state_type(run.parameters.get("law.kind", DEFAULT_LAW))
+    )
     columns = dict(zip(names, samples.states.T, strict=True))
     return [_collect(topic, samples.time_ns, columns, samples.sequence.astype(np.uint32))]
 
@@ -249,8 +229,8 @@ def _build_references(run: Run) -> list[TopicColumns]:
     x, y, heading = poses[has].T
     listed = zip(time_ns.tolist(), x.tolist(), y.tolist(), heading.tolist(), strict=True)
     rows = [(row[0], describe_pose(*row)) for row in listed]
-    exact = _collect(REFERENCE64, time_ns, {"x": x, "y": y, "theta": heading}, sequence)
-    return [_collect_rows(REFERENCE, rows, sequence), exact]
+    exact = _collect(topics.REFERENCE64, time_ns, {"x": x, "y": y, "theta": heading}, sequence)
+    return [_collect_rows(topics.REFERENCE, rows, sequence), exact]
 
 
 def _build_commands(run: Run) -> TopicColumns:
@@ -264,7 +244,7 @@ def _build_commands(run: Run) -> TopicColumns:
     sequence = np.arange(len(commands), dtype=np.uint32)
     answered = run.samples.sequence[: len(commands)]
     sequence[: len(answered)] = answered
-    return _collect(COMMAND, commands.time_ns, columns, sequence)
+    return _collect(topics.COMMAND, commands.time_ns, columns, sequence)
 
 
 def _build_phases(run: Run) -> TopicColumns:
@@ -276,11 +256,11 @@ def _build_phases(run: Run) -> TopicColumns:
         changes.append((spans[-1].end_ns, {"data": PAUSE}))
     if spans and run.is_complete:
         changes.append((spans[-1].end_ns, {"data": DONE}))
-    return _collect_rows(PHASE, changes)
+    return _collect_rows(topics.PHASE, changes)
 
 
 def _build_events(events: tuple[Event, ...]) -> TopicColumns:
-    return _collect_rows(EVENT, [(event.time_ns, tabulate_event(event)) for event in events])
+    return _collect_rows(topics.EVENT, [(event.time_ns, tabulate_event(event)) for event in events])
 
 
 def _stamp(time_ns: int) -> dict[str, int]:
@@ -344,9 +324,9 @@ def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
     path = {name: values[-1:] for name, values in head.items()}
     path["poses"] = np.array([_pack_poses(pose, len(poses))], dtype=object)
     return (
-        _collect(ODOMETRY, poses.time_ns, odometry),
-        _collect(TRANSFORMS, poses.time_ns, _prefix("transforms.0.", transform)),
-        _collect(PATH, poses.time_ns[-1:], path),
+        _collect(topics.ODOMETRY, poses.time_ns, odometry),
+        _collect(topics.TRANSFORMS, poses.time_ns, _prefix("transforms.0.", transform)),
+        _collect(topics.PATH, poses.time_ns[-1:], path),
     )
 
 
@@ -365,7 +345,7 @@ def _prefix(prefix: str, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArr
 def _pack_poses(columns: Mapping[str, NDArray[Any]], rows: int) -> PackedItems:
     """Return stamped poses as the items of one message."""
     kind = "geometry_msgs/msg/PoseStamped"
-    layout = lay_out_alike(read_type(kind, SCHEMAS[kind]).fields, columns)
+    layout = lay_out_alike(read_type(kind, topics.SCHEMAS[kind]).fields, columns)
     assert layout is not None
     assert not layout.size % 8  # each item starts with the same alignment
     codes = {name: f"<{code}" for name, code, *_ in layout.numbers}

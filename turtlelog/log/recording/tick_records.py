@@ -15,28 +15,8 @@ from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.mcap_writer import ChunkRows
 from turtlelog.log.message_encoding import ENCAPSULATION, HEAD, encode_message
+from turtlelog.log.recording import topics
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
-from turtlelog.log.recording.topics import (
-    COMMAND,
-    CONTROL,
-    CONTROL_COLUMNS,
-    EVENT,
-    GOAL,
-    LAW_STATE,
-    PHASE,
-    POSE,
-    POSE64,
-    REFERENCE,
-    REFERENCE64,
-    SCHEMAS,
-    SENSED,
-    SENSED64,
-    SHAPED,
-    Topic,
-    define_types,
-    describe_topics,
-    list_topics,
-)
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.scenario import Scenario
@@ -46,9 +26,9 @@ _MESSAGE: Final = int(Opcode.MESSAGE)
 _REFERENCE_BYTES: Final = 160
 """Approximate size of the two messages of a reference pose [bytes]."""
 
-_FIELDS: Final = [field for fields in CONTROL_COLUMNS.values() for field in fields]
+_FIELDS: Final = [field for fields in topics.CONTROL_COLUMNS.values() for field in fields]
 _PLACES: Final = {
-    name: [_FIELDS.index(field) for field in CONTROL_COLUMNS[name]]
+    name: [_FIELDS.index(field) for field in topics.CONTROL_COLUMNS[name]]
     for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
 }
 """Indices of the values in a sample's row that are missing without a goal."""
@@ -63,7 +43,7 @@ _LIST: Final = attrgetter(
 _WORLD: Final = slice(_FIELDS.index("world_v_x"), _FIELDS.index("world_v_y") + 1)
 
 
-def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
+def _build_struct(topic: topics.Topic, definitions: Mapping[str, str] = topics.SCHEMAS) -> Struct:
     """Return a packer of complete records of a fixed-size type. CDR's padding becomes zeros."""
     layout = read_type(topic.schema, definitions[topic.schema]).layout
     if layout is None or layout.little.fields is None:
@@ -76,12 +56,13 @@ def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Str
     return Struct(HEAD.format + "".join(codes))
 
 
-_STRUCTS: Final = {
-    topic: _build_struct(topic)
-    for topic in (POSE, POSE64, SENSED, SENSED64, CONTROL, SHAPED, COMMAND, REFERENCE64)
-}
+_FIXED: Final = (
+    *(topics.POSE, topics.POSE64, topics.SENSED, topics.SENSED64),
+    *(topics.CONTROL, topics.SHAPED, topics.COMMAND, topics.REFERENCE64),
+)
+_STRUCTS: Final = {topic: _build_struct(topic) for topic in _FIXED}
 _POSE_SIZE, _POSE64_SIZE, _CONTROL_SIZE, _COMMAND_SIZE = (
-    _STRUCTS[topic].size for topic in (POSE, POSE64, CONTROL, COMMAND)
+    _STRUCTS[topic].size for topic in (topics.POSE, topics.POSE64, topics.CONTROL, topics.COMMAND)
 )
 
 
@@ -116,7 +97,7 @@ class _Messages:
         entries: Log times and offsets of the messages in the present chunk, alternating.
     """
 
-    topic: Topic
+    topic: topics.Topic
     number: int
     pack: Callable[..., bytes]
     length: int
@@ -140,24 +121,26 @@ class TickRecords:
         self._goal = (goal.x_m, goal.y_m, goal.heading_rad) if declaration.uses_goal else None
         self._is_exact = scenario.loop.pose_precision == "float64"
         is_sensed = scenario.has_action("sense", "lose_pose")
-        more = {SENSED.name: is_sensed, SHAPED.name: scenario.has_action("shape")}
+        more = {topics.SENSED.name: is_sensed, topics.SHAPED.name: scenario.has_action("shape")}
         self.more_topics = frozenset(name for name, is_there in more.items() if is_there)
-        topics = list_topics(declaration, kind, self.more_topics)
-        definitions = define_types(declaration, kind)
-        named = [(topic.name, topic.schema) for topic in topics]
-        self._channels = describe_topics(named, definitions)
+        listed = topics.list_topics(declaration, kind, self.more_topics)
+        definitions = topics.define_types(declaration, kind)
+        named = [(topic.name, topic.schema) for topic in listed]
+        self._channels = topics.describe_topics(named, definitions)
         self._messages = {
             topic.name: _begin_topic(topic, number, definitions)
-            for number, topic in enumerate(topics, start=1)
+            for number, topic in enumerate(listed, start=1)
         }
-        self._pose, self._pose64 = self._messages[POSE.name], self._messages[POSE64.name]
-        self._control, self._command = self._messages[CONTROL.name], self._messages[COMMAND.name]
-        self._sensed, self._sensed64 = (
-            self._messages.get(topic.name) for topic in (SENSED, SENSED64)
+        self._pose, self._pose64, self._control, self._command = (
+            self._messages[topic.name]
+            for topic in (topics.POSE, topics.POSE64, topics.CONTROL, topics.COMMAND)
         )
-        self._shaped = self._messages.get(SHAPED.name)
-        self._states = self._messages.get(LAW_STATE)
-        self._reference64 = self._messages.get(REFERENCE64.name)
+        self._sensed, self._sensed64 = (
+            self._messages.get(topic.name) for topic in (topics.SENSED, topics.SENSED64)
+        )
+        self._shaped = self._messages.get(topics.SHAPED.name)
+        self._states = self._messages.get(topics.LAW_STATE)
+        self._reference64 = self._messages.get(topics.REFERENCE64.name)
         self._phases = declaration.phase_names
         self._phase: int | None = None
         self._lacking: set[str] = set()
@@ -190,14 +173,14 @@ class TickRecords:
                 later_ns += [sample.published_ns for sample in tick.published]
                 self._end_phase(max([time_ns, *later_ns]), tick.stop_reason)
             for event in tick.events:
-                self._add_varied(EVENT, event.time_ns, tabulate_event(event))
+                self._add_varied(topics.EVENT, event.time_ns, tabulate_event(event))
         return self._collect()
 
     def _add_pose(self, time_ns: int, tick: Tick) -> None:
         row, number = tick.row, self._pose.count
         self._pose.count = number + 1
         if not number and self._goal is not None:
-            self._add_varied(GOAL, time_ns, describe_pose(time_ns, *self._goal))
+            self._add_varied(topics.GOAL, time_ns, describe_pose(time_ns, *self._goal))
         values = row.x_m, row.y_m, row.heading_rad
         self._add(self._pose, time_ns, number, *values, row.speed_m_s, row.turn_rate_rad_s)
         if self._is_exact:
@@ -220,7 +203,7 @@ class TickRecords:
             self._add(self._states, time_ns, sequence, *states)
         if not isnan(sample.reference_x_m) and self._reference64 is not None:
             values = sample.reference_x_m, sample.reference_y_m, sample.reference_heading_rad
-            self._add_varied(REFERENCE, time_ns, describe_pose(time_ns, *values), sequence)
+            self._add_varied(topics.REFERENCE, time_ns, describe_pose(time_ns, *values), sequence)
             self._add(self._reference64, time_ns, sequence, *values)
         if self._shaped is not None:
             shaped = sample.shaped_speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.shaped_turn_rate_rad_s
@@ -255,7 +238,7 @@ class TickRecords:
         self._is_paused = True
 
     def _add_phase(self, time_ns: int, phase: str) -> None:
-        self._add_varied(PHASE, time_ns, {"data": phase})
+        self._add_varied(topics.PHASE, time_ns, {"data": phase})
 
     def _add(self, messages: _Messages, time_ns: int, sequence: int, *values: float) -> None:
         messages.entries += (time_ns, len(self._records))
@@ -263,11 +246,15 @@ class TickRecords:
         self._records += messages.pack(_MESSAGE, *head, *values)
 
     def _add_varied(
-        self, topic: Topic, time_ns: int, values: Mapping[str, Any], number: int | None = None
+        self,
+        topic: topics.Topic,
+        time_ns: int,
+        values: Mapping[str, Any],
+        number: int | None = None,
     ) -> None:
         """Add a message. Without a given number, messages are numbered from 0."""
         messages = self._messages[topic.name]
-        kind = read_type(topic.schema, SCHEMAS[topic.schema])
+        kind = read_type(topic.schema, topics.SCHEMAS[topic.schema])
         stamp = messages.count if number is None else number, time_ns, time_ns
         record = encode_message(kind.fields, values, messages.number, stamp)
         messages.entries += (time_ns, len(self._records))
@@ -292,9 +279,9 @@ class TickRecords:
         )
 
 
-def _begin_topic(topic: Topic, number: int, definitions: Mapping[str, str]) -> _Messages:
+def _begin_topic(topic: topics.Topic, number: int, definitions: Mapping[str, str]) -> _Messages:
     packer = _STRUCTS.get(topic, HEAD)
-    if topic.name == LAW_STATE:
+    if topic.name == topics.LAW_STATE:
         packer = _build_struct(topic, definitions)
     length = packer.size - RECORD.size
     return _Messages(topic=topic, number=number, pack=packer.pack, length=length)

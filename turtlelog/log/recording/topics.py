@@ -18,42 +18,30 @@ from turtlelog.scenario import DEFAULT_LAW
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic and the type of its messages.
-
-    Attributes:
-        name: ROS name of the topic.
-        schema: Message type of the topic, a key of `SCHEMAS`.
-    """
+    """The ROS name of a topic, and its message type, a key of `SCHEMAS`."""
 
     name: str
     schema: str
 
 
+# The turtle's goal, with one message.
 GOAL: Final = Topic("/turtle1/goal", "geometry_msgs/msg/PoseStamped")
-"""Topic of the turtle's goal, with one message."""
 
+# One message per pose; exact poses and their applied velocities only if 32-bit floats would lose
+# digits. Readers prefer exact topics.
 POSE: Final = Topic("/turtle1/pose", "turtlesim/msg/Pose")
-"""Topic of poses, with one message each."""
-
 POSE64: Final = Topic("/turtle1/pose64", "geometry_msgs/msg/Pose2D")
-"""Topic of exact poses, only if 32-bit floats would lose digits. Readers prefer this topic."""
-
 VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
-"""Topic of the applied velocities of exact poses, only together with these poses."""
 
+# Sensed poses with the numbers of their poses. A pose that dropped out has no message.
 SENSED: Final = Topic("/turtle1/sensed_pose", "turtlesim/msg/Pose")
-"""Topic of sensed poses with the numbers of their poses. A pose that dropped out has no message."""
-
 SENSED64: Final = Topic("/turtle1/sensed_pose64", "geometry_msgs/msg/Pose2D")
-"""Topic of exact sensed poses, only if 32-bit floats would lose digits. Readers prefer this
-topic."""
 
+# The motion reported by the robot: one message per pose, with the pose's number and time.
 MEASURED: Final = Topic("/turtle1/measured", "geometry_msgs/msg/Twist")
-"""Topic of the motion reported by the robot: one message per pose, with the pose's number and
-time."""
 
+# One message per sample, at the time when the sample's pose was answered.
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
-"""Topic of samples, with one message each at the time when the sample's pose was answered."""
 
 CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -73,36 +61,27 @@ CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 )
 """Columns of `SampleColumns`, each with the fields of the message that contain it, in order."""
 
+# The law's own numbers, with one message per sample. The law determines the type.
 LAW_STATE: Final = "/turtle1/law_state"
-"""Topic of the law's own numbers, with one message per sample. The law determines the type."""
 
+# Reference poses of samples, for other tools; exact for readers, because a quaternion does not give
+# the exact heading.
 REFERENCE: Final = Topic("/turtle1/reference", "geometry_msgs/msg/PoseStamped")
-"""Topic of reference poses for other tools: one message per sample with a reference."""
-
 REFERENCE64: Final = Topic("/turtle1/reference64", "geometry_msgs/msg/Pose2D")
-"""Topic of exact reference poses for readers, because a quaternion does not give the exact
-heading."""
 
+# The shaped command of each sample before the limits; each command at the time of publication.
 SHAPED: Final = Topic("/turtle1/shaped", "geometry_msgs/msg/Twist")
-"""Topic of the shaped command of a sample before the limits, with one message per sample."""
-
 COMMAND: Final = Topic("/turtle1/cmd_vel", "geometry_msgs/msg/Twist")
-"""Topic of commands, with one message each at the time of publication."""
 
+# The name of the phase at each change, for people: readers use the samples. Events.
 PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
-"""Topic with the name of the phase at each change, for people. Readers use the samples instead."""
-
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
-"""Topic of events, with one message each."""
 
+# Poses for other programs: as odometry, as transforms from the world to the robot, and all poses in
+# one message at the time of the last.
 ODOMETRY: Final = Topic("/odom", "nav_msgs/msg/Odometry")
-"""Topic of poses for other programs, like the next two topics. Readers use `POSE` instead."""
-
 TRANSFORMS: Final = Topic("/tf", "tf2_msgs/msg/TFMessage")
-"""Topic of poses as transforms from the world to the robot, for other programs."""
-
 PATH: Final = Topic("/path", "nav_msgs/msg/Path")
-"""Topic of all poses in one message at the time of the last pose, for other programs."""
 
 _POSES: Final = (GOAL, POSE, POSE64, VELOCITY64)
 _AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)

@@ -13,13 +13,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
 from turtlelog.log.file_access import name_file
-from turtlelog.log.file_info import (
-    RecordingInfo,
-    TopicInfo,
-    list_absent,
-    merge_topics,
-    read_info,
-)
+from turtlelog.log.file_info import RecordingInfo, TopicInfo, list_absent, merge_topics, read_info
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
 
 
@@ -105,7 +99,7 @@ silent for longer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BagFiles:
+class _BagFiles:
     """The files of a bag.
 
     Attributes:
@@ -129,11 +123,11 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
     return _find_bag_files(path).files
 
 
-def _find_bag_files(path: str | Path) -> BagFiles:
+def _find_bag_files(path: str | Path) -> _BagFiles:
     """Return the files of a bag as named in metadata.yaml; without it, the files in the folder."""
     path = make_path(path)
     if not path.is_dir():
-        return BagFiles(files=(path,))
+        return _BagFiles(files=(path,))
     present = _list_present(path)
     place = path / METADATA_FILE
     is_described = True
@@ -153,11 +147,7 @@ def _find_bag_files(path: str | Path) -> BagFiles:
 
 
 def list_present_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of a bag to recover, in the bag's order if known.
-
-    Raises:
-        LogError: If there are no files.
-    """
+    """Return the files of a bag to recover, in the bag's order if known."""
     try:
         return _find_bag_files(folder).files
     except LogError as err:
@@ -180,7 +170,7 @@ def read_compression(folder: Path) -> str:
     return found if found == "message" else ""
 
 
-def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
+def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> _BagFiles:
     """Return the files in the folder, at least one, if no readable metadata name files."""
     is_described = (folder / METADATA_FILE).exists()
     if not present and is_described:
@@ -193,10 +183,10 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
         )
     names = ", ".join(file.name for file in present)
     reason = reason if is_described else f"{METADATA_FILE} is missing"
-    return BagFiles(files=present, notes={"bag_files": f"{reason}; in order of name: {names}"})
+    return _BagFiles(files=present, notes={"bag_files": f"{reason}; in order of name: {names}"})
 
 
-def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
+def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> _BagFiles:
     """Return the files named in the metadata, each once. A single renamed file is accepted."""
     files: dict[Path, None] = {}  # ordered, with fast look-up
     missing: list[str] = []
@@ -211,7 +201,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
             files[file] = None
     duration_ns = metadata.duration_ns
     if not missing:
-        return BagFiles(files=tuple(files), duration_ns=duration_ns)
+        return _BagFiles(files=tuple(files), duration_ns=duration_ns)
     others = [file for file in present if file not in files]
     names = ", ".join(file.name for file in others) or "none"
     if len(missing) != len(others) or (files and len(others) > 1):
@@ -221,7 +211,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
         found.insert(metadata.files.index(missing[0]), others[0])
     lost = ", ".join(missing)
     note = f"{METADATA_FILE} names {lost}, not in the folder; read instead: {names}"
-    return BagFiles(files=tuple(found), duration_ns=duration_ns, notes={"bag_files": note})
+    return _BagFiles(files=tuple(found), duration_ns=duration_ns, notes={"bag_files": note})
 
 
 def _find_file(folder: Path, name: str, base: str) -> Path | None:

@@ -50,7 +50,7 @@ _SHOWN_DRIFT_NS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TimedRows:
+class _TimedRows:
     """The rows of a topic in order of the times used.
 
     Attributes:
@@ -73,8 +73,8 @@ class BagTimes:
         notes: Description of the timing, for the notes of a run.
     """
 
-    poses: TimedRows
-    commands: TimedRows
+    poses: _TimedRows
+    commands: _TimedRows
     clock: Clock | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
 
@@ -118,7 +118,7 @@ def time_rows(
         if close := int(len(kept) - kept.sum()):
             closest = f"{describe_count(close, 'pose')} less than 1 ms before another left out"
             notes |= {CLOCK: f"{notes[CLOCK]}; {closest}", CLOSE_ROWS: str(close)}
-        rows = TimedRows(rows=rows.rows[kept], time_ns=rows.time_ns[kept])
+        rows = _TimedRows(rows=rows.rows[kept], time_ns=rows.time_ns[kept])
     return BagTimes(poses=rows, commands=_sort(commands_ns), clock=clock, notes=notes)
 
 
@@ -208,6 +208,6 @@ def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
     return np.append(step_ns >= least_ns, True)
 
 
-def _sort(time_ns: TimesNs) -> TimedRows:
+def _sort(time_ns: TimesNs) -> _TimedRows:
     rows = np.argsort(time_ns, kind="stable")
-    return TimedRows(rows=rows, time_ns=time_ns[rows])
+    return _TimedRows(rows=rows, time_ns=time_ns[rows])

@@ -221,9 +221,7 @@ class OrderedRows:
         return Stamps(log_ns=self.time_ns, stamp_ns=self.stamp_ns)
 
     def take(
-        self,
-        rows: NDArray[np.int64] | NDArray[np.bool_],
-        time_ns: NDArray[np.int64] | None = None,
+        self, rows: NDArray[np.int64] | NDArray[np.bool_], time_ns: NDArray[np.int64] | None = None
     ) -> "OrderedRows":
         """Return some of the rows in any order, with given new times, if any."""
         if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):

@@ -16,7 +16,7 @@ from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import ReadChoice, parse_wheelbase
-from turtlelog.log.recording.head import MAY_BE_ABSENT
+from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import CONTROL, CONTROL_COLUMNS, PHASE, POSE
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_clock import time_rows
@@ -217,15 +217,9 @@ def _join(found: list[TopicColumns]) -> tuple[Times, dict[str, Any]]:
         kind = np.float64 if values.dtype.kind == "f" else np.int64
         columns[name] = (values if len(parts) > 1 else values[:, 0]).astype(kind)
     return time_ns, {
-        name: None if name in MAY_BE_ABSENT and _lacks(name, values) else values
+        name: None if name in MAY_BE_ABSENT and lacks_values(name, values) else values
         for name, values in columns.items()
     }
-
-
-def _lacks(name: str, values: NDArray[np.float64]) -> bool:
-    """Return whether a column was not recorded. Samples may lack a velocity in the world frame."""
-    unknown = np.isnan(values)
-    return bool(unknown.all() if name == "world_velocity_m_s" else unknown.any())
 
 
 def _require_fit(run: Run, written: int, time_ns: Times, columns: Mapping[str, Any]) -> None:

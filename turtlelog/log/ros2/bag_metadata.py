@@ -90,11 +90,7 @@ class BagPart:
 
 
 def read_bag_metadata(folder: Path) -> BagMetadata:
-    """Return the metadata of a bag folder.
-
-    Raises:
-        LogError: If there are no readable metadata.
-    """
+    """Return the metadata of a bag folder."""
     place = folder / METADATA_FILE
     with name_file(place, expected="the description of a bag"), open_file(place) as stream:
         size = stream.seek(0, 2)

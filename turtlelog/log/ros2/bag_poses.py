@@ -158,11 +158,7 @@ def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
 
 
 def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
-    """Return all transforms of a bag, or those of the robot's own topics (/robot1/tf), if any.
-
-    Raises:
-        LogError: If the transforms cannot be read.
-    """
+    """Return all transforms of a bag, or those of the robot's own topics (/robot1/tf), if any."""
     held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
     own = [name for name in held if name.rpartition("/")[0] == place]
@@ -410,11 +406,7 @@ def describe_robots(robots: Sequence[BagRobot], chosen: str | None) -> str:
 
 
 def require_robot(name: str, topic: str, robots: Collection[BagRobot]) -> None:
-    """Refuse a requested robot if the topic of poses or commands belongs to another.
-
-    Raises:
-        LogError: If so. The message contains the names of the robots.
-    """
+    """Refuse a requested robot if the topic of poses or commands belongs to another."""
     if name in topic.split("/")[:-1]:
         return
     known = list_first_names([robot.name for robot in robots]) or f"a bag of one robot, on {topic}"

@@ -131,7 +131,7 @@ def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
     of_files = {name: text for info in bag.infos.values() for name, text in info.notes.items()}
     notes = {**run.notes, **_note_rest(topics, run), **of_files}
     notes |= {NOT_UNDERSTOOD: unread} if unread else {}
-    return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
+    return replace(run, notes={**notes, CHOSEN: _describe_chosen(notes)})
 
 
 @contextmanager
@@ -147,7 +147,7 @@ def _name_once(bag: Bag) -> Iterator[None]:
         raise LogError(text) from err
 
 
-def describe_chosen(notes: Mapping[str, str]) -> str:
+def _describe_chosen(notes: Mapping[str, str]) -> str:
     """Return one line on the topics that were read, with the alternatives."""
     command = notes.get("command_topic")
     poses = notes.get("pose_topic")

@@ -58,11 +58,7 @@ class RobotTrack:
 def add_references(
     run: Run, bag: Bag, source: PoseSource, track: RobotTrack, choice: ReadChoice
 ) -> Run:
-    """Return a run with the goal and the path in its bag, or the requested ones.
-
-    Raises:
-        LogError: If a requested path topic does not exist.
-    """
+    """Return a run with the goal and the path in its bag, or the requested ones."""
     topics = bag.topics
     given = choice.goal
     goal_pick = None if given else choose_goal_topic(topics, pose_topic=source.home)
@@ -76,9 +72,9 @@ def add_references(
     goal = None
     if given is not None:
         xy_m, heading_rad = parse_goal_option(given)
-        goal = FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
+        goal = _FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
     if goal_pick is not None:
-        goal = find_goal(goals, goal_pick.topic.topic, track)
+        goal = _find_goal(goals, goal_pick.topic.topic, track)
     notes, changes = dict[str, str](), dict[str, Any]()
     if goal is not None:
         notes["goal"] = goal.note
@@ -101,7 +97,7 @@ def add_references(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FoundGoal:
+class _FoundGoal:
     """A goal with a note.
 
     Attributes:
@@ -117,7 +113,7 @@ class FoundGoal:
     time_ns: int = 0
 
 
-def find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> FoundGoal:
+def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _FoundGoal:
     """Return the last goal that was set while the robot was recorded.
 
     A goal in another frame is converted to the frame of the poses by the transforms at the time of
@@ -134,17 +130,17 @@ def find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -
     if len(others) > 1:
         said = f"the last of {len(others)} from {topic}: --goal chooses another"
     if not np.isfinite(place_m).all():
-        return FoundGoal(xy_m=None, note=f"{topic}: left out: its position is no number")
+        return _FoundGoal(xy_m=None, note=f"{topic}: left out: its position is no number")
     # The default of the message; programs without a goal heading leave it.
     has_heading = bool(np.isfinite(turn).all() and turn[0, :3].any())
     moved = _bring_over(track, str(fields["header.frame_id"]), place_m, turn, time_ns)
     if isinstance(moved, str):
-        return FoundGoal(xy_m=None, note=f"{topic}: left out: {moved}")
+        return _FoundGoal(xy_m=None, note=f"{topic}: left out: {moved}")
     place_m, ahead, how = moved
     heading_rad = math.atan2(ahead[0, 1], ahead[0, 0]) if has_heading else None
     said += how if has_heading else f"{how}, no heading"
     xy_m = float(place_m[0, 0]), float(place_m[0, 1])
-    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note=said, time_ns=time_ns)
+    return _FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note=said, time_ns=time_ns)
 
 
 def _sort_rows(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:

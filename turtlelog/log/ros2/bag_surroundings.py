@@ -42,7 +42,7 @@ MOST_RAYS: Final = 360
 CELL_M: Final = 0.05
 """Cell size for thinning the points of all scans [m]; usual for maps."""
 
-MOST_CELLS: Final = 20_000
+_MOST_CELLS: Final = 20_000
 """Largest number of cells of scans, and of cells of a map that determine a view: walls of 1 km."""
 
 _MOST_MESSAGES: Final = 20_000
@@ -101,7 +101,7 @@ class OccupancyMap:
     def list_occupied(self) -> Values:
         """Return centers of occupied cells [m], shape (n, 2); of very many, an even selection."""
         places = np.flatnonzero(self.is_occupied)
-        places = places[:: -(-max(len(places), 1) // MOST_CELLS)]
+        places = places[:: -(-max(len(places), 1) // _MOST_CELLS)]
         rows, columns = np.divmod(places, max(self.cells.shape[1], 1))
         along = (columns + 0.5)[:, np.newaxis] * self.column_xy_m
         return np.asarray(self.corner_xy_m + along + (rows + 0.5)[:, np.newaxis] * self.row_xy_m)
@@ -291,7 +291,7 @@ def _thin(points: Sequence[Values]) -> Values:
         return np.zeros((0, 2))
     cells = np.floor(np.concatenate(points) / CELL_M).astype(np.int64)
     found, counts = np.unique(cells, axis=0, return_counts=True)
-    most = np.argsort(-counts, kind="stable")[:MOST_CELLS]
+    most = np.argsort(-counts, kind="stable")[:_MOST_CELLS]
     return np.asarray((found[np.sort(most)] + 0.5) * CELL_M)
 
 

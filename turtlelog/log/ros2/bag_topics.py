@@ -17,7 +17,7 @@ TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
 FIX: Final = "sensor_msgs/msg/NavSatFix"
 JOINTS: Final = "sensor_msgs/msg/JointState"
 PATH: Final = "nav_msgs/msg/Path"
-GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
+_GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
 _TIERS: Final = {
     "turtlesim/msg/Pose": 0,
@@ -158,11 +158,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
 
 
 def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
-    """Return the requested topic of joint states, or else the one with the usual name.
-
-    Raises:
-        LogError: If there is no such topic, or several are equally likely.
-    """
+    """Return the requested topic of joint states, or else the one with the usual name."""
     held = [topic for topic in topics if topic.count]
     if asked is not None:
         return _find_asked(held, asked, (JOINTS,), "pose_topic")
@@ -242,7 +238,7 @@ def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick |
     fitting = [
         topic
         for topic in present
-        if topic.type == GOAL_TYPE
+        if topic.type == _GOAL_TYPE
         and _GOAL.fullmatch(_take_last(topic.topic))
         and not _is_another_robots(topic.topic, pose_topic)
     ]

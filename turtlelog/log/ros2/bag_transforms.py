@@ -127,11 +127,7 @@ def name_frame(columns: TopicColumns, row: int = 0) -> str:
 def collect_links(
     messages: Iterable[TopicColumns], *, is_static: bool
 ) -> dict[tuple[str, str], Link]:
-    """Return the transforms in TFMessage messages, by parent and child.
-
-    Raises:
-        LogError: If the messages have other fields.
-    """
+    """Return the transforms in TFMessage messages, by parent and child."""
     rows: dict[tuple[str, str], list[tuple[int, dict[str, Any]]]] = defaultdict(list)
     for columns in map(_wrap_foxglove, messages):
         if "transforms" not in columns.fields:
@@ -197,11 +193,7 @@ def _build_link(
 
 
 def choose_frames(
-    tree: Tree,
-    *,
-    robot: str | None = None,
-    world: str | None = None,
-    name: str | None = None,
+    tree: Tree, *, robot: str | None = None, world: str | None = None, name: str | None = None
 ) -> FrameChoice:
     """Return the requested frames, completed by the most likely ones.
 
@@ -358,9 +350,6 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
 
     Returns:
         The link from world to robot, NaN before the first message of a held link; the held links.
-
-    Raises:
-        LogError: If no transforms join the two frames.
     """
     steps = _find_way(tree, choice.world, choice.robot)
     moving = [link for link, _ in steps if link.moves]
@@ -371,17 +360,13 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
             " found static ones alone"
         )
     leading = moving[-1]
-    place_m, turn = compose_way(steps, leading.time_ns)
+    place_m, turn = _compose_way(steps, leading.time_ns)
     traced = replace(leading, parent=choice.world, child=choice.robot, place_m=place_m, turn=turn)
     return traced, tuple(link for link in moving if link is not leading)
 
 
 def locate_frame(
-    tree: Tree,
-    world: str,
-    frame: str,
-    time_ns: NDArray[np.int64],
-    stamp_ns: int | None = None,
+    tree: Tree, world: str, frame: str, time_ns: NDArray[np.int64], stamp_ns: int | None = None
 ) -> tuple[Values, Values] | None:
     """Return the pose of a frame in another frame at some times; None if they are not connected.
 
@@ -389,7 +374,7 @@ def locate_frame(
     [ns], links with stamps are interpolated.
     """
     try:
-        place_m, turn = compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)
+        place_m, turn = _compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)
     except LogError:
         return None
     return (place_m, turn) if np.isfinite(place_m).all() else None
@@ -418,7 +403,7 @@ def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
     return ways[end]
 
 
-def compose_way(
+def _compose_way(
     steps: Sequence[_Step], time_ns: NDArray[np.int64], stamp_ns: int | None = None
 ) -> tuple[Values, Values]:
     """Return place and turn at the end of a way, each link as held or interpolated."""

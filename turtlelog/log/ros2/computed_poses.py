@@ -18,7 +18,7 @@ Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JoinedMessages:
+class _JoinedMessages:
     """Messages in order of log time.
 
     Attributes:
@@ -66,7 +66,7 @@ class JoinedMessages:
         )
 
 
-def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> JoinedMessages:
+def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> _JoinedMessages:
     """Return the messages of a topic in all files, at least one, with the named fields."""
     for columns in found:
         for name in names:
@@ -75,7 +75,7 @@ def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> Joine
     log_ns = np.concatenate([columns.log_time_ns for columns in found])
     order = np.argsort(log_ns, kind="stable")
     stamp_ns = join_stamps(found)
-    return JoinedMessages(
+    return _JoinedMessages(
         topic=found[0].topic,
         type=found[0].type,
         log_ns=log_ns[order],
@@ -315,7 +315,7 @@ def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
     }
 
 
-def _find_joints(messages: JoinedMessages, joints: tuple[str, str]) -> NDArray[np.int64]:
+def _find_joints(messages: _JoinedMessages, joints: tuple[str, str]) -> NDArray[np.int64]:
     """Return the indices of the joints in each message, shape (n, 2); -1 if missing."""
 
     @cache
@@ -351,7 +351,7 @@ def _unwrap(turned_rad: Values) -> tuple[Values, int]:
     return (np.unwrap(turned_rad, axis=0) if wraps else turned_rad), wraps
 
 
-def _describe_missing(messages: JoinedMessages, joints: tuple[str, str]) -> str:
+def _describe_missing(messages: _JoinedMessages, joints: tuple[str, str]) -> str:
     names = sorted({name for listed in messages.fields["name"] for name in listed})
     found = ", ".join(names)[:300] or "none"
     for joint in joints:
