@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import CompareError
 from turtlelog.identify.axis_motion import AXES, LOOK_S, STANDING, Axis, AxisMotion, get_commands
+from turtlelog.identify.robot_noise import NORMAL_MAD
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
@@ -157,9 +158,6 @@ _GRAIN: Final = 1e-6
 """Smallest size of a jump, the 32-bit resolution [m] or [rad]. Without this size, the rounding of a
 robot without noise would be a jump."""
 
-_NORMAL_MAD: Final = 1.4826
-"""Ratio of standard deviation to median magnitude of normal noise."""
-
 _MOST_GROWTH: Final = 20
 """Number of points of the curve of errors over time."""
 
@@ -226,7 +224,7 @@ def find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) 
     jumps = np.zeros(len(errors[0]), dtype=bool)
     for error, axis, gain in zip(errors, AXES, gains, strict=True):
         most = abs(1.0 if gain is None else gain) * float(np.abs(get_commands(run, axis)).max())
-        noise = _NORMAL_MAD * float(np.median(error))
+        noise = NORMAL_MAD * float(np.median(error))
         jumps |= error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
     return np.flatnonzero(jumps) + 1
 

@@ -27,7 +27,6 @@ from turtlelog.explain.scenario_from_log.loop_settings import (
     Guess,
     Hints,
     agrees_with_clock,
-    drop_pause,
     list_neighbours,
     list_queues,
     set_pause,
@@ -337,9 +336,7 @@ class _Search:
         self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
     ) -> list[_Driven]:
         """Return the settings that fit equally well, the best first."""
-        every = [
-            set_pause(guess, pause) for pause, guess in product(pauses, map(drop_pause, guesses))
-        ]
+        every = [set_pause(guess, pause) for pause, guess in product(pauses, guesses)]
         if rows is not None:
             # All settings are tried over the first rows, instead of some over all rows.
             enough = max(_MOST_TICKS // (len(every) * self._trace.period_ticks), _FEWEST_ROWS)
