@@ -182,7 +182,12 @@ class _Search:
         """Return the scenario of a guess, which sets only the loop and the pause."""
         known = {**self._known, **more}
         if self._base is None or known != self._base_values:
-            self._base, self._base_values = self._build_base({**known, **guess}), known
+            name = self._trace.run.name
+            usual: Settings = {"name": name, "max_duration_s": self._most_s}
+            tables = nest_parameters({**usual, **known, **guess})
+            # A search with a law implies that the law may run.
+            self._base = build_scenario(tables, source=name, trust_law=True)
+            self._base_values = known
         base, values = self._base, dict(guess)
         law = base.law
         if PAUSE_KEY in values:
@@ -190,12 +195,6 @@ class _Search:
             law = replace(law, parameters=replace(law.parameters, pause_ticks=pause_ticks))
         loop = {key.removeprefix("loop."): value for key, value in values.items()}
         return replace(base, law=law, loop=replace(base.loop, **loop))
-
-    def _build_base(self, values: Settings) -> Scenario:
-        values = {"name": self._trace.run.name, "max_duration_s": self._most_s, **values}
-        # A search with a law implies that the law may run.
-        tables = nest_parameters(values)
-        return build_scenario(tables, source=self._trace.run.name, trust_law=True)
 
     def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
         """Return the settings that reproduce every sample; None if no settings do."""
