@@ -95,6 +95,11 @@ def test_an_unknown_input_is_refused_with_the_known_ones() -> None:
         compute_plant_response("x", TIME_S)
 
 
+def test_a_coefficient_beyond_every_double_is_refused() -> None:
+    with pytest.raises(TheoryError, match=r"^transfer function: expected coefficients, found "):
+        judge_bibo([10**400], [1.0])
+
+
 def test_a_transfer_function_names_the_coefficient_that_is_not_finite() -> None:
     with pytest.raises(TheoryError, match=r"expected finite coefficients, found inf at index 1$"):
         find_final_value([1.0], [1.0, np.inf])

@@ -2,19 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import CompareError
 from turtlelog.identify.axis_motion import AXES, LOOK_S, STANDING, Axis, AxisMotion, get_commands
+from turtlelog.identify.robot_noise import NORMAL_MAD
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
 from turtlelog.run.loops import PLANT_KEYS, read_number
-from turtlelog.scenario import Scenario, flatten_scenario
+from turtlelog.scenario import Scenario, flatten_scenario, override_scenario
 from turtlelog.simulate.loop_parts import RANDOM_KEYS, list_streams
 
 _FADED: Final = 1e-3
@@ -64,7 +64,12 @@ def list_commands(
         lateral_speed_m_s=np.zeros(len(time_ns)),
         turn_rate_rad_s=held["turn_rate"],
     )
-    return commands if _counts_commands(scenario) else _drop_repeated(commands)
+    loop = scenario.loop
+    if loop.queue_policy != "newest" or loop != silence(scenario).loop:
+        return commands  # by chance or in a queue, a repeated command may have an effect
+    changes = np.diff(held["speed"]) != 0.0
+    changes |= np.diff(held["turn_rate"]) != 0.0
+    return take_rows(commands, np.concatenate([[True], changes]))
 
 
 def find_known(run: Run, scenario: Scenario) -> int:
@@ -86,14 +91,7 @@ def find_known(run: Run, scenario: Scenario) -> int:
 
 def silence(scenario: Scenario) -> Scenario:
     """Return a scenario without its random effects."""
-    tables: dict[str, dict[str, float]] = {}
-    for key in sorted(RANDOM_KEYS):
-        table, _, name = key.partition(".")
-        tables.setdefault(table, {})[name] = 0.0
-    changes: dict[str, Any] = {
-        table: replace(getattr(scenario, table), **names) for table, names in tables.items()
-    }
-    return replace(scenario, **changes)
+    return override_scenario(scenario, dict.fromkeys(RANDOM_KEYS, 0.0))
 
 
 def is_random(scenario: Scenario) -> bool:
@@ -102,19 +100,6 @@ def is_random(scenario: Scenario) -> bool:
     In the comparison, sensed poses are never lost or late.
     """
     return bool(list_streams(scenario) - {"dropout_lose_pose", "jitter_pose_travel"})
-
-
-def _counts_commands(scenario: Scenario) -> bool:
-    """Return whether a repeated command may have an effect, by chance or in a queue."""
-    loop = scenario.loop
-    return loop.queue_policy != "newest" or loop != silence(scenario).loop
-
-
-def _drop_repeated(commands: CommandColumns) -> CommandColumns:
-    """Return commands without repeated ones, which only cost time."""
-    changes = np.diff(commands.speed_m_s) != 0.0
-    changes |= np.diff(commands.turn_rate_rad_s) != 0.0
-    return take_rows(commands, np.concatenate([[True], changes]))
 
 
 def _find_delay(scenario: Scenario, axis: Axis, command: float, left: float) -> float:
@@ -172,9 +157,6 @@ never reaches it."""
 _GRAIN: Final = 1e-6
 """Smallest size of a jump, the 32-bit resolution [m] or [rad]. Without this size, the rounding of a
 robot without noise would be a jump."""
-
-_NORMAL_MAD: Final = 1.4826
-"""Ratio of standard deviation to median magnitude of normal noise."""
 
 _MOST_GROWTH: Final = 20
 """Number of points of the curve of errors over time."""
@@ -242,7 +224,7 @@ def find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) 
     jumps = np.zeros(len(errors[0]), dtype=bool)
     for error, axis, gain in zip(errors, AXES, gains, strict=True):
         most = abs(1.0 if gain is None else gain) * float(np.abs(get_commands(run, axis)).max())
-        noise = _NORMAL_MAD * float(np.median(error))
+        noise = NORMAL_MAD * float(np.median(error))
         jumps |= error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
     return np.flatnonzero(jumps) + 1
 

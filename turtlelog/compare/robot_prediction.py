@@ -94,7 +94,7 @@ def compare_robot(
     commands = replace(commands, time_ns=commands.time_ns - start_ns)
     times_ns = recorded.time_ns - start_ns
     states = sense_driven(driven_commands.silence(scenario), commands, times_ns)
-    simulated = _build_poses(recorded.time_ns, states)
+    simulated = replace(recorded, xy_m=states[:, :2], heading_rad=states[:, 2])
     known_ns = driven_commands.find_known(run, scenario)
     jumps = driven_commands.find_impossible_steps(run, simulated, scenario)
     cuts = {}
@@ -267,10 +267,6 @@ def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
     )
     none = take_rows(run.samples, slice(0, 0))
     return replace(run, poses=sensed, samples=none), notes
-
-
-def _build_poses(time_ns: Rows, states: Values) -> PoseColumns:
-    return PoseColumns(time_ns=time_ns, xy_m=states[:, :2], heading_rad=states[:, 2])
 
 
 def _trace(

@@ -88,11 +88,7 @@ def tabulate_runs(
         )
         for name, summary in zip(names, summaries, strict=True)
     )
-    columns = (
-        Column(title="run"),
-        *gains,
-        *(_head_column(name, units[name]) for name in shown),
-    )
+    columns = (Column(title="run"), *gains, *(_head_column(name, units[name]) for name in shown))
     besides = [key for key in others if key not in ranking.keys]
     hidden = [key for key in besides[_MOST_NAMED:] if key not in shown]
     told = [f"More parameters that differ: {_list_first(hidden)}."] if hidden else []
@@ -105,16 +101,12 @@ def tabulate_runs(
     head = title or describe_count(len(summaries), "run")
     varied = _describe_varied(summaries, gains, rows, ranking, besides)
     answer = ranking.describe() or _name_best(names, marks)
+    unlocks = [] if only else list_unlocks(summaries)
     return Table(
         title=f"{head}{varied}{f': {answer}' if answer else ''}",
         columns=columns,
         rows=rows,
-        notes=(
-            *notes,
-            *ranking.list_notes(names),
-            *told,
-            *([] if only else list_unlocks(summaries)),
-        ),
+        notes=(*notes, *ranking.list_notes(names), *told, *unlocks),
         marks=MappingProxyType(
             {
                 (row, index): mark

@@ -150,7 +150,7 @@ def attribute_scenario(
     game.prepare(
         [*({*chosen} - inside for inside in list_coalitions(chosen)), *([o] for o in others)]
     )
-    built = game.play_as_recorded()
+    built, obstacle = game.play_as_recorded(), describe_no_sampling(scenario)
     found = Attribution(
         metric=metric,
         unit=list_metrics(declaration)[metric].unit,
@@ -163,7 +163,7 @@ def attribute_scenario(
         reason=built.reason or None,
         left=tuple(name for name in causes if name in others),
         effects=list_effects(table),
-        remarks=() if SAMPLING in table else (_write_no_sampling(scenario),),
+        remarks=() if SAMPLING in table else (f"{obstacle[:1].upper()}{obstacle[1:]}.",),
     )
     found = divide_game(found, game)
     if found.seeds is not None or found.withheld:
@@ -227,23 +227,16 @@ def _require_distinct(causes: Sequence[str] | None) -> None:
         raise ExplainError(f"causes: expected different ones, found {', '.join(causes)}")
 
 
-def _write_no_sampling(scenario: Scenario) -> str:
-    text = describe_no_sampling(scenario)
-    return f"{text[0].upper()}{text[1:]}."
-
-
 def _choose_causes(game: Game, causes: Sequence[str]) -> list[str]:
     if len(causes) <= _MOST:
         return [*causes]
 
-    every = [*causes]
-    alone = [[*filter(name.__ne__, every)] for name in every]
-    game.prepare([[], every, *alone, *([name] for name in every)])
+    every = {*causes}
+    game.prepare([[], every, *(every - {name} for name in causes), *([name] for name in causes)])
 
     def weigh(name: str) -> float:
-        others = [other for other in causes if other != name]
         out = _compare(game.take_out(), game.take_out([name]))
-        return max(out, _compare(game.take_out(others), game.take_out(causes)))
+        return max(out, _compare(game.take_out(every - {name}), game.take_out(every)))
 
     chosen = sorted(causes, key=weigh, reverse=True)[:_MOST]
     return [name for name in causes if name in chosen]
@@ -300,28 +293,20 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     if found.seeds is not None and not knows_seed:
         is_central = found.seeds.low <= logged <= found.seeds.high
         return "" if is_central else _OUTSIDE
-    added, apart = abs(built - without), abs(logged - built)
-    if added <= SAME * abs(logged):
-        same = f"{100.0 * SAME:g} % of the value"
-        agrees = apart <= SAME * abs(logged)
-        reason = f"log and re-simulation differ by more than {same}, and the effects add less"
-        return "" if agrees else reason
-    agrees = apart <= _AGREEMENT * added
-    return (
-        ""
-        if agrees
-        else ("log and re-simulation differ by more than a tenth of what the effects add together")
-    )
+    added, apart, same = abs(built - without), abs(logged - built), SAME * abs(logged)
+    if apart <= (same if added <= same else _AGREEMENT * added):
+        return ""
+    limit = "a tenth of what the effects add together"
+    if added <= same:
+        limit = f"{100.0 * SAME:g} % of the value, and the effects add less"
+    return f"log and re-simulation differ by more than {limit}"
 
 
 def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding]) -> Contribution:
     """Return a property without its value if the value depends on a gain that the log hides."""
     unknown = [key for key in _list_gains(contribution.cause) if findings[key].value is None]
-    if not unknown:
-        return contribution
-    return replace(
-        contribution, alone=None, ending=f"the log does not show {' and '.join(unknown)}"
-    )
+    ending = f"the log does not show {' and '.join(unknown)}"
+    return replace(contribution, alone=None, ending=ending) if unknown else contribution
 
 
 def _list_gains(cause: str) -> tuple[str, ...]:
@@ -347,9 +332,6 @@ def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Cause]) -> It
     if Certainty.FITTED in found:
         yield "Contributions are those of the likeliest settings. None reproduces every sample."
     if Certainty.UNKNOWN in found:
-        assumed = [
-            f"{key} {findings[key].used}"
-            for key in keys
-            if findings[key].certainty is Certainty.UNKNOWN
-        ]
-        yield f"Assumed, because the log does not show them: {', '.join(assumed)}."
+        unknown = [key for key in keys if findings[key].certainty is Certainty.UNKNOWN]
+        assumed = ", ".join(f"{key} {findings[key].used}" for key in unknown)
+        yield f"Assumed, because the log does not show them: {assumed}."

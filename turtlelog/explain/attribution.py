@@ -26,12 +26,7 @@ _HALF_A_COUNT: Final = 0.5
 """Negligible change of a count; counts change by at least one."""
 
 _COUNTS: Final = (
-    "crossings",
-    "reversals",
-    "burst_samples",
-    "dropped_samples",
-    "duplicates",
-    "disorder",
+    *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),
 )
 
 
@@ -321,9 +316,7 @@ class Attribution:
     @property
     def acting(self) -> tuple[str, ...]:
         """Causes that change the value in any combination."""
-        names = {
-            contribution.cause for contribution in self.contributions if contribution.contribution
-        }
+        names = {one.cause for one in self.contributions if one.contribution}
         names.update(name for case in self.together if case.value for name in case.causes)
         return tuple(name for name in self.causes if name in names)
 
@@ -345,9 +338,7 @@ class Attribution:
 
     def __repr__(self) -> str:
         parts = [
-            f"{contribution.cause} {contribution.contribution:.4g}"
-            for contribution in self.contributions
-            if contribution.contribution
+            f"{one.cause} {one.contribution:.4g}" for one in self.contributions if one.contribution
         ]
         is_divided = not (self.withheld or self.without_value)
         cause = (", ".join(parts) or "no effect changes it") if is_divided else "no contributions"

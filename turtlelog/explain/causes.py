@@ -247,7 +247,8 @@ def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
     causes = (*PLANT_CAUSES.get(second.plant.kind, ()), *list_causes(find_law(second.law.kind)))
     names |= {key: one.name for one in causes for key in one.neutral}
     gains = declare_scenario(second).list_gains()
-    if len(gains) > 1 and all(_has_one_value(one, gains) for one in (first, second)):
+    sides = [flatten_scenario(one) for one in (first, second)]
+    if len(gains) > 1 and all(len({side.get(key) for key in gains}) == 1 for side in sides):
         names |= dict.fromkeys(gains, GAINS)
     return names
 
@@ -263,11 +264,6 @@ def _list_effect_keys() -> Iterable[tuple[str, tuple[str, ...]]]:
         names = [one.name for one in effect.causes] or [effect.name]
         yield names[0], keys
         yield from ((one.name, tuple(one.neutral)) for one in effect.causes)
-
-
-def _has_one_value(scenario: Scenario, keys: Iterable[str]) -> bool:
-    values = flatten_scenario(scenario)
-    return len({values.get(key) for key in keys}) == 1
 
 
 def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:

@@ -63,6 +63,8 @@ _CODE: Final = (
 def write_difference_sentences(found: ExplainedDifference) -> tuple[str, ...]:
     """Return sentences on the difference, its reasons, their dependences, and what else differs."""
     is_seed_alone = bool(found.contributions) and not _list_divided(found)
+    orders = f"{found.orders} orders of the changes were sampled"
+    sampled = f"{orders}: each contribution has a standard error."
     idle = f"Different, but without effect on this metric: {join_words(found.idle)}."
     sentences = [
         write_difference_headline(found),
@@ -72,7 +74,7 @@ def write_difference_sentences(found: ExplainedDifference) -> tuple[str, ...]:
         _write_starts(found),
         _write_together(found),
         "No setting differs but the seed of the random effects." * is_seed_alone,
-        _write_orders(found),
+        sampled if found.orders is not None and found.contributions else "",
         _write_unclear(found),
         _write_effects(found),
         idle if found.idle else "",
@@ -287,13 +289,6 @@ def _write_together(found: ExplainedDifference) -> str:
     )
 
 
-def _write_orders(found: ExplainedDifference) -> str:
-    if found.orders is None or not found.contributions:
-        return ""
-    orders = f"{found.orders} orders of the changes were sampled"
-    return f"{orders}: each contribution has a standard error."
-
-
 def _write_unclear(found: ExplainedDifference) -> str:
     unclear = [
         name_change(one)
@@ -419,7 +414,11 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
     """Return the basis of the contributions of two robots' parts; empty for simulated runs."""
     sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
     said = [f"{side.name}: {side.note}." for side in sides if side.note]
-    said += [_write_unknown(side) for side in sides if side.unknown]
+    for side in sides:
+        if side.unknown:
+            names = join_words([NAMES[axis] for axis in AXES if axis in side.unknown])
+            told = f"{side.name} has no commands of the {names}"
+            said.append(f"{told}, so the other robot's is taken for it.")
     if not sides or not found.contributions:
         return said
     answers = any(
@@ -432,8 +431,3 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
         f" {found.seeds} draws of the identified parameters and the noise.",
         *said,
     ]
-
-
-def _write_unknown(side: Side) -> str:
-    names = join_words([NAMES[axis] for axis in AXES if axis in side.unknown])
-    return f"{side.name} has no commands of the {names}, so the other robot's is taken for it."

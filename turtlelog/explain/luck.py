@@ -212,14 +212,15 @@ def _list_curves(table: _Table, found: Attribution) -> list[LuckCurve]:
     """Return the curves without causes that change the value of the run or of any start."""
     whole, *alone = table.simulate([(), *((name,) for name in found.causes)])
     deciding = _list_deciding(found)
-    kept = [one for one in alone if one.without[0] in deciding or _differ(one, whole)]
+    kept = [
+        one
+        for one in alone
+        if one.without[0] in deciding
+        or not np.array_equal(one.values, whole.values, equal_nan=True)
+    ]
     if len(kept) < 2:
         return [whole, *kept]
     return [whole, *kept, *table.simulate([tuple(one.without[0] for one in kept)])]
-
-
-def _differ(one: LuckCurve, other: LuckCurve) -> bool:
-    return not np.array_equal(one.values, other.values, equal_nan=True)
 
 
 def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "follows", "steady"]:

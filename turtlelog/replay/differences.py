@@ -3,12 +3,12 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_html, format_notebook, show_angle
+from turtlelog.display import fit_line, format_html, format_notebook, show_angle
 from turtlelog.errors import ReplayError
 from turtlelog.plants import find_plant
 from turtlelog.run import PoseColumns, Run, SampleColumns
@@ -150,24 +150,28 @@ def _read_row(pairing: Pairing, row: int) -> Difference:
     )
 
 
-def describe_replay(samples: int, first: Difference | None) -> str:
-    """Return the result of a replay in a few words."""
-    found = "no difference" if first is None else f"first differs in {first.signal}"
-    return f"{samples} compared, {found}"
+class ReplayResult:
+    """How a console and a notebook show a replay: its result and the signals that differ."""
 
+    __slots__ = ()
 
-def format_replay_html(
-    name: str, samples: int, first: Difference | None, signals: Iterable[SignalDifference]
-) -> str:
-    """Return the HTML that a notebook shows for a replay: its result and differing signals."""
-    rows = [
-        (one.signal, *show_angle(one.largest, one.unit)[::-1], one.differing, one.rows)
-        for one in signals
-        if one.differing
-    ]
-    heads = ("signal", "unit", "largest difference", "rows that differ", "of")
-    table = format_html(rows, heads=heads) if rows else ""
-    return format_notebook(f"{name}: {describe_replay(samples, first)}.", table)
+    def _describe(self: Any) -> str:
+        first: Difference | None = self.first_difference
+        found = "no difference" if first is None else f"first differs in {first.signal}"
+        return f"{self.samples} compared, {found}"
+
+    def __repr__(self: Any) -> str:
+        return fit_line(f"<{type(self).__name__} of {self.name}: {self._describe()}>")
+
+    def _repr_html_(self: Any) -> str:
+        rows = [
+            (one.signal, *show_angle(one.largest, one.unit)[::-1], one.differing, one.rows)
+            for one in self.signals
+            if one.differing
+        ]
+        heads = ("signal", "unit", "largest difference", "rows that differ", "of")
+        table = format_html(rows, heads=heads) if rows else ""
+        return format_notebook(f"{self.name}: {self._describe()}.", table)
 
 
 Rows = NDArray[np.int64]

@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import fit_line
 from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.laws import Law, LawPart, Pose, find_law
 from turtlelog.log.recording.head import LOSS_NOTES
@@ -21,15 +20,14 @@ from turtlelog.replay.differences import (
     Answers,
     Difference,
     Pairing,
+    ReplayResult,
     RowCount,
     SignalDifference,
     compare_pairing,
     count_missing_samples,
     count_recorded_rows,
-    describe_replay,
     find_count_difference,
     find_earliest,
-    format_replay_html,
     has_all_commands,
     has_published,
     has_ticks,
@@ -51,8 +49,8 @@ from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, LimitedLoop, needs_watch, require_budget
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LawReplay:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class LawReplay(ReplayResult):
     """Commands of a law for the recorded poses, compared with the recording.
 
     Attributes:
@@ -92,13 +90,6 @@ class LawReplay:
     def others(self) -> tuple[Difference, ...]:
         """Differences that belong to no signal: those of `commands` and `stop`."""
         return tuple(found for found in (self.commands, self.stop) if found is not None)
-
-    def __repr__(self) -> str:
-        found = describe_replay(self.samples, self.first_difference)
-        return fit_line(f"<LawReplay of {self.name}: {found}>")
-
-    def _repr_html_(self) -> str:
-        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
 
 
 def replay_law(
@@ -252,8 +243,8 @@ _LONGER: Final = 1.1
 `_LONGEST_S`."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LoopReplay:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class LoopReplay(ReplayResult):
     """Repeated simulation of a scenario, compared with the recording.
 
     Attributes:
@@ -289,13 +280,6 @@ class LoopReplay:
     declaration: Difference | None
     first_difference: Difference | None
     absent: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        found = describe_replay(self.samples, self.first_difference)
-        return fit_line(f"<LoopReplay of {self.name}: {found}>")
-
-    def _repr_html_(self) -> str:
-        return format_replay_html(self.name, self.samples, self.first_difference, self.signals)
 
 
 def replay_loop(

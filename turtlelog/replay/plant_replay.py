@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import fit_line
 from turtlelog.plants import LAGGED, Turtle, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay import differences
 from turtlelog.replay.commanded_plant import drive_lagged
-from turtlelog.replay.differences import Difference, Pairing, SignalDifference
+from turtlelog.replay.differences import Difference, Pairing, ReplayResult, SignalDifference
 from turtlelog.replay.recorded_motion import (
     CommandUse,
     Gap,
@@ -96,8 +95,8 @@ class PlantStretch:
         return max((found / bound if bound else inf for found, bound in pairs if found), default=0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlantReplay:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class PlantReplay(ReplayResult):
     """Motion of the plant under the recorded commands, compared with the recording.
 
     Attributes:
@@ -143,15 +142,6 @@ class PlantReplay:
     def others(self) -> tuple[Difference, ...]:
         """Differences that belong to no signal: always empty."""
         return ()
-
-    def __repr__(self) -> str:
-        found = differences.describe_replay(self.samples, self.first_difference)
-        return fit_line(f"<PlantReplay of {self.name}: {found}>")
-
-    def _repr_html_(self) -> str:
-        return differences.format_replay_html(
-            self.name, self.samples, self.first_difference, self.signals
-        )
 
 
 def replay_plant(run: Run) -> PlantReplay:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from turtlelog.errors import TheoryError
 from turtlelog.libraries import load_library
 from turtlelog.theory.inputs import (
+    require_array,
     require_even_times,
     require_gain,
     require_gains,
@@ -283,10 +284,7 @@ def _require_kind(kind: str) -> None:
 
 
 def _require_polynomial(coefficients: Any) -> NDArray[np.float64]:
-    try:
-        found = np.atleast_1d(np.asarray(coefficients, dtype=np.float64))
-    except (TypeError, ValueError) as err:
-        raise TheoryError(f"transfer function: expected coefficients, found {err}") from err
+    found = np.atleast_1d(require_array("transfer function", "coefficients", coefficients))
     if found.ndim != 1 or not len(found):
         raise TheoryError(
             f"transfer function: expected a list of coefficients, found shape {found.shape}"

@@ -146,11 +146,8 @@ def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     start = find_p_without_overshoot(design)
     if percent == 0.0:
         return PidGains(kp=start)
-
-    def measure(kp: float) -> float:
-        return _rate(design, PidGains(kp=kp))
-
-    return PidGains(kp=_find_first(measure, start, _STEP * start, percent))
+    ends = start, _STEP * start
+    return PidGains(kp=_find_first(lambda kp: _rate(design, PidGains(kp=kp)), *ends, percent))
 
 
 def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
@@ -165,11 +162,8 @@ def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     kp = find_p_without_overshoot(design)
     # Without lag and dead time an overshoot of 5 % takes Ki = 0.055 K Kp^2.
     start = 0.5 * percent / 100.0 * design.process.gain * kp * kp
-
-    def measure(ki: float) -> float:
-        return _rate(design, PidGains(kp=kp, ki=ki))
-
-    return PidGains(kp=kp, ki=_find_first(measure, 0.0, start, percent))
+    ki = _find_first(lambda ki: _rate(design, PidGains(kp=kp, ki=ki)), 0.0, start, percent)
+    return PidGains(kp=kp, ki=ki)
 
 
 def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) -> PidGains | str:

@@ -65,12 +65,17 @@ def require_not_negative(name: str, value: Any) -> float:
     return float(value)
 
 
+def require_array(name: str, expected: str, values: Any) -> NDArray[np.float64]:
+    """Return numbers as an array; raise an error for anything else."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as err:
+        raise TheoryError(f"{name}: expected {expected}, found {err}") from err
+
+
 def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
     """Return gains [1/s] as an array of one axis; raise an error if any is negative."""
-    try:
-        gains = np.atleast_1d(np.asarray(kp, dtype=np.float64))
-    except (TypeError, ValueError, OverflowError) as err:
-        raise TheoryError(f"kp: expected an array of gains, found {err}") from err
+    gains = np.atleast_1d(require_array("kp", "an array of gains", kp))
     if gains.ndim != 1 or not len(gains):
         raise TheoryError(f"kp: expected a list of gains, found an array of shape {gains.shape}")
     is_outside = ~((gains >= 0.0) & (gains <= LARGEST))
@@ -84,10 +89,7 @@ def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
 
 def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
     """Return times [s] as an array; raise an error if any is not finite."""
-    try:
-        times = np.asarray(time_s, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as err:
-        raise TheoryError(f"time_s: expected an array of times, found {err}") from err
+    times = require_array("time_s", "an array of times", time_s)
     if not np.isfinite(times).all():
         raise TheoryError("time_s: expected finite times, found nan or inf")
     return times

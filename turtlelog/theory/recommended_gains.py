@@ -235,8 +235,7 @@ def _compute_simc_p(design: LoopDesign) -> PidGains:
 
 def _compute_simc_pi(design: LoopDesign) -> PidGains:
     """Return the PI gains of the SIMC rule for an integrator with dead time."""
-    kp = _compute_simc_p(design).kp
-    theta_s, _ = _reduce(design, kept=0)
+    kp, (theta_s, _) = _compute_simc_p(design).kp, _reduce(design, kept=0)
     return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s))
 
 

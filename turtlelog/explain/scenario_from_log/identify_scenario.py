@@ -4,7 +4,7 @@ from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -252,7 +252,9 @@ def _identify_samples(run: Run) -> Identification:
     ending = find_stop_rule(trace, is_certain=is_certain, is_finished=run.is_complete)
     findings |= ending.rules
     hints = loop_settings.read_hints(trace)
-    known = {**_collect(findings), **loop_settings.read_start(trace)}
+    tables = ("start.", "goal.", "law.", "limits.", "loop.")
+    known = {key: finding.used for key, finding in findings.items() if key.startswith(tables)}
+    known |= loop_settings.read_start(trace)
     try:
         fits = search_loop(trace, known, hints, tuple(dead_times.values()))
         scenario = _cut_scenario(trace, fits, ending)
@@ -391,12 +393,6 @@ def _list_phases(trace: Trace) -> list[str]:
     begins = np.flatnonzero(np.diff(phases, prepend=-1) != 0)
     labels = [names[phase] for phase in phases[begins[:_MOST_PHASES]].tolist()]
     return [*labels, "..."] if len(begins) > _MOST_PHASES else labels
-
-
-def _collect(findings: Mapping[str, Finding]) -> dict[str, Any]:
-    """Return the values to simulate with, by key of the scenario."""
-    tables = ("start.", "goal.", "law.", "limits.", "loop.")
-    return {key: finding.used for key, finding in findings.items() if key.startswith(tables)}
 
 
 def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -> list[str]:

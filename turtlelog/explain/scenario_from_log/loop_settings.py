@@ -231,11 +231,6 @@ def set_pause(guess: Guess, ticks: int | None) -> Guess:
     return guess if ticks is None else {**guess, PAUSE_KEY: ticks}
 
 
-def drop_pause(guess: Guess) -> Guess:
-    """Return a guess without a pause setting."""
-    return {key: value for key, value in guess.items() if key != PAUSE_KEY}
-
-
 START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
 
@@ -349,7 +344,9 @@ def _find_obstacle(fits: "Fits", key: str, chosen: Any) -> str:
     """Return why a setting has no value; empty if it has a value."""
     is_reproduced = fits.is_exact or fits.is_close
     if not (is_reproduced or fits.is_fitted):
-        return _write_none(fits, chosen)
+        if fits.is_driven and fits.drive is None:
+            return f"none of {fits.tried} settings answers the poses that were answered"
+        return f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
     if fits.is_partial and not is_reproduced:
         return "the log is too long to try all settings that may explain it"
     return "a deeper queue gives the same run" if key in fits.hidden else ""
@@ -378,12 +375,6 @@ def _name_alike(key: str, chosen: Any) -> str:
     if key == "loop.pose_queue" and chosen == 1:
         return "; so does a timer that reads the newest pose"
     return "; so does a command queue of 1" if chosen == "newest" else ""
-
-
-def _write_none(fits: "Fits", chosen: Any) -> str:
-    if fits.is_driven and fits.drive is None:
-        return f"none of {fits.tried} settings answers the poses that were answered"
-    return f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
 
 
 def _describe_lost(fits: "Fits") -> Finding:

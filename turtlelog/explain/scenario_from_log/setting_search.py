@@ -27,7 +27,6 @@ from turtlelog.explain.scenario_from_log.loop_settings import (
     Guess,
     Hints,
     agrees_with_clock,
-    drop_pause,
     list_neighbours,
     list_queues,
     set_pause,
@@ -183,7 +182,12 @@ class _Search:
         """Return the scenario of a guess, which sets only the loop and the pause."""
         known = {**self._known, **more}
         if self._base is None or known != self._base_values:
-            self._base, self._base_values = self._build_base({**known, **guess}), known
+            name = self._trace.run.name
+            usual: Settings = {"name": name, "max_duration_s": self._most_s}
+            tables = nest_parameters({**usual, **known, **guess})
+            # A search with a law implies that the law may run.
+            self._base = build_scenario(tables, source=name, trust_law=True)
+            self._base_values = known
         base, values = self._base, dict(guess)
         law = base.law
         if PAUSE_KEY in values:
@@ -191,12 +195,6 @@ class _Search:
             law = replace(law, parameters=replace(law.parameters, pause_ticks=pause_ticks))
         loop = {key.removeprefix("loop."): value for key, value in values.items()}
         return replace(base, law=law, loop=replace(base.loop, **loop))
-
-    def _build_base(self, values: Settings) -> Scenario:
-        values = {"name": self._trace.run.name, "max_duration_s": self._most_s, **values}
-        # A search with a law implies that the law may run.
-        tables = nest_parameters(values)
-        return build_scenario(tables, source=self._trace.run.name, trust_law=True)
 
     def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
         """Return the settings that reproduce every sample; None if no settings do."""
@@ -337,9 +335,7 @@ class _Search:
         self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
     ) -> list[_Driven]:
         """Return the settings that fit equally well, the best first."""
-        every = [
-            set_pause(guess, pause) for pause, guess in product(pauses, map(drop_pause, guesses))
-        ]
+        every = [set_pause(guess, pause) for pause, guess in product(pauses, guesses)]
         if rows is not None:
             # All settings are tried over the first rows, instead of some over all rows.
             enough = max(_MOST_TICKS // (len(every) * self._trace.period_ticks), _FEWEST_ROWS)
