@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun
 from turtlelog.cli.output import (
+    build_table,
     fill_lines,
     fit_table,
     name_explain,
@@ -122,7 +123,9 @@ def format_info_answer(
     lines += _list_possible(answer) if is_alone else []
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
-        lines += ["", fit_table(_tabulate(answer))]
+        rows_of_topics = ((topic.topic, topic.type, topic.count) for topic in answer.topics)
+        table = build_table("topics", ("topic", "type", "messages"), rows_of_topics)
+        lines += ["", fit_table(table)]
     if topics and answer.not_understood:
         texts = (escape_controls(f"  {text}") for text in answer.not_understood)
         lines += ["", "not readable", *texts]
@@ -144,17 +147,8 @@ def format_answers(answers: Sequence[InfoAnswer]) -> str:
     counts = [describe_count(count, kind) for kind, count in kinds.most_common()]
     broken = sum(not answer.complete for answer in answers)
     state = f"; {broken} not complete" if broken else ""
-    table = tl.compare.Table(
-        title="Files",
-        columns=tuple(
-            tl.compare.Column(title=title, unit=unit)
-            for title, unit in (("file", ""), ("kind", ""), ("duration", "s"), ("ended", ""))
-        ),
-        rows=tuple(
-            (_name_file(answer), _name_kind(answer), answer.duration_s, _tell_state(answer))
-            for answer in answers
-        ),
-    )
+    rows = ((_name_file(one), _name_kind(one), one.duration_s, _tell_state(one)) for one in answers)
+    table = build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
     head = f"{len(answers)} files: {join_words(counts)}{state}."
     more = "Each in full: turtlelog info FILE, or all of them with --json."
     return "\n\n".join((fill_lines([head]), fit_table(table).strip("\n"), more))
@@ -339,11 +333,3 @@ def _shorten(value: object) -> object:
         return value
     first = ", ".join(map(str, value[:_MOST_ENTRIES]))
     return f"[{first}, ...]: {len(value):,} values"
-
-
-def _tabulate(answer: InfoAnswer) -> "tl.compare.Table":
-    return tl.compare.Table(
-        title="topics",
-        columns=tuple(tl.compare.Column(title=title) for title in ("topic", "type", "messages")),
-        rows=tuple((topic.topic, topic.type, topic.count) for topic in answer.topics),
-    )
