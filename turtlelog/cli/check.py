@@ -11,7 +11,6 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import print_marks, print_results
-from turtlelog.cli.folders import summarise_table, tabulate
 from turtlelog.cli.options import (
     Output,
     Place,
@@ -34,7 +33,7 @@ from turtlelog.cli.output import (
     quote_file,
 )
 from turtlelog.cli.scenario_options import is_recording
-from turtlelog.cli.targets import require_apart, require_new_target
+from turtlelog.cli.targets import require_apart, require_new_target, summarise_table, tabulate
 from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError
 from turtlelog.processes import map_in_processes

@@ -6,12 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
+from turtlelog.cli.output import build_table
 from turtlelog.display import show_angle
 
 if TYPE_CHECKING:
     from turtlelog import Spec
     from turtlelog.check import CheckResult, Verdict
-    from turtlelog.compare import Table
+    from turtlelog.compare import Column, Table
     from turtlelog.compare.table import Cell
 
 
@@ -105,11 +106,8 @@ def count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
         for check, verdicts in counted.of_checks.items()
         if shows_all or verdicts[tl.check.Verdict.FAIL]
     ]
-    return tl.compare.Table(
-        title="Checks" if shows_all else "Checks that fail",
-        columns=tuple(tl.compare.Column(title=title) for title in titles),
-        rows=tuple(_count_check(check, counted, verdicts) for check in shown),
-    )
+    rows = (_count_check(check, counted, verdicts) for check in shown)
+    return build_table("Checks" if shows_all else "Checks that fail", titles, rows)
 
 
 def _count_check(
@@ -139,39 +137,21 @@ def tabulate_checks(
     results: "Sequence[CheckResult]", title: str, *, names_file: bool = False
 ) -> "Table":
     """Return results as rows: verdict, optionally file, check, value, limit and margin."""
-    columns = [tl.compare.Column(title="" if head == "verdict" else head) for head in _HEADS]
+    heads: list[str | Column] = [*_HEADS]
     if any(result.first_violation_s is not None for result in results):
         lines = tuple(_VIOLATED.split())
-        columns.append(tl.compare.Column(title=_VIOLATED, unit="s", digits=3, lines=lines))
-    rows = [_list_cells(result) for result in results]
+        heads.append(tl.compare.Column(title=_VIOLATED, unit="s", digits=3, lines=lines))
+    rows = [_list_cells(result)[: len(heads)] for result in results]
     if names_file:
-        columns[0] = tl.compare.Column(title="verdict")
-        return tl.compare.Table(
-            title=title,
-            columns=tuple(columns),
-            rows=tuple(row[: len(columns)] for row in rows),
-        )
-    del columns[1]
-    return tl.compare.Table(
-        title=title,
-        columns=tuple(columns),
-        rows=tuple((row[0], *row[2 : len(columns) + 1]) for row in rows),
-    )
+        return build_table(title, heads, rows)
+    return build_table(title, ["", *heads[2:]], ((row[0], *row[2:]) for row in rows))
 
 
 def tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "Table":
     """Return the rows of a CSV file, whose columns are always the same."""
     meant = _read_reasons(spec)
-    columns = [tl.compare.Column(title=head) for head in _HEADS]
-    columns += [
-        tl.compare.Column(title=_VIOLATED, unit="s"),
-        tl.compare.Column(title="reason"),
-    ]
-    return tl.compare.Table(
-        title="Checks",
-        columns=tuple(columns),
-        rows=tuple((*_list_cells(one), _explain(one, meant)) for one in results),
-    )
+    rows = ((*_list_cells(one), _explain(one, meant)) for one in results)
+    return build_table("Checks", (*_HEADS, f"{_VIOLATED} [s]", "reason"), rows)
 
 
 def _list_cells(result: "CheckResult") -> "tuple[Cell, ...]":
@@ -188,15 +168,9 @@ def tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
     if len(files) < 2:
         return []
     heads = [tl.compare.Column(title=name, lines=tuple(re.split("[._]", name))) for name in checks]
-    return [
-        tl.compare.Table(
-            title=f"{len(files)} recordings, {len(checks)} checks",
-            columns=(tl.compare.Column(title="file"), *heads),
-            rows=tuple(
-                (file, *(verdicts.get((file, check)) for check in checks)) for file in files
-            ),
-        )
-    ]
+    rows = ((file, *(verdicts.get((file, check)) for check in checks)) for file in files)
+    title = f"{len(files)} recordings, {len(checks)} checks"
+    return [build_table(title, ["file", *heads], rows)]
 
 
 def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, float | None]":

@@ -14,9 +14,10 @@ from turtlelog.cli.compare_reference import (
     Manner,
     MetricBeside,
     compare_with_reference,
+    compare_with_robot,
+    list_scenario_files,
     take_metric,
 )
-from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
 from turtlelog.cli.compare_trajectories import (
     TrajectoryOptions,
     TrajectoryPlace,

@@ -22,6 +22,7 @@ from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     align_rows,
+    build_table,
     fill_lines,
     print_error,
     print_json,
@@ -326,25 +327,10 @@ def _list_next(files: tuple[Path, Path]) -> Iterator[str]:
 
 def tabulate_why(found: "ExplainedDifference") -> "Table":
     """Return a row for each change."""
-    column = tl.compare.Column
-    return tl.compare.Table(
-        title=found.sentences[0],
-        columns=(
-            column(title="change"),
-            column(title="contribution", unit=found.unit),
-            column(title="s.e.", unit=found.unit),
-            column(title="undone", unit=found.unit),
-            column(title="settings"),
-        ),
-        rows=tuple(
-            (
-                one.name,
-                one.contribution,
-                one.standard_error,
-                one.undone,
-                "; ".join(_list_settings(one)),
-            )
-            for one in found.contributions
-        ),
-        notes=found.sentences[1:],
-    )
+    unit = f" [{found.unit}]" if found.unit else ""
+    heads = ("change", f"contribution{unit}", f"s.e.{unit}", f"undone{unit}", "settings")
+    rows = []
+    for one in found.contributions:
+        settings = "; ".join(_list_settings(one))
+        rows.append((one.name, one.contribution, one.standard_error, one.undone, settings))
+    return build_table(found.sentences[0], heads, rows, found.sentences[1:])

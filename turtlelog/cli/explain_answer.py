@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.explain_motion import MotionAnswer
-from turtlelog.cli.output import copy_fields, fill_lines, fit_table
+from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.cli.replay_answer import build_pose_error
+from turtlelog.cli.replay_plant import PlantReplayAnswer
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -82,6 +82,95 @@ class FindingAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RateAnswer:
+    """Rate of rows, the range of the central 90 % of the periods, and the longest silence."""
+
+    rows: int
+    period_s: float | None = None
+    low_s: float | None = None
+    high_s: float | None = None
+    longest_silence_s: float | None = None
+    silence_at_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValueAnswer:
+    """A value of a signal with its time."""
+
+    signal: str
+    unit: str
+    value: float
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeapAnswer:
+    """A jump of the poses [m, rad]."""
+
+    at_s: float
+    moved: float
+    aside: float
+    turned: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SilenceAnswer:
+    """A gap in the poses."""
+
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TicksAnswer:
+    """Number of commands that act after a number of ticks."""
+
+    ticks: int
+    commands: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DelaysAnswer:
+    """Delays with which commands act."""
+
+    ticks: list[TicksAnswer]
+    low_s: float
+    median_s: float
+    high_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionAnswer:
+    """Facts about poses and commands without samples. Times count as in a replay.
+
+    Attributes:
+        kind: Kind of the recorded robot.
+        run_duration_s: Duration of the run [s].
+        poses: Rate of the poses.
+        commands: Rate of the commands.
+        largest_commands: Largest command of each axis.
+        outliers: Values that do not belong to the motion.
+        jumps: Jumps of the poses.
+        gaps: Gaps in the poses.
+        command_delays: Delays with which commands act; None if unknown.
+        replay: The commands driven through the plant; None without a model.
+        needs: Data that an explanation would need.
+    """
+
+    kind: str
+    run_duration_s: float
+    poses: RateAnswer
+    commands: RateAnswer
+    largest_commands: list[ValueAnswer]
+    outliers: list[ValueAnswer]
+    jumps: list[LeapAnswer]
+    gaps: list[SilenceAnswer]
+    command_delays: DelaysAnswer | None
+    replay: PlantReplayAnswer | None
+    needs: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ExplainAnswer:
     """The settings and causes identified from a run.
 
@@ -137,15 +226,6 @@ def build_explain_answer(
     )
 
 
-def _list_dead_times(found: "Identification") -> dict[str, Any]:
-    """Return the dead times by loop, or else by phase."""
-    return {
-        key.removeprefix(_DEAD_TIME): finding.value
-        for key, finding in found.findings.items()
-        if key.startswith(_DEAD_TIME)
-    }
-
-
 def _describe_causes(
     found: "Identification", attribution: "Attribution"
 ) -> Iterator[tuple[str, str]]:
@@ -162,21 +242,19 @@ def _describe_causes(
             for key in neutral
             if values.get(key, neutral[key]) != neutral[key]
         ]
-        yield one.cause, _WORDS.get((*neutral,), _name_settings)(found, ", ".join(settings))
-
-
-def _name_settings(_: "Identification", settings: str) -> str:
-    return settings
+        text, describe = ", ".join(settings), _WORDS.get((*neutral,))
+        yield one.cause, text if describe is None else describe(found, text)
 
 
 def _describe_queue(found: "Identification", settings: str) -> str:
     """Return text on the dead times that include the queue."""
-    ticks = {loop: value for loop, value in _list_dead_times(found).items() if value is not None}
-    if not ticks:
+    parts = []
+    for key, finding in found.findings.items():
+        if key.startswith(_DEAD_TIME) and finding.value is not None:
+            loop = tl.explain.describe_loop_name(found.law, key.removeprefix(_DEAD_TIME))
+            parts.append(f"{finding.value}{'' if parts else ' ticks'} {loop}")
+    if not parts:
         return settings
-    names = [tl.explain.describe_loop_name(found.law, loop) for loop in ticks]
-    parts = [f"{value} {name}" for name, value in zip(names, ticks.values(), strict=True)]
-    parts[0] = parts[0].replace(" ", " ticks ", 1)
     return f"commands wait: dead time {', '.join(parts)}"
 
 
@@ -252,8 +330,7 @@ def _write_confidence(found: "Identification", attribution: "Attribution") -> st
         return f"Confidence: as recorded. The recorded scenario reproduces {rows}."
     if not again.is_exact:
         return f"Confidence: {_judge_settings(found)}. {_write_differences(found)}"
-    sure = "exact" if attribution.acting and not attribution.doubts else ""
-    label = f"Confidence: {sure}. " if sure else ""
+    label = "Confidence: exact. " if attribution.acting and not attribution.doubts else ""
     return f"{label}The re-simulation reproduces {rows} bit for bit."
 
 
@@ -300,49 +377,33 @@ def format_identification(found: "Identification") -> str:
         else:
             # Its evidence is the note below the table, printed once.
             rows += _format_finding(name, replace(finding, evidence=_NOTED), unit)
-    notes = [_capitalise(note) + _name_unknown(names) for note, names in hidden.items()]
-    table = tl.compare.Table(
-        title=f"Identified from the log of {found.name}",
-        columns=tuple(
-            tl.compare.Column(title=title) for title in ("", "value", "confidence", "evidence")
-        ),
-        rows=tuple(rows),
-    )
+    notes = []
+    for note, names in hidden.items():
+        unknown = f" Therefore unknown: {', '.join(names)}." if names else ""
+        notes.append(_capitalise(note) + unknown)
+    heads = ("", "value", "confidence", "evidence")
+    table = build_table(f"Identified from the log of {found.name}", heads, rows)
     return "\n".join([fit_table(table), *([_fill(notes), ""] if notes else [])])
-
-
-def _name_unknown(names: list[str]) -> str:
-    """Return the values that are unknown for the reason in a note."""
-    return f" Therefore unknown: {', '.join(names)}." if names else ""
 
 
 def format_causes(found: "Attribution") -> str:
     """Return a table of the causes that change the value; empty if there are none."""
     from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
 
-    unit, parts = found.unit, found.changing
+    unit, parts = f" [{found.unit}]" if found.unit else "", found.changing
     if all(one.contribution is None and one.alone is None for one in parts):
         return ""
-    columns = [
-        tl.compare.Column(title="cause"),
-        tl.compare.Column(title="contribution", unit=unit),
-        tl.compare.Column(title="without it", unit=unit),
-        tl.compare.Column(title="without it means"),
-    ]
+    heads = ["cause", f"contribution{unit}", f"without it{unit}", "without it means"]
     rows = [[one.cause, one.contribution, one.alone, one.meaning] for one in parts]
     if any(one.standard_error for one in parts):
-        columns.insert(2, tl.compare.Column(title="s.e.", unit=unit))
+        heads.insert(2, f"s.e.{unit}")
         for row, one in zip(rows, parts, strict=True):
             row.insert(2, one.standard_error)
         if found.contributions and found.seeds is not None and found.seeds.varies:
             row = [THIS_SEED, found.this_seed, None, None, THIS_SEED_MEANS]
             rows.insert(sum(one.contribution is not None for one in parts), row)
-    table = tl.compare.Table(
-        title=f"Causes of {found.metric}",
-        columns=tuple(columns),
-        rows=tuple(line for row in rows for line in _break_row(row)),
-    )
-    return fit_table(table)
+    lines = (line for row in rows for line in _break_row(row))
+    return fit_table(build_table(f"Causes of {found.metric}", heads, lines))
 
 
 def _break_row(row: list[Any]) -> list[tuple[Any, ...]]:

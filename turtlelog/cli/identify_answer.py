@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import (
+    build_table,
     fill_lines,
     find_width,
     name_explain,
@@ -95,11 +96,8 @@ def _name_robot(files: Sequence[Path]) -> str:
 
 def _format_values(known: "Sequence[AxisModel]") -> str:
     """Return gain, dead time and time constant of each axis."""
-    table = tl.compare.Table(
-        title="",
-        columns=tuple(tl.compare.Column(title=title) for title in tl.identify.HEADS),
-        rows=tuple(map(tl.identify.list_model_values, known)),
-    )
+    heads = [tl.compare.Column(title=head) for head in tl.identify.HEADS]  # units in the titles
+    table = build_table("", heads, map(tl.identify.list_model_values, known))
     return "\n" + tl.draw.format_table(table, width=find_width()).strip("\n")
 
 

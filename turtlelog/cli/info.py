@@ -1,15 +1,18 @@
 """`turtlelog info`: contents of a recording."""
 
+import shlex
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.info_answer import InfoAnswer, RobotTopics, format_answers, format_info_answer
-from turtlelog.cli.info_summary import Summary, count_read, summarise
+from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
 from turtlelog.cli.options import (
     Files,
     Jobs,
@@ -23,21 +26,42 @@ from turtlelog.cli.options import (
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
+    build_table,
     copy_fields,
+    fill_lines,
+    fit_table,
+    name_explain,
     print_error,
     print_json,
     print_text,
 )
+from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError
+from turtlelog.escapes import escape_controls
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
-    from turtlelog.log import ReadChoice, RecordingInfo
-
+    from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
 
 _FILE_S: Final = 2e-3
 """Time to open a file and describe its contents, in addition to the time for its bytes [s]."""
 
+_MOST_ENTRIES: Final = 8
+"""Largest number of printed entries of a list, because a sequence of commands has thousands. JSON
+contains all entries."""
+
+_ROWS: Final = {
+    "pose": "/turtle1/pose",
+    "controller sample": "/turtle1/control",
+    "command": "/turtle1/cmd_vel",
+}
+"""Topics of a turtlelog recording by contents. Other recordings have the same types."""
+
+_OF_COMMANDS: Final = ("metrics", "check", "plot", "replay")
+"""Commands that need only the recorded commands."""
+
+_AXES: Final = (("law.kp_angular", "turning"), ("law.kp_linear", "driving"))
+"""Gains of the sequential laws, with the motions that they control."""
 
 _MOST_IN_FULL: Final = 4
 """Largest number of files that are described one below another; about nine lines each fill a
@@ -58,6 +82,68 @@ class InfoOptions:
     topics: bool = False
     parameters: bool = False
     clock: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotTopics:
+    """One of several robots in a bag: its name, and its topics of poses and commands."""
+
+    name: str
+    poses: str | None
+    commands: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InfoAnswer:
+    """Contents of a file.
+
+    Attributes:
+        file: Name of the file as given.
+        summary: Description of the file, in one sentence.
+        ending: How the run ended at its goal, as text; None if unknown.
+        format_version: Format version of the recording; None if turtlelog did not write it.
+        source: Origin of the data.
+        name: Name of the run.
+        complete: Whether the file was finished.
+        stop_reason: Reason why the run ended; None if it is not recorded.
+        duration_s: Time from first to last message of any topic [s].
+        run_duration_s: The metric `run.duration` [s]; None if the poses were not read.
+        scenario: Tables of the complete scenario; None if unknown.
+        parameters: Known values of the scenario, by dotted key.
+        topics: Topics with their types and numbers of messages.
+        simulated_by: Versions, platform and digest of the law that simulated the run, by name;
+            empty if unknown.
+        absent: Columns that the file does not have.
+        missing: Missing data, each with its use.
+        clock: Clock that times the poses; None if there is only one clock, or the poses were not
+            read.
+        not_understood: Topics whose messages cannot become columns, each with the reason.
+        notes: Remarks by name.
+        run: Poses and commands of the file; None if they were not read.
+        robots: Robots of a bag with several robots; --robot NAME chooses one.
+    """
+
+    file: str
+    summary: str
+    ending: str | None
+    format_version: int | None
+    source: str
+    name: str
+    complete: bool
+    stop_reason: str | None
+    duration_s: float | None
+    run_duration_s: float | None
+    scenario: Mapping[str, Any] | None
+    parameters: Mapping[str, Any]
+    topics: "tuple[TopicInfo, ...]"
+    simulated_by: Mapping[str, str]
+    absent: tuple[str, ...]
+    missing: tuple[str, ...]
+    clock: Mapping[str, Any] | None
+    not_understood: tuple[str, ...]
+    notes: Mapping[str, str]
+    run: ReadRun | None
+    robots: tuple[RobotTopics, ...] = ()
 
 
 def info(
@@ -111,9 +197,9 @@ def info(
 
 def _format(found: "list[InfoAnswer]", options: InfoOptions) -> str:
     if len(found) > _MOST_IN_FULL and not (options.topics or options.parameters):
-        return format_answers(found)
+        return _format_answers(found)
     shown = partial(
-        format_info_answer,
+        _format_answer,
         topics=options.topics,
         parameters=options.parameters,
         is_alone=len(found) == 1,
@@ -174,3 +260,220 @@ def _list_missing_types(recording: "RecordingInfo") -> list[str]:
     held = {topic.type for topic in recording.topics if topic.count}
     kinds = {"poses": tl.log.ros2.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
     return [name for name, types in kinds.items() if not held.intersection(types)]
+
+
+def _format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool) -> str:
+    """Return the kind of a file, its contents, missing data, and, for one file, next commands."""
+    name = _name_file(answer)
+    notes = [(key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items()]
+    rows = [*_list_rows(answer), *(note for note in notes if note[0] != "clock")]
+    rows += [*_list_lacks(answer, topics=topics), *(note for note in notes if note[0] == "clock")]
+    rows += _describe_durations(answer)
+    width = max((len(key) for key, _ in rows), default=0)
+    lines = [_fill(f"{name}: ", _write_head(answer))]
+    lines += _list_possible(answer) if is_alone else []
+    lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
+    if topics and answer.topics:
+        rows_of_topics = ((topic.topic, topic.type, topic.count) for topic in answer.topics)
+        table = build_table("topics", ("topic", "type", "messages"), rows_of_topics)
+        lines += ["", fit_table(table)]
+    if topics and answer.not_understood:
+        texts = (escape_controls(f"  {text}") for text in answer.not_understood)
+        lines += ["", "not readable", *texts]
+    if parameters and answer.parameters:
+        lines += ["", "scenario" if answer.scenario else "known of the scenario"]
+        pairs = answer.parameters.items()
+        lines += [escape_controls(f"  {key} = {_shorten(value)}") for key, value in pairs]
+    if parameters and answer.simulated_by:
+        software = tl.run.describe_software(answer.simulated_by)
+        lines += ["", fill_lines([f"simulated by {escape_controls(software)}"])]
+    if is_alone:
+        lines += [*_list_next(answer, topics=topics, parameters=parameters)]
+    return "\n".join(lines)
+
+
+def _format_answers(answers: Sequence[InfoAnswer]) -> str:
+    """Return one line per file, below a line that counts the files of each kind."""
+    kinds = Counter(_name_kind(answer) for answer in answers)
+    counts = [describe_count(count, kind) for kind, count in kinds.most_common()]
+    broken = sum(not answer.complete for answer in answers)
+    state = f"; {broken} not complete" if broken else ""
+    rows = ((_name_file(one), _name_kind(one), one.duration_s, _tell_state(one)) for one in answers)
+    table = build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
+    head = f"{len(answers)} files: {join_words(counts)}{state}."
+    more = "Each in full: turtlelog info FILE, or all of them with --json."
+    return "\n\n".join((fill_lines([head]), fit_table(table).strip("\n"), more))
+
+
+def _name_file(answer: InfoAnswer) -> str:
+    return escape_controls(tl.log.split_topic(Path(answer.file))[0].name or answer.file)
+
+
+def _name_kind(answer: InfoAnswer) -> str:
+    """Return the kind of a file as text that can be counted."""
+    if answer.format_version is not None:
+        return "recording"
+    if answer.run is None or not answer.topics:
+        return "table" if answer.run is not None else "file without a run"
+    return f"ROS {1 if answer.source == 'ros1' else 2} bag"
+
+
+def _tell_state(answer: InfoAnswer) -> str:
+    """Return how the run of a file ended, or the fault of the file."""
+    if not answer.complete:
+        return (
+            "truncated: nothing left" if answer.summary.endswith(NOTHING_LEFT) else "not complete"
+        )
+    reason = (answer.stop_reason or "").replace("_", " ")
+    ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
+    return ending or reason
+
+
+def _fill(head: str, text: str) -> str:
+    return fill_lines([f"{head}{text}"], indent=len(head) if head.startswith(" ") else 0)
+
+
+def _write_head(answer: InfoAnswer) -> str:
+    """Return the kind of a file, whether it is complete, and its duration."""
+    length = "" if answer.duration_s is None else f", {answer.duration_s:.1f} s"
+    if answer.format_version is not None:
+        state = "complete" if answer.complete else "not complete"
+        state = NOTHING_LEFT if answer.summary.endswith(NOTHING_LEFT) else state
+        return f"turtlelog recording, {state}{length}"
+    if answer.run is None:
+        return answer.summary
+    kind = answer.run.kind
+    if not answer.topics:
+        return f"{kind}{length}"
+    what = f"{kind} (not turtlesim)" if kind.startswith("a robot") else kind
+    return f"ROS {1 if answer.source == 'ros1' else 2} bag of {what}{length}"
+
+
+def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield the contents of a file by kind."""
+    run = answer.run
+    if answer.format_version is not None:
+        yield from _list_own(answer)
+    if run is not None:
+        rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
+        yield from ((key, text) for key, text in rows.items() if text)
+    yield from _describe_robots(answer)
+    if not answer.summary.endswith(NOTHING_LEFT):
+        reason = (answer.stop_reason or "").replace("_", " ")
+        told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
+        yield from [("ended", told)] if told else []
+
+
+def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield the first robots of a bag, with their topics."""
+    counts = {topic.topic: topic.count for topic in answer.topics}
+    for robot in answer.robots[:_MOST_ENTRIES]:
+        held = {"poses": robot.poses, "commands": robot.commands}
+        parts = [
+            f"{what} {topic}, {describe_count(counts[topic], 'message')}"
+            for what, topic in held.items()
+            if topic is not None
+        ]
+        yield f"robot {robot.name}", "; ".join(parts)
+
+
+def _tell_note(text: str) -> str:
+    """Return a note, or the number of its lines if it has several, as a law's source has."""
+    lines = len(text.splitlines())
+    return text if lines <= 1 else f"{lines} lines: --json has them"
+
+
+def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    """Yield the duration of a file and, if its poses were read, the duration of its run."""
+    if answer.duration_s is None:
+        return
+    what = "message of any topic" if answer.topics else "row"
+    yield "duration", f"{answer.duration_s:.3f} s, from the first to the last {what}"
+    if answer.run is None:
+        return
+    first = answer.run.first_row
+    last = {"sample": "row", "pose": "pose or command", "command": "one"}[first]
+    length = f"{answer.run.duration_s:.3f} s, from the first {first} to the last {last}"
+    yield "run.duration", length
+
+
+_WORDS: Final = MappingProxyType({"goal_xy_m": "goal", "goal_heading_rad": "heading at the goal"})
+"""Words for absent fields; JSON contains the names of the fields."""
+
+
+def _list_lacks(answer: InfoAnswer, *, topics: bool) -> Iterator[tuple[str, str]]:
+    """Yield the missing data of a file with their use, and unreadable data."""
+    for text in answer.missing:
+        lack, _, rest = text.partition(": ")
+        yield "missing", f"{lack.removeprefix('no ')}: {rest}" if rest else lack
+    if answer.absent and (topics or not answer.missing):
+        yield "absent", ", ".join(_WORDS.get(name, name) for name in answer.absent)
+    if answer.not_understood:
+        yield "not readable", describe_count(len(answer.not_understood), "topic")
+
+
+def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
+    known = answer.parameters
+    if answer.name != Path(answer.file).stem:
+        yield "run", answer.name
+    if answer.scenario is not None:
+        source = "simulated" if answer.source == "simulation" else f"from {answer.source}"
+        yield "robot", f"{known.get('plant.kind', 'turtlesim')}, {source}"
+    elif answer.source:
+        yield "source", answer.source
+    if "law.kind" in known:
+        yield "controller", f"{known['law.kind']}{_write_gains(known)}"
+    has_goal = "goal.x_m" in known and "goal_xy_m" not in answer.absent
+    if has_goal and "path.kind" not in known:
+        yield "goal", f"({known['goal.x_m']:g}, {known['goal.y_m']:g}) m"
+    counts = {
+        noun: sum(found.count for found in answer.topics if found.topic == topic)
+        for noun, topic in _ROWS.items()
+    }
+    if any(counts.values()):
+        yield "data", ", ".join(describe_count(count, noun) for noun, count in counts.items())
+
+
+def _write_gains(known: Mapping[str, Any]) -> str:
+    gains = [(known[key], axis) for key, axis in _AXES if key in known]
+    if len(gains) == len(_AXES) and gains[0][0] == gains[1][0]:
+        return f", Kp = {gains[0][0]:g} 1/s (turning and driving)"
+    return "".join(f", Kp = {gain:g} 1/s {axis}" for gain, axis in gains)
+
+
+def _list_possible(answer: InfoAnswer) -> list[str]:
+    """Return the commands that can use a third-party file, in a line."""
+    if not answer.complete or answer.format_version is not None or answer.run is None:
+        return []
+    can = ["metrics", "check", "compare", "view", "plot"]
+    can[1:1] = ["identify"] if answer.run.has_commands else []
+    can[1:1] = ["explain"] if answer.run.has_samples else []
+    return [f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"]
+
+
+def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:
+    """Yield the commands that can use a file, and the options that show more of it."""
+    file = shlex.quote(answer.file)
+    if not answer.complete:
+        has_rows = any(topic.count for topic in answer.topics)
+        fix = (
+            f"turtlelog convert --recover {file} -o OUT"
+            if has_rows
+            else "copy the file again from its source"
+        )
+        yield f"Fix: {fix}"
+    elif answer.format_version is not None:
+        yield f"Next: turtlelog metrics {file}"
+        yield f"      {name_explain(answer.file, answer.parameters.get('law.kind'))}"
+    more = [] if topics or not answer.topics else ["Topics: --topics"]
+    more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
+    if more:
+        yield "    ".join(more)
+
+
+def _shorten(value: object) -> object:
+    """Return a value for display; of a long list, its first entries and its length."""
+    if not isinstance(value, list | tuple) or len(value) <= _MOST_ENTRIES:
+        return value
+    first = ", ".join(map(str, value[:_MOST_ENTRIES]))
+    return f"[{first}, ...]: {len(value):,} values"

@@ -44,28 +44,10 @@ _STEADY: Final = 3.0
 """Ratio of slow to quick steps (10 % quantiles) above which no rate is given."""
 
 _TOLD: Final = (
-    *(
-        "unused",
-        "crowded",
-        "clock",
-        "plane",
-        "dropped_nan",
-        "held_transforms",
-        "dropped_before_transforms",
-    ),
-    *(
-        "robots",
-        "heading",
-        "origin",
-        "wheels",
-        "reported_rates",
-        "leaps",
-        "path_by_speed",
-        "still",
-        "other_pose_topics",
-        "other_frames",
-        "other_command_topics",
-    ),
+    *("unused", "crowded", "clock", "plane", "dropped_nan", "held_transforms"),
+    *("dropped_before_transforms", "robots", "heading", "origin", "wheels", "reported_rates"),
+    *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
+    "other_command_topics",
 )
 """Notes of a run on the bag from which it was read."""
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.folders import FolderOptions, build_table_answer, summarise_table, tabulate
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essential
 from turtlelog.cli.options import (
@@ -33,6 +32,7 @@ from turtlelog.cli.output import (
     print_json_list,
     print_lines,
 )
+from turtlelog.cli.targets import FolderOptions, build_table_answer, summarise_table, tabulate
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import (
+    build_table,
     fill_lines,
     find_width,
     name_explain,
@@ -285,14 +286,9 @@ def _tabulate_loops(summary: "RunSummary", loops: Sequence[str]) -> "Table":
         if any(one is not None for one in metrics)
         and not (word in _IDLE and all(one is None or one.value == 0.0 for one in metrics))
     }
-    return tl.compare.Table(
-        title="",
-        columns=tuple(tl.compare.Column(title=title) for title in ("", *loops)),
-        rows=tuple((_name_metric(word), *map(_show, metrics)) for word, metrics in rows.items()),
-        notes=tl.compare.list_reasons(
-            [{one.id: one for metrics in rows.values() for one in metrics if one is not None}]
-        ),
-    )
+    cells = ((_name_metric(word), *map(_show, metrics)) for word, metrics in rows.items())
+    shown = {one.id: one for metrics in rows.values() for one in metrics if one is not None}
+    return build_table("", ("", *loops), cells, tl.compare.list_reasons([shown]))
 
 
 def _describe_rest(summary: "RunSummary") -> list[str]:
@@ -313,12 +309,8 @@ def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "T
     """Return the metrics of a run without loops, one per row."""
     names = tl.compare.drop_absent([summary], [name for name in metrics if _is_of_run(name)])
     found = {name: metrics[name] for name in names}
-    return tl.compare.Table(
-        title="",
-        columns=(tl.compare.Column(title="metric"), tl.compare.Column(title="value")),
-        rows=tuple((_name_row(summary, name), _show(metric)) for name, metric in found.items()),
-        notes=tl.compare.list_reasons([found]),
-    )
+    rows = ((_name_row(summary, name), _show(metric)) for name, metric in found.items())
+    return build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
 
 
 def _name_row(summary: "RunSummary", name: str) -> str:

@@ -23,7 +23,7 @@ from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
 if TYPE_CHECKING:
     from turtlelog import Metric
-    from turtlelog.compare import Table
+    from turtlelog.compare import Column, Table
 
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
@@ -262,6 +262,24 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
             return lines
         rows = [row[:-1] for row in rows]
     return []
+
+
+def build_table(
+    title: str,
+    heads: "Iterable[str | Column]",
+    rows: Iterable[Iterable[Any]],
+    notes: Iterable[str] = (),
+) -> "Table":
+    """Return a table. A head may end in a unit: `duration [s]`."""
+    columns = []
+    for head in heads:
+        if isinstance(head, str):
+            name, _, unit = head.removesuffix("]").partition(" [")
+            head = tl.compare.Column(title=name, unit=unit)
+        columns.append(head)
+    return tl.compare.Table(
+        title=title, columns=tuple(columns), rows=tuple(map(tuple, rows)), notes=tuple(notes)
+    )
 
 
 def fit_table(table: "Table") -> str:

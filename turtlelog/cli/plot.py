@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.cli.list_names import complete_figures
-from turtlelog.cli.map import ViewOptions, draw_table, find_sweep_table
+from turtlelog.cli.list_names import complete_figures, complete_keys
+from turtlelog.cli.map import draw_table
 from turtlelog.cli.options import (
     Jobs,
     Json,
@@ -34,13 +34,68 @@ from turtlelog.cli.picture_options import (
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import UsageError
+from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.cli.picture_options import Only
     from turtlelog.draw import Page
+
+
+Kind = Literal["map", "curves", "tornado"]
+
+
+@Parameter(name="*", group=Group("Tables of sweeps", sort_key=2))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewOptions:
+    """View of a sweep's table.
+
+    Attributes:
+        kind: Maps over two keys (curves if only one varies), curves over one key with a line for
+            each value of a second, or the change of each metric along each key (tornado). Default:
+            map.
+        x: Key at the bottom.
+        y: Key at the side.
+        at: Fix a varied key at a value. Example: loop.transport_delay_ticks=4. Can be repeated.
+    """
+
+    kind: Kind | None = None
+    x: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
+    y: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
+    at: Annotated[list[str] | None, Parameter(metavar="KEY=VALUE", completer=complete_keys)] = None
+
+    def list_words(self) -> list[str]:
+        """Return the options as given."""
+        given = (("--x", self.x), ("--y", self.y))
+        words = [word for name, text in given if text is not None for word in (name, text)]
+        return words + [word for text in self.at or [] for word in ("--at", text)]
+
+
+def find_sweep_table(files: Sequence[Path], view: ViewOptions) -> Path | None:
+    """Return the table of a sweep among the files; None if there are recordings.
+
+    Raises:
+        UsageError: If there are further files, or options of tables without a table.
+    """
+    tables = [path for path in files if path.suffix.lower() == ".parquet" and _is_table(path)]
+    if not tables and view == ViewOptions():
+        return None
+    if not tables:
+        what = f"{files[0]} is a recording; " if files else ""
+        need = "--kind, --x, --y and --at need one table written by turtlelog sweep"
+        raise UsageError(f"{what}{need}")
+    if len(files) > 1:
+        raise UsageError(f"{tables[0]} is the table of a sweep, which is plotted alone")
+    return tables[0]
+
+
+def _is_table(path: Path) -> bool:
+    try:
+        facts = tl.sweep.read_result_facts(path)
+    except TurtlelogError:
+        return False
+    return facts is not None and facts.get("kind") == "sweep"
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
-from turtlelog.cli.output import copy_fields, fill_lines, fit_table
-from turtlelog.cli.replay_metrics import MetricChange, build_changes, format_changes
+from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.escapes import escape_controls
 from turtlelog.run.ending import find_goal_end
@@ -35,8 +34,8 @@ class DifferenceAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PoseErrorAnswer:
-    """Largest differences of a pose [m, rad]; null if poses were given instead of computed."""
+class PoseAnswer:
+    """A pose, or its largest differences [m, rad]; null if poses were given, not computed."""
 
     x: float | None = None
     y: float | None = None
@@ -54,6 +53,19 @@ class SignalAnswer:
     largest: float
     at_s: float | None
     first_difference: DifferenceAnswer | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricChange:
+    """A metric of the recording and of the replay; null if a status gives the reason."""
+
+    id: str
+    unit: str
+    recorded: float | None
+    recorded_status: str
+    replayed: float | None
+    replayed_status: str
+    difference: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +98,7 @@ class ReplayAnswer:
     name: str
     mode: str
     samples: int
-    max_abs_error: PoseErrorAnswer
+    max_abs_error: PoseAnswer
     first_difference: DifferenceAnswer | None
     stretches: "tuple[SegmentAnswer, ...]" = ()
     jumps: "tuple[JumpAnswer, ...]" = ()
@@ -102,7 +114,7 @@ class SegmentAnswer:
     start_s: float
     end_s: float
     ticks: int
-    max_abs_error: PoseErrorAnswer
+    max_abs_error: PoseAnswer
     rounding: "RoundingAnswer"
     within_rounding: bool
 
@@ -112,15 +124,6 @@ class RoundingAnswer:
     """Largest error from the 32-bit rounding of poses [m, rad]."""
 
     position: float
-    heading: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseAnswer:
-    """A pose [m, rad]."""
-
-    x: float
-    y: float
     heading: float
 
 
@@ -181,9 +184,9 @@ def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer
     return copy_fields(DifferenceAnswer, found, time_s=tell_time(run, found.time_ns))
 
 
-def build_pose_error(error: "PoseError") -> PoseErrorAnswer:
+def build_pose_error(error: "PoseError") -> PoseAnswer:
     """Return the largest differences of a pose for an answer."""
-    return PoseErrorAnswer(x=error.x_m, y=error.y_m, heading=error.heading_rad)
+    return PoseAnswer(x=error.x_m, y=error.y_m, heading=error.heading_rad)
 
 
 def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAnswer:
@@ -193,7 +196,7 @@ def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAn
         name=found.name,
         mode="law",
         samples=found.samples,
-        max_abs_error=PoseErrorAnswer(),  # the law was given the poses
+        max_abs_error=PoseAnswer(),  # the law was given the poses
         first_difference=build_difference(run, found.first_difference),
         law=found.scenario.law.kind,
         first_command_difference=build_difference(run, found.first_command_difference),
@@ -226,21 +229,17 @@ def build_loop(
         declaration=build_difference(run, found.declaration),
         not_compared=tuple(found.absent),
         output=None if output is None else str(output),
-        metrics=build_changes(run, found.run),
+        metrics=_build_changes(run, found.run),
         software=_compare_software(run, found),
     )
 
 
-def _find_software(found: "LawReplay | LoopReplay") -> Mapping[str, str]:
-    """Return the software of the replay."""
-    replayed: Run | None = getattr(found, "run", None)
-    if replayed is not None:
-        return replayed.simulated_by
-    return tl.simulate.find_software(found.scenario.law.kind)
-
-
 def _compare_software(run: "Run", found: "LawReplay | LoopReplay") -> "tuple[SoftwareChange, ...]":
-    return tl.run.list_software_changes(run.simulated_by, _find_software(found))
+    if isinstance(found, tl.replay.LoopReplay):
+        replayed = found.run.simulated_by
+    else:
+        replayed = tl.simulate.find_software(found.scenario.law.kind)
+    return tl.run.list_software_changes(run.simulated_by, replayed)
 
 
 def _describe_software(run: "Run", found: "LawReplay | LoopReplay") -> list[str]:
@@ -313,11 +312,9 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
     if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
+        end += _describe_slack(found.signals)
         columns = "every column that it holds" if found.absent else "every column"
-        lines = [
-            f"{name}: the replay equals the recording in {columns}{end}"
-            f"{_describe_slack(found.signals)}."
-        ]
+        lines = [f"{name}: the replay equals the recording in {columns}{end}."]
     else:
         departs = f"departs in {_format_difference(run, first, found.signals)}."
         lines = [f"{name}: the replay {departs}"]
@@ -335,7 +332,7 @@ def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"
     parts = [fill_lines(lines if changes else [*lines, *counts])]
-    parts += [] if first is None else [f"\n{format_changes(run, found.run)}"]
+    parts += [] if first is None else [f"\n{_format_changes(run, found.run)}"]
     parts += [fill_lines(counts)] if changes and counts else []
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
 
@@ -351,12 +348,55 @@ def _describe_result(run: "Run", replayed: "Run") -> str:
             was, _ = format_pair(first.error_m, second.error_m, "m")
         after = f"after {first.duration_s:.3g} s"
         return f"it {second.describe()}, not {was} {after} as recorded."
-    both = [one for one in build_changes(run, replayed) if one.difference is not None]
+    both = [one for one in _build_changes(run, replayed) if one.difference is not None]
     if not both:
         return ""
     was, now = format_pair(both[0].recorded, both[0].replayed, both[0].unit)
     beside = "as recorded" if both[0].difference == 0.0 else f"recorded {was}"
     return f"{both[0].id} is {now}, {beside}."
+
+
+_OF_LOOP: Final = frozenset({"overshoot", "settling_time", "rms_error"})
+_OF_RUN: Final = (
+    *("final.heading_error", "final.position_error", "run.duration"),
+    *("run.speed_effort", "run.turn_rate_effort"),  # essential without a goal
+)
+_RANKS: Final = {"final": 0, "run": 2}
+"""Order of metrics: the end, then each loop, then the whole run."""
+
+
+def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
+    """Return the essential metrics of both runs. Missing metrics have a status."""
+    essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
+    names = [name for name in essential if name in _OF_RUN]
+    names += [name for name in essential if name.rpartition(".")[2] in _OF_LOOP]
+    was, now = (tl.measure_run(run, only=names) for run in (recorded, replayed))
+    changes = []
+    for name in sorted({**was, **now}, key=lambda name: _RANKS.get(name.partition(".")[0], 1)):
+        first, second = was[name], now[name]
+        change = MetricChange(
+            id=name,
+            unit=first.unit,
+            recorded=first.value,
+            recorded_status=first.status.value,
+            replayed=second.value,
+            replayed_status=second.status.value,
+            difference=None
+            if first.value is None or second.value is None
+            else second.value - first.value,
+        )
+        changes.append(change)
+    return changes
+
+
+def _format_changes(recorded: "Run", replayed: "Run") -> str:
+    rows = []
+    for one in _build_changes(recorded, replayed):
+        was = one.recorded_status if one.recorded is None else one.recorded
+        now = one.replayed_status if one.replayed is None else one.replayed
+        rows.append((one.id, one.unit, was, now, one.difference))
+    heads = ("metric", "unit", "recorded", "replayed", "difference")
+    return fit_table(build_table("Metrics of the recording and of the replay", heads, rows))
 
 
 def _format_signals(
@@ -383,34 +423,14 @@ def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[Si
 
 
 def _tabulate(run: "Run", signals: "Sequence[SignalDifference]", title: str) -> "Table":
-    return tl.compare.Table(
-        title=title,
-        columns=(
-            tl.compare.Column(title="signal"),
-            tl.compare.Column(title="unit"),
-            tl.compare.Column(title="largest difference"),
-            tl.compare.Column(title="at", unit="s", digits=3),
-            tl.compare.Column(title="rows that differ"),
-            tl.compare.Column(title="of"),
-        ),
-        rows=tuple(
-            (
-                found.signal,
-                *_show(found),
-                None if found.at_ns is None else tell_time(run, found.at_ns),
-                found.differing,
-                found.rows,
-            )
-            for found in signals
-            if _is_printed(found)
-        ),
-    )
-
-
-def _show(found: "SignalDifference") -> tuple[str, float]:
-    """Return unit and largest difference for display. A count has no unit."""
-    largest, unit = show_angle(found.largest, found.unit)
-    return "" if unit == "1" else unit, largest
+    rows = []
+    for found in filter(_is_printed, signals):
+        largest, unit = show_angle(found.largest, found.unit)
+        at_s = None if found.at_ns is None else tell_time(run, found.at_ns)
+        rows.append((found.signal, unit.strip("1"), largest, at_s, found.differing, found.rows))
+    at = tl.compare.Column(title="at", unit="s", digits=3)
+    heads = ("signal", "unit", "largest difference", at, "rows that differ", "of")
+    return build_table(title, heads, rows)
 
 
 def _describe_rest(signals: "Iterable[SignalDifference]", absent: Sequence[str]) -> tuple[str, ...]:

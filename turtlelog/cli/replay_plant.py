@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, fit_table, print_note
+from turtlelog.cli.output import build_table, fill_lines, fit_table, print_note
 from turtlelog.cli.replay_answer import (
     GapAnswer,
     JumpAnswer,
@@ -84,8 +84,7 @@ def build_plant(file: Path, run: "Run", found: "PlantReplay") -> PlantReplayAnsw
 
 
 def _build_pose(pose: "Sequence[float]") -> PoseAnswer:
-    x, y, heading = pose
-    return PoseAnswer(x=x, y=y, heading=heading)
+    return PoseAnswer(x=pose[0], y=pose[1], heading=pose[2])
 
 
 def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
@@ -118,33 +117,28 @@ def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
             f"No recorded command explains {unexplained} ticks: the recorded velocity was used"
             " there."
         )
-    heads = (
-        *(("from", "s"), ("to", "s"), ("ticks", ""), ("x", "m"), ("y", "m")),
-        *(("heading", "deg"), ("rounding", "m"), ("rounding", "deg")),
+    start, end = (tl.compare.Column(title=title, unit="s", digits=3) for title in ("from", "to"))
+    ways = ("x [m]", "y [m]", "heading [deg]", "rounding [m]", "rounding [deg]")
+    rows = (
+        (
+            tell_time(run, segment.start_ns),
+            tell_time(run, segment.end_ns),
+            segment.ticks,
+            segment.max_abs_error.x_m,
+            segment.max_abs_error.y_m,
+            degrees(segment.max_abs_error.heading_rad),
+            segment.rounding_m,
+            degrees(segment.rounding_rad),
+        )
+        for segment in found.stretches
     )
-    segments = tl.compare.Table(
-        title=f"Largest differences between the plant and {run.name}",
-        columns=tuple(
-            tl.compare.Column(title=title, unit=unit, digits=3 if unit == "s" else None)
-            for title, unit in heads
-        ),
-        rows=tuple(
-            (
-                (stretch.start_ns - run.start_ns) / 1e9,
-                (stretch.end_ns - run.start_ns) / 1e9,
-                stretch.ticks,
-                stretch.max_abs_error.x_m,
-                stretch.max_abs_error.y_m,
-                degrees(stretch.max_abs_error.heading_rad),
-                stretch.rounding_m,
-                degrees(stretch.rounding_rad),
-            )
-            for stretch in found.stretches
-        ),
-    )
-    breaks = list_breaks(run, found)
-    parts = [fill_lines(sentences), "", fit_table(segments)]
-    return "\n".join([*parts, *breaks]).rstrip()
+    title = f"Largest differences between the plant and {run.name}"
+    parts = [
+        fill_lines(sentences),
+        "",
+        fit_table(build_table(title, (start, end, "ticks", *ways), rows)),
+    ]
+    return "\n".join([*parts, *list_breaks(run, found)]).rstrip()
 
 
 def judge_rounding(found: "PlantReplay") -> list[str]:
@@ -174,7 +168,7 @@ def list_breaks(run: "Run", found: "PlantReplay") -> list[str]:
         )
         for gap in found.gaps
     ]
-    return [f"{(at_ns - run.start_ns) / 1e9:.3f} s: {text}" for at_ns, text in sorted(lines)]
+    return [f"{tell_time(run, at_ns):.3f} s: {text}" for at_ns, text in sorted(lines)]
 
 
 def _format_jump(jump: "Jump") -> str:
@@ -247,14 +241,10 @@ def replay_commands_alone(
 
 def _require_of_commands(file: Path, mode: "ReplayOptions") -> None:
     """Refuse options that compare with recorded poses or samples."""
-    given = {
-        "--law": mode.law is not None,
-        "--expect-equal": mode.expect_equal,
-        "--tolerance": mode.tolerance is not None,
-    }
-    wrong = [name for name, is_given in given.items() if is_given]
-    if wrong:
-        raise UsageError(f"{wrong[0]}: leave it out, {file} holds commands alone: no poses")
+    given = {"--law": mode.law, "--expect-equal": mode.expect_equal or None}
+    for name, value in {**given, "--tolerance": mode.tolerance}.items():
+        if value is not None:
+            raise UsageError(f"{name}: leave it out, {file} holds commands alone: no poses")
 
 
 def _format(file: Path, found: "CommandReplay", answer: CommandReplayAnswer) -> str:

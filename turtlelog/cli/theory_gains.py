@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.output import build_table
 from turtlelog.display import format_short, join_words
 from turtlelog.errors import UsageError
 
@@ -310,23 +311,17 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all:
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
     found = [*dict.fromkeys(recommended.given)]
     found += [one for one in recommended.found if shows_all or one.rule in _RULES]
-    return tl.compare.Table(
-        title=f"Recommended gains{of}",
-        columns=(
-            tl.compare.Column(title=""),
-            tl.compare.Column(title="Kp", unit="1/s"),
-            tl.compare.Column(title="Ki", unit="1/s^2"),
-            tl.compare.Column(title="Kd"),
-            tl.compare.Column(title="overshoot", unit="%", digits=2, lines=("over-", "shoot")),
-            tl.compare.Column(title="settles", unit="s", digits=2),
-            tl.compare.Column(title="gain margin", digits=2, lines=("gain", "margin")),
-            tl.compare.Column(
-                title="phase margin", unit="deg", digits=1, lines=("phase", "margin")
-            ),
-        ),
-        rows=tuple(_list_cells(one, wishes.tell(one)) for one in found if one.gains),
-        notes=tuple(_list_notes(recommended, wishes, shows_all=shows_all)),
+    column = tl.compare.Column
+    columns = (
+        column(title="overshoot", unit="%", digits=2, lines=("over-", "shoot")),
+        column(title="settles", unit="s", digits=2),
+        column(title="gain margin", digits=2, lines=("gain", "margin")),
+        column(title="phase margin", unit="deg", digits=1, lines=("phase", "margin")),
     )
+    heads = ("", "Kp [1/s]", "Ki [1/s^2]", "Kd", *columns)
+    rows = (_list_cells(one, wishes.tell(one)) for one in found if one.gains)
+    notes = _list_notes(recommended, wishes, shows_all=shows_all)
+    return build_table(f"Recommended gains{of}", heads, rows, notes)
 
 
 def _list_cells(one: "Recommendation", name: str) -> "tuple[Cell, ...]":

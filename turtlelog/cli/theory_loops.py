@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 import turtlelog as tl
+from turtlelog.cli.output import build_table
 from turtlelog.cli.theory_gains import NO_OVERSHOOT, RecommendedGains, tell_step
 from turtlelog.cli.theory_tables import PlanePole, build_poles, tell_pole
 from turtlelog.display import join_words
@@ -158,14 +159,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
         cells = tuple("-" if one.found is None else write(one.found) for one in answers)
         if known and not (is_optional and set(cells) <= {"-", "0"}):
             rows.append((name, *cells))
-    return tl.compare.Table(
-        title=title,
-        columns=(
-            tl.compare.Column(title=""),
-            *(tl.compare.Column(title=answer.title) for answer in answers),
-        ),
-        rows=tuple(rows),
-    )
+    return build_table(title, ("", *(answer.title for answer in answers)), rows)
 
 
 def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
+from turtlelog.cli.output import build_table
 from turtlelog.cli.theory_gains import RecommendedGains
 
 if TYPE_CHECKING:
@@ -187,23 +188,14 @@ def _tabulate_plant() -> "Table":
         if end.value is None
     }
     verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
-    return tl.compare.Table(
-        title="The plant 1/s",
-        columns=tuple(
-            tl.compare.Column(title=title) for title in ("input", "response", "final value")
-        ),
-        rows=tuple(
-            (kind, _RESPONSES[kind], end.status.value if end.value is None else f"{end.value:g}")
-            for kind, end in ends.items()
-        ),
-        notes=(
-            f"BIBO stable: {_tell(verdict.stable)}; {verdict.reason}.",
-            *(
-                f"Final value theorem, {' and '.join(kinds)}: {reason}."
-                for reason, kinds in endless.items()
-            ),
-        ),
+    rows = (
+        (kind, _RESPONSES[kind], end.status.value if end.value is None else f"{end.value:g}")
+        for kind, end in ends.items()
     )
+    notes = [f"BIBO stable: {_tell(verdict.stable)}; {verdict.reason}."]
+    for reason, kinds in endless.items():
+        notes.append(f"Final value theorem, {' and '.join(kinds)}: {reason}.")
+    return build_table("The plant 1/s", ("input", "response", "final value"), rows, notes)
 
 
 def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
@@ -217,20 +209,9 @@ def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
         )
         for loop in loops
     ]
-    return tl.compare.Table(
-        title="The ideal loop Kp / (s + Kp)",
-        columns=(
-            tl.compare.Column(title="Kp", unit="1/s"),
-            tl.compare.Column(title="pole", unit="1/s"),
-            tl.compare.Column(title="tau", unit="s"),
-            tl.compare.Column(title="4 tau", unit="s"),
-            tl.compare.Column(title="ln 50 tau", unit="s"),
-        ),
-        rows=tuple(rows),
-        notes=(
-            "It settles to 2 % in ln 50 tau = 3.91 tau; 4 tau is the rule. It never overshoots.",
-        ),
-    )
+    heads = ("Kp [1/s]", "pole [1/s]", "tau [s]", "4 tau [s]", "ln 50 tau [s]")
+    note = "It settles to 2 % in ln 50 tau = 3.91 tau; 4 tau is the rule. It never overshoots."
+    return build_table("The ideal loop Kp / (s + Kp)", heads, rows, [note])
 
 
 def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
