@@ -310,8 +310,8 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
         Labels in the bar, which the legend need not repeat.
     """
     names = page.label_runs(runs)
-    drawn = [axes for axes in figure.axes if _names_all(axes.get_legend_handles_labels()[1], names)]
-    if len(runs) <= len(FEW) or not drawn:
+    named = [{*names} & {*axes.get_legend_handles_labels()[1]} for axes in figure.axes]
+    if len(runs) <= len(FEW) or all(len(found) <= len(FEW) for found in named):
         return frozenset()
     count = len(runs)
     colors = ListedColormap(page.color_runs(runs))
@@ -337,7 +337,3 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
         bar.set_ticks(places, labels=labels)
         bar.set_label(f"{scale.word} of {count} runs{f' [{scale.unit}]' if scale.unit else ''}")
     return frozenset(names)
-
-
-def _names_all(labels: Sequence[str], names: Sequence[str]) -> bool:
-    return len({*names} & {*labels}) > len(FEW)

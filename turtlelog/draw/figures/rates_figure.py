@@ -4,13 +4,13 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from turtlelog.charts.curves import Curve, Values, read_applied, read_command
+from turtlelog.charts.curves import Command, Curve, Values, read_applied, read_command
 from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
@@ -137,12 +137,8 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
 
 def lacks_commands(run: Run) -> bool:
     """Return whether the run has no command that the robot could follow."""
-    return not any(_is_driven(run, name) for name in COMMAND_WORDS)
-
-
-def _is_driven(run: Run, name: str) -> bool:
-    curve = read_command(run, name)  # type: ignore[arg-type]
-    return curve is not None and bool(np.any(curve.values))
+    curves = [read_command(run, name) for name in get_args(Command)]
+    return not any(curve is not None and np.any(curve.values) for curve in curves)
 
 
 def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None:

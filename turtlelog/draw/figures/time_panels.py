@@ -172,8 +172,10 @@ def _draw_curves(
         for found in listed:
             if found.kind == "outlier":
                 continue
-            if found.kind == "aim" and _is_known(found.curve, aims):
-                continue
+            if found.kind == "aim":
+                if any(_are_alike(found.curve, other) for other in aims):
+                    continue
+                aims.append(found.curve)
             own = {
                 **_choose_looks(found, looks, colors[number], is_alone=is_alone),
                 **(_COMMANDED if found.kind == "run" and is_answered else {}),
@@ -198,14 +200,6 @@ def _choose_looks(
     if found.kind in POINTS:
         own["linestyle"] = ""
     return own
-
-
-def _is_known(aim: Curve, aims: list[Curve]) -> bool:
-    """Return whether a reference is in `aims`; if not, add it there."""
-    if any(_are_alike(aim, other) for other in aims):
-        return True
-    aims.append(aim)
-    return False
 
 
 def _draw(axes: Axes, run: Run, kind: CurveKind, curve: Curve, looks: Mapping[str, Any]) -> None:

@@ -49,11 +49,6 @@ class Drawn:
     is_plotted: bool = True
 
 
-def _make_crosshair() -> Any:
-    models = load_library("bokeh.models")
-    return models.Span(dimension="height", line_color=RING, line_alpha=0.5)
-
-
 @dataclass(slots=True, kw_only=True)
 class Plots:
     """The plots of a page.
@@ -73,7 +68,11 @@ class Plots:
     thinned: int = 0
     points: int = MOST_POINTS
     kinds: set[CurveKind] = field(default_factory=set)
-    crosshair: Any = field(default_factory=_make_crosshair)
+    crosshair: Any = field(
+        default_factory=lambda: load_library("bokeh.models").Span(
+            dimension="height", line_color=RING, line_alpha=0.5
+        )
+    )
     alternatives: dict[str, str] = field(default_factory=dict)
 
 

@@ -237,17 +237,13 @@ def _list_plotted(
         if one.is_plotted
         and not (number in restless and plotted_curves.leaves_out(len(drawn), plot))
         for found in plotted_curves.list_plotted(
-            one.run, plot, _choose_kinds(one, number, len(drawn))
+            one.run,
+            plot,
+            _GHOST if one.is_ghost else plotted_curves.choose_kinds(number, len(drawn)),
         )
         if found.kind not in plotted_curves.POINTS
     ]
     return sorted(listed, key=lambda pair: (pair[0] not in restless, pair[1].kind == "run"))
-
-
-def _choose_kinds(
-    one: Drawn, number: int, count: int
-) -> frozenset[plotted_curves.CurveKind] | None:
-    return _GHOST if one.is_ghost else plotted_curves.choose_kinds(number, count)
 
 
 def _list_curves(

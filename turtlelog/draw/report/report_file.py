@@ -279,18 +279,14 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
     resources = load_library("bokeh.resources").Resources(mode="inline", components=["bokeh"])
     config = plots.config | {"places": {place: one.id for place, one in plots.roots.items()}}
     code = files("turtlelog.draw.report").joinpath("page.js").read_text("utf-8")
-    library = _end_no_script("\n".join(resources.js_raw))
+    # An end tag in a text would end the script.
+    library = "\n".join(resources.js_raw).replace("</script", "<\\/script")
     scripts = f"""<script>{library}</script>
 <script type="application/json" id="drawing">{_escape(drawing)}</script>
 <script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
 <script>{code}</script>"""
     policy = write_policy_tag(library, code)
     return sections.write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
-
-
-def _end_no_script(code: str) -> str:
-    """Return code for a page with end tags in its texts escaped, which keeps the meaning."""
-    return code.replace("</script", "<\\/script")
 
 
 def _escape(code: str) -> str:

@@ -167,6 +167,7 @@ def describe_content(
     """Return the content of a recording of runs; `series` are the curves of each run."""
     close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
     states = group_states(*(run.declaration for run in runs))
+    phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
     return Content(
         prefixes=tuple(prefixes),
         series=tuple(
@@ -189,17 +190,12 @@ def describe_content(
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
-        timelines=_list_timelines(runs),
+        timelines=(TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases)),
         notes={**_note_gaps(runs, series), **_count_outliers(series)},
         controlled=frozenset(
             entities.name_plot(plot) for run in runs for plot in list_controlled(run)
         ),
     )
-
-
-def _list_timelines(runs: Sequence[Run]) -> tuple[str, ...]:
-    phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
-    return (TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases))
 
 
 def _note_gaps(runs: Sequence[Run], series: Sequence[Sequence[Series]]) -> dict[str, str]:

@@ -307,7 +307,10 @@ class GrowingStream(rr.RecordingStream):
         start, end = max(sent - first, 0), count - held
         if start < end:
             self._sent[entity_path] = first + end
-            parts: list[Any] = [_cut(column, start, end) for column in (*index, *values)]
+            parts: list[Any] = [
+                _Part(column, column.as_arrow_array().slice(start, end - start))
+                for column in (*index, *values)
+            ]
             super().send_columns(
                 entity_path, parts[: len(index)], parts[len(index) :], strict=strict
             )
@@ -431,7 +434,3 @@ def _flush(stream: rr.RecordingStream) -> None:
         raise ConnectionError(
             f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
         ) from err
-
-
-def _cut(column: Any, start: int, end: int) -> _Part:
-    return _Part(column, column.as_arrow_array().slice(start, end - start))
