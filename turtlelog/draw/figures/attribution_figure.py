@@ -13,6 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from turtlelog import explain
 from turtlelog.charts import attribution_steps
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import Values, find_unit, list_levels, read_curve
@@ -23,15 +24,6 @@ from turtlelog.draw.figures import page
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ShowError
-from turtlelog.explain import (
-    Attribution,
-    Work,
-    attribute_run,
-    choose_metric,
-    identify_run,
-    require_causes,
-    simulate_what_ifs,
-)
 from turtlelog.run import Run
 from turtlelog.run.loops import SIGNAL_WORDS
 
@@ -71,7 +63,7 @@ class Explained:
     """
 
     run: Run
-    found: Attribution
+    found: explain.Attribution
     ghost: Run | None
     ghost_name: str = ""
 
@@ -91,23 +83,23 @@ def explain_for_figure(
     if len(runs) != 1:
         raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
     (run,) = runs
-    chosen = metric or choose_metric(run.declaration)
-    require_causes(run, chosen, None)
-    identified = identify_run(run)
+    chosen = metric or explain.choose_metric(run.declaration)
+    explain.require_causes(run, chosen, None)
+    identified = explain.identify_run(run)
     if identified.scenario is None:
         reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")
         raise ShowError(f"figure attribution needs a scenario of {run.name}: {reason}")
-    work = Work(report=report)
-    found = attribute_run(run, metric=chosen, identified=identified, work=work)
+    work = explain.Work(report=report)
+    found = explain.attribute_run(run, metric=chosen, identified=identified, work=work)
     if not attribution_steps.list_attribution_steps(found):
         raise ShowError(f"figure attribution needs contributions to {chosen}: {_tell(found)}")
-    ghosts = simulate_what_ifs(identified, found)
+    ghosts = explain.simulate_what_ifs(identified, found)
     name = next(reversed([*ghosts]), "")
     ghost = ghosts.get(name)
     return Explained(run=run, found=found, ghost=ghost, ghost_name=name)
 
 
-def _tell(found: Attribution) -> str:
+def _tell(found: explain.Attribution) -> str:
     """Return why there are no contributions, as one clause."""
     if found.withheld:
         return found.withheld

@@ -13,20 +13,12 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog import compare
 from turtlelog.charts.curves import require_near
 from turtlelog.charts.many_runs import choose_colors_by_value
 from turtlelog.charts.palette import GHOST, choose_cause_colors
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import CurveKind
-from turtlelog.compare import (
-    Column,
-    Table,
-    name_runs,
-    order_by_gain,
-    summarise_run,
-    tabulate_measured,
-    tabulate_runs,
-)
 from turtlelog.display import describe_count, show_angle
 from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
@@ -115,8 +107,8 @@ def write_report(
     texts = (source if isinstance(source, str) else str(source) for source in sources)
     known = [*texts] or [""] * len(runs)
     file_of = {id(run): file for run, file in zip(runs, known, strict=True)}
-    runs = order_by_gain(runs)
-    metrics, names = [measure_run(run) for run in runs], name_runs(runs)
+    runs = compare.order_by_gain(runs)
+    metrics, names = [measure_run(run) for run in runs], compare.name_runs(runs)
     near, origin = move_near(runs)
     drawn = [
         Drawn(run=run, name=name, color=color)
@@ -243,12 +235,12 @@ def _write_tables(
     runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
 ) -> str:
     pairs = zip(runs, metrics, strict=True)
-    summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
-    body = sections.write_table(tabulate_runs(summaries))
+    summaries = [compare.summarise_run(run, metrics=measured) for run, measured in pairs]
+    body = sections.write_table(compare.tabulate_runs(summaries))
     if len(runs) <= _MOST_COLUMNS:
         essentials = choose_essentials(runs, metrics)
         declarations = [run.declaration for run in runs]
-        table = tabulate_measured(names, essentials, declarations=declarations)
+        table = compare.tabulate_measured(names, essentials, declarations=declarations)
         body += f"<details><summary>Metrics</summary>{sections.write_table(table)}</details>"
     return f'<section id="tables"><h2>Side by side</h2>{body}</section>'
 
@@ -361,12 +353,12 @@ def _conclude_sweep(view: SweptView, limits: Sequence[LoopLimits]) -> str:
     return f'<section id="conclusion">{parts}</section>'
 
 
-def _tabulate_sweep(view: SweptView) -> Table:
-    return Table(
+def _tabulate_sweep(view: SweptView) -> compare.Table:
+    return compare.Table(
         title="Metrics of the rows that are shown",
         columns=(
-            *(Column(title=title) for title in ("metric", "unit", "least", "greatest")),
-            *(Column(title=title) for title in ("without a value", "best row", "its keys")),
+            *(compare.Column(title=title) for title in ("metric", "unit", "least", "greatest")),
+            *(compare.Column(title=title) for title in ("without a value", "best row", "its keys")),
         ),
         rows=tuple(_list_cells(view, metric) for metric in view.results.metrics),
         notes=("A row is run again by turtlelog run --from TABLE --row NUMBER.",),
