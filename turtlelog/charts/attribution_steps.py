@@ -55,17 +55,11 @@ class AttributionStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepScale:
-    """Unit in which an attribution is drawn.
+    """Unit in which an attribution is drawn."""
 
-    Attributes:
-        factor: Factor from the metric's unit.
-        unit: Unit on the axis: `mm` for a metric in m that stays below 1 m; empty for a number.
-        decimals: Number of decimals of the values.
-    """
-
-    factor: float
-    unit: str
-    decimals: int
+    factor: float  # factor from the metric's unit
+    unit: str  # unit on the axis: `mm` for a metric in m that stays below 1 m; empty for a number
+    decimals: int  # number of decimals of the values
 
     def format_value(self, value: float, *, signed: bool = False) -> str:
         """Return a value of the metric as text. A nonzero value never becomes a plain 0."""

@@ -50,17 +50,11 @@ _WORDS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainScale:
-    """The number in which many runs differ, with the runs in its order.
+    """The number in which many runs differ, with the runs in its order."""
 
-    Attributes:
-        word: Name of the number: `Kp`, `pause_ticks`.
-        values: Value of each run.
-        unit: Unit of a gain; empty for other numbers, whose keys contain the unit.
-    """
-
-    word: str
-    values: tuple[float, ...]
-    unit: str = ""
+    word: str  # name of the number: `Kp`, `pause_ticks`
+    values: tuple[float, ...]  # value of each run
+    unit: str = ""  # unit of a gain; empty for other numbers, whose keys contain the unit
 
     def name_run(self, number: int) -> str:
         """Return the name of a run in a picture, from the value that the run's colour shows."""

@@ -21,17 +21,11 @@ from turtlelog.run.loops import COMMAND_UNITS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredRate:
-    """A measured rate without its outliers, and the outliers.
+    """A measured rate without its outliers, and the outliers."""
 
-    Attributes:
-        command: Command that the rate responds to.
-        curve: All other values.
-        outliers: Values that would flatten every other curve. The data keep these values.
-    """
-
-    command: Command
-    curve: Curve
-    outliers: Curve
+    command: Command  # command that the rate responds to
+    curve: Curve  # all other values
+    outliers: Curve  # values that would flatten every other curve. The data keep these values
 
     def name_outliers(self) -> str:
         """Return text on the outliers, of several the largest; empty without outliers."""
@@ -198,21 +192,13 @@ _MOST: Final = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandChange:
-    """A change of a command in one direction, at once or over several commands.
+    """A change of a command in one direction, at once or over several commands."""
 
-    Attributes:
-        begin_s: Time of the change's first command [s].
-        half_s: Time at which the command passes the middle between its levels [s].
-        end_s: Start of the next change, or end of the commands [s].
-        before: Level from which it changes.
-        after: Level to which it changes.
-    """
-
-    begin_s: float
-    half_s: float
-    end_s: float
-    before: float
-    after: float
+    begin_s: float  # time of the change's first command [s]
+    half_s: float  # time at which the command passes the middle between its levels [s]
+    end_s: float  # start of the next change, or end of the commands [s]
+    before: float  # level from which it changes
+    after: float  # level to which it changes
 
     def scale(self, values: Values) -> Values:
         """Return values as the completed fraction of the change: 0 before the change, 1 after."""

@@ -53,19 +53,12 @@ _CONNECTOR: Final = page.fix_style(color="0.5", linewidth=0.6)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explained:
-    """A run with the causes of its value, and its ghost.
+    """A run with the causes of its value, and its ghost."""
 
-    Attributes:
-        run: Recorded run.
-        found: Attribution, with contributions or with nothing to divide.
-        ghost: The run without all acting causes; None if no cause acts.
-        ghost_name: Causes that the ghost does not have, in words.
-    """
-
-    run: Run
-    found: explain.Attribution
-    ghost: Run | None
-    ghost_name: str = ""
+    run: Run  # recorded run
+    found: explain.Attribution  # attribution, with contributions or with nothing to divide
+    ghost: Run | None  # the run without all acting causes; None if no cause acts
+    ghost_name: str = ""  # causes that the ghost does not have, in words
 
 
 def explain_for_figure(

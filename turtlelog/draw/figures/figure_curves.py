@@ -48,17 +48,11 @@ _LAST_S: Final = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pole:
-    """The poles of a closed loop, drawn as dots.
+    """The poles of a closed loop, drawn as dots."""
 
-    Attributes:
-        values: Poles in the s plane [1/s] or the z plane, shape (n,).
-        looks: Colour and marker of the run.
-        label: Label in the legend.
-    """
-
-    values: NDArray[np.complex128]
-    looks: Mapping[str, Any]
-    label: str
+    values: NDArray[np.complex128]  # poles in the s plane [1/s] or the z plane, shape (n,)
+    looks: Mapping[str, Any]  # colour and marker of the run
+    label: str  # label in the legend
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:

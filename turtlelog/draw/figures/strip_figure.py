@@ -92,17 +92,11 @@ class MetricValues:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunGroups:
-    """Runs in groups.
+    """Runs in groups."""
 
-    Attributes:
-        label: Differing quantity, for an axis.
-        names: Name of each group.
-        rows: Indices of the runs of each group.
-    """
-
-    label: str
-    names: tuple[str, ...]
-    rows: tuple[tuple[int, ...], ...]
+    label: str  # differing quantity, for an axis
+    names: tuple[str, ...]  # name of each group
+    rows: tuple[tuple[int, ...], ...]  # indices of the runs of each group
 
 
 def group_runs(runs: Sequence[Run]) -> RunGroups:

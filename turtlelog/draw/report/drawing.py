@@ -32,21 +32,13 @@ RING: Final = "#8a8a8a"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawn:
-    """A run or ghost with its drawing style.
+    """A run or ghost with its drawing style."""
 
-    Attributes:
-        run: Data of the run.
-        name: Name in the legend.
-        color: Colour in every plot.
-        is_ghost: Whether it is a what-if.
-        is_plotted: Whether the plots over time also show this run.
-    """
-
-    run: Run
-    name: str
-    color: Color
-    is_ghost: bool = False
-    is_plotted: bool = True
+    run: Run  # data of the run
+    name: str  # name in the legend
+    color: Color  # colour in every plot
+    is_ghost: bool = False  # whether it is a what-if
+    is_plotted: bool = True  # whether the plots over time also show this run
 
 
 @dataclass(slots=True, kw_only=True)

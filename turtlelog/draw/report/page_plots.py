@@ -71,19 +71,12 @@ of view. With such outliers, the other rows would take less than a twentieth of 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Violation:
-    """The failure of a check.
+    """The failure of a check."""
 
-    Attributes:
-        names: Signals in the check.
-        first_s: Time of the first violation [s]; None if it has no time.
-        run: Index of the run; None if the run is not shown.
-        signal: Violated signal to draw; None if no signal is violated.
-    """
-
-    names: tuple[str, ...]
-    first_s: float | None
-    run: int | None = None
-    signal: ViolatedSignal | None = None
+    names: tuple[str, ...]  # signals in the check
+    first_s: float | None  # time of the first violation [s]; None if it has no time
+    run: int | None = None  # index of the run; None if the run is not shown
+    signal: ViolatedSignal | None = None  # violated signal to draw; None if no signal is violated
 
 
 def draw_plots(

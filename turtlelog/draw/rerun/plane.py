@@ -37,17 +37,11 @@ _ABOVE_TRACES: Final = 28.0  # below points, which have 30
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SpeedTrace:
-    """A path in colours of its speed.
+    """A path in colours of its speed."""
 
-    Attributes:
-        strips: Segments of one colour [m], each of shape (n, 2).
-        colors: Colour of each strip; brighter means faster.
-        highest_m_s: Speed of the brightest colour [m/s].
-    """
-
-    strips: list[Values]
-    colors: list[Color]
-    highest_m_s: float
+    strips: list[Values]  # segments of one colour [m], each of shape (n, 2)
+    colors: list[Color]  # colour of each strip; brighter means faster
+    highest_m_s: float  # speed of the brightest colour [m/s]
 
 
 def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:

@@ -100,19 +100,12 @@ class Series:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelLines:
-    """Level lines across a plot.
+    """Level lines across a plot."""
 
-    Attributes:
-        plot: Entity of the plot.
-        levels: Levels in the plot's unit, increasing.
-        name: Common name in a legend; empty: each level has its own name.
-        color: Colour of the lines.
-    """
-
-    plot: str
-    levels: tuple[Level, ...]
-    name: str = ""
-    color: Color = palette.IDEAL
+    plot: str  # entity of the plot
+    levels: tuple[Level, ...]  # levels in the plot's unit, increasing
+    name: str = ""  # common name in a legend; empty: each level has its own name
+    color: Color = palette.IDEAL  # colour of the lines
 
 
 def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Series, ...]:
