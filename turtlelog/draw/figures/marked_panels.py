@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -56,7 +55,7 @@ _MOMENTS: Final = frozenset({"settling_time", "time_to_goal", "position_error"})
 _SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "o", "square": "s", "cross": "x"}
 """Mark shapes of matplotlib."""
 
-_OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "heading"})
+_OF_ERRORS: Final[Mapping[str, str]] = {"heading_error": "heading"}
 """Error curves that also show the characteristics of a loop's signal."""
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -56,9 +55,12 @@ _WIDTH: Final = 1.8
 _THIN: Final = 1.2
 """Width of all curves except the run's own curve [pixels]."""
 
-_STROKES: Final[Mapping[Dash, str]] = MappingProxyType(
-    {"solid": "solid", "dashed": "dashed", "dotted": "dotted", "dash-dot": "dotdash"}
-)
+_STROKES: Final[Mapping[Dash, str]] = {
+    "solid": "solid",
+    "dashed": "dashed",
+    "dotted": "dotted",
+    "dash-dot": "dotdash",
+}
 """Dashes of Bokeh."""
 
 _RARE: Final = 1e-3

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -45,15 +44,13 @@ _MARKS_NOTE: Final = (
     '<p class="note">Shaded where a run has them: pauses over the whole height, dead times in'
     " pink, settling bands along the reference.</p>"
 )
-_KINDS: Final[Mapping[CurveKind, str]] = MappingProxyType(
-    {
-        "ideal": "dotted grey: the ideal loop",
-        "aim": "dashed grey: what is asked for",
-        "applied": "green: what the plant applied",
-        "measured": "green: what the robot measured",
-        "beside": "lighter: the distance to the reference",
-    }
-)
+_KINDS: Final[Mapping[CurveKind, str]] = {
+    "ideal": "dotted grey: the ideal loop",
+    "aim": "dashed grey: what is asked for",
+    "applied": "green: what the plant applied",
+    "measured": "green: what the robot measured",
+    "beside": "lighter: the distance to the reference",
+}
 """Descriptions of the kinds of curves other than the run's own."""
 
 _LARGE: Final = 2**20

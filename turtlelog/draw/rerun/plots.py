@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
@@ -35,18 +34,16 @@ LINE_WIDTH: Final = 1.5
 
 _THIN_WIDTH: Final = 1.25
 
-_WIDTHS: Final[Mapping[CurveKind, float]] = MappingProxyType(
-    {
-        "measured": _THIN_WIDTH,
-        "applied": _THIN_WIDTH,
-        "shaped": _THIN_WIDTH,
-        "ideal": 1.0,
-        "aim": 1.0,
-        "sensed": 0.75,
-        "dropped_out": 2.5,
-        "outlier": 4.0,
-    }
-)
+_WIDTHS: Final[Mapping[CurveKind, float]] = {
+    "measured": _THIN_WIDTH,
+    "applied": _THIN_WIDTH,
+    "shaped": _THIN_WIDTH,
+    "ideal": 1.0,
+    "aim": 1.0,
+    "sensed": 0.75,
+    "dropped_out": 2.5,
+    "outlier": 4.0,
+}
 """Widths of lines and sizes of points [points]. The run's own curve has `LINE_WIDTH`."""
 
 _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"})
@@ -57,9 +54,11 @@ _COMMANDED_WIDTH: Final = 3.0
 
 Marker = Literal["circle", "cross", "diamond", "up", "down"]
 
-_MARKERS: Final[Mapping[CurveKind, Marker]] = MappingProxyType(
-    {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}
-)
+_MARKERS: Final[Mapping[CurveKind, Marker]] = {
+    "sensed": "circle",
+    "dropped_out": "cross",
+    "outlier": "cross",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
