@@ -78,16 +78,10 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """A constant reference of a signal.
+    """A constant reference of a signal."""
 
-    Attributes:
-        label: Label for a legend.
-        value: Value in the unit of the signal; angles in deg.
-        kind: Kind of the level: the reference, zero, a limit, or a tolerance.
-    """
-
-    label: str
-    value: float
+    label: str  # label for a legend
+    value: float  # value in the unit of the signal; angles in deg
     kind: Literal["target", "zero", "limit", "tolerance"] = "target"
 
 

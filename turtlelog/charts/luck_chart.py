@@ -74,31 +74,18 @@ class LuckPlane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LuckPicture:
-    """Content of the picture of chance in a run.
+    """Content of the picture of chance in a run."""
 
-    Attributes:
-        varied: Start headings or seeds: `start` or `seed`.
-        sentences: Result in words, for above the picture.
-        places: Position of each start on the axis [deg], or of each seed, from 1.
-        place_label: Label of the axis of places.
-        value_label: Label of the axis of values.
-        limits: Limits of the axis of values.
-        lines: The curves; the curve with all effects is first.
-        recorded: Position and value of the run itself; None if it has no value.
-        recorded_name: Label of the run's own value.
-        plane: Ends of the runs; None without a goal.
-    """
-
-    varied: str
-    sentences: tuple[str, ...]
-    places: Values
-    place_label: str
-    value_label: str
-    limits: tuple[float, float]
-    lines: tuple[LuckLine, ...]
-    recorded: tuple[float, float] | None
-    recorded_name: str
-    plane: LuckPlane | None
+    varied: str  # start headings or seeds: `start` or `seed`
+    sentences: tuple[str, ...]  # result in words, for above the picture
+    places: Values  # position of each start on the axis [deg], or of each seed, from 1
+    place_label: str  # label of the axis of places
+    value_label: str  # label of the axis of values
+    limits: tuple[float, float]  # limits of the axis of values
+    lines: tuple[LuckLine, ...]  # the curves; the curve with all effects is first
+    recorded: tuple[float, float] | None  # position and value of the run itself; None: no value
+    recorded_name: str  # label of the run's own value
+    plane: LuckPlane | None  # ends of the runs; None without a goal
 
     def find_end(self, line: LuckLine) -> tuple[float, float]:
         """Return the value at the end of a curve; without a value, the lower end of the axis."""

@@ -138,20 +138,12 @@ _INSIDE: Final = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GainEnds:
-    """Ends of the runs of one gain.
+    """Ends of the runs of one gain."""
 
-    Attributes:
-        gain: Gain Kp of the runs.
-        runs: Numbers of the runs, rising.
-        median_xy_m: Median of x and of y [m], shape (2,).
-        outline_xy_m: Corners around the 90 % of the ends nearest to the median [m],
-            counter-clockwise, shape (n, 2).
-    """
-
-    gain: float
-    runs: tuple[int, ...]
-    median_xy_m: Values
-    outline_xy_m: Values
+    gain: float  # gain Kp of the runs
+    runs: tuple[int, ...]  # numbers of the runs, rising
+    median_xy_m: Values  # median of x and of y [m], shape (2,)
+    outline_xy_m: Values  # corners around 90 % of the ends [m], counter-clockwise, shape (n, 2)
 
     @property
     def middle_run(self) -> int:

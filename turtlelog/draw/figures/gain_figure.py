@@ -107,23 +107,14 @@ def draw_gains(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainLimits:
-    """Theory's limits of Kp for one timing.
+    """Theory's limits of Kp for one timing."""
 
-    Attributes:
-        dead_time_s: Total dead time of the loop [s].
-        period_s: Sampling period of the loop [s].
-        overshoot: Kp above which the loop overshoots [1/s]; None if the loop is not proportional.
-        stability: Kp above which the loop is unstable [1/s]; None if no Kp is stable.
-        design: Loop for computing responses.
-        gains: Gains of one of the runs, for which the limits of Kp are valid.
-    """
-
-    dead_time_s: float
-    period_s: float
-    overshoot: float | None
-    stability: float | None
-    design: LoopDesign
-    gains: theory.PidGains
+    dead_time_s: float  # total dead time of the loop [s]
+    period_s: float  # sampling period of the loop [s]
+    overshoot: float | None  # Kp above which it overshoots [1/s]; None: not proportional
+    stability: float | None  # Kp above which it is unstable [1/s]; None: no Kp is stable
+    design: LoopDesign  # loop for computing responses
+    gains: theory.PidGains  # gains of one of the runs, for which the limits of Kp are valid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

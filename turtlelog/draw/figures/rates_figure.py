@@ -67,7 +67,7 @@ class DrawnAxis:
         model: Result of the identification, or the reason why it is missing.
         brackets: Meaning of the values in brackets.
         command: Held command.
-        measured: Measured rate of the robot; None if the rate is unknown.
+        measured: Measured rate of the robot; None if unknown.
         traces: Measured rate and model, if a model is known.
         outliers_s: End times of steps that the fit left out, shape (m,).
     """

@@ -47,7 +47,7 @@ class Plots:
 
     Attributes:
         roots: Figures by the id of their place.
-        config: Ids of models for the script, by their role.
+        config: Ids of models for the script by role.
         thinned: Number of curves drawn with fewer points than were recorded.
         points: Largest number of points of a curve.
         kinds: Kinds of curves in the page.

@@ -267,19 +267,12 @@ legs."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """The style of a turtle and its trail.
+    """The style of a turtle and its trail."""
 
-    Attributes:
-        color: Colour of turtle and trail.
-        is_ghost: Whether it belongs to a ghost, whose shell is hollow and behind other turtles.
-        width: Radius of the trail [points].
-        size: Size of the turtle; 1 for a run.
-    """
-
-    color: Color
-    is_ghost: bool = False
-    width: float = 1.5
-    size: float = 1.0
+    color: Color  # colour of turtle and trail
+    is_ghost: bool = False  # whether its shell is hollow, and behind other turtles
+    width: float = 1.5  # radius of the trail [points]
+    size: float = 1.0  # size of the turtle; 1 for a run
 
 
 def count_segments(trails: int) -> int:

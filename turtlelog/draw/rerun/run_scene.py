@@ -107,35 +107,20 @@ def build_run_scene(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Single:
-    """A measured run with everything that is drawn.
+    """A measured run with everything that is drawn."""
 
-    Attributes:
-        run: The run. Far coordinates are relative to its start.
-        origin: Text on this offset.
-        metrics: Metrics of the run by id.
-        series: Curves of the run and of theory.
-        references: Level lines.
-        marks: Metrics that can be marked on a curve.
-        names: Names of the main curve of each plot.
-        legends: Plots that have a legend.
-        by_speed: Path in colours of its speed; None if nothing moves.
-        ideal: The ideal loop; None if theory does not know its poses.
-        shift_m: Offset added to the positions [m], shape (2,).
-        surroundings: Scans and map of the robot; None if unknown.
-    """
-
-    run: Run
-    origin: str
-    metrics: Mapping[str, Metric]
-    series: tuple[plots.Series, ...]
-    references: tuple[plots.LevelLines, ...]
-    marks: tuple[Mark, ...]
-    names: Mapping[str, str]
-    legends: frozenset[str]
-    by_speed: plane.SpeedTrace | None
-    ideal: Ghost | None = None
-    shift_m: Values = field(default_factory=lambda: np.zeros(2))
-    surroundings: Surroundings | None = None
+    run: Run  # the run. Far coordinates are relative to its start
+    origin: str  # text on this offset
+    metrics: Mapping[str, Metric]  # metrics of the run by id
+    series: tuple[plots.Series, ...]  # curves of the run and of theory
+    references: tuple[plots.LevelLines, ...]  # level lines
+    marks: tuple[Mark, ...]  # metrics that can be marked on a curve
+    names: Mapping[str, str]  # names of the main curve of each plot
+    legends: frozenset[str]  # plots that have a legend
+    by_speed: plane.SpeedTrace | None  # path in colours of its speed; None if nothing moves
+    ideal: Ghost | None = None  # the ideal loop; None if theory does not know its poses
+    shift_m: Values = field(default_factory=lambda: np.zeros(2))  # added to positions [m], (2,)
+    surroundings: Surroundings | None = None  # scans and map of the robot; None if unknown
 
     def list_lined(self) -> list[str]:
         """Return the plots with event lines, if the run has events."""
