@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.archetypes import VisibleTimeRanges
 
 from turtlelog.charts import palette
@@ -226,24 +225,13 @@ def find_corners(
     first_ns = min((int(curves.time_ns[0]) for curves in series), default=0)
     last_ns = max((int(curves.time_ns[-1]) for curves in series), default=1)
     rows: dict[str, list[Values]] = {}
-    for curves in series:
-        if curves.plot in ranges:
-            low, high = ranges[curves.plot]
-            across = (curves.time_ns - first_ns) / max(last_ns - first_ns, 1)
-            for column in curves.values.T:
-                places = np.column_stack([across, (column - low) / (high - low)])
-                rows.setdefault(curves.plot, []).append(places[np.isfinite(column)])
+    for curves in (one for one in series if one.plot in ranges):
+        low, high = ranges[curves.plot]
+        across = (curves.time_ns - first_ns) / max(last_ns - first_ns, 1)
+        for column in curves.values.T:
+            places = np.column_stack([across, (column - low) / (high - low)])
+            rows.setdefault(curves.plot, []).append(places[np.isfinite(column)])
     return {plot: _find_emptiest(np.concatenate(places)) for plot, places in rows.items()}
-
-
-def find_emptiest_corner(
-    time_ns: NDArray[np.int64], values: Values, limits: tuple[float, float]
-) -> str:
-    """Return the emptiest corner of a plot with given limits, for one curve."""
-    low, high = limits
-    across = (time_ns - time_ns[0]) / max(int(time_ns[-1] - time_ns[0]), 1)
-    places = np.column_stack([across, (values - low) / (high - low)])
-    return _find_emptiest(places[np.isfinite(values)])
 
 
 def _find_emptiest(places: Values) -> str:
