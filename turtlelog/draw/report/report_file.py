@@ -24,7 +24,7 @@ from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
 from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report import sections
 from turtlelog.draw.report.drawing import Drawn, Plots
-from turtlelog.draw.report.page_plots import Violation, draw_plots
+from turtlelog.draw.report.page_plots import draw_plots
 from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution
 from turtlelog.files.urls import make_path
@@ -112,17 +112,8 @@ def write_report(
         for run, name, color in zip(near, names, choose_colors_by_value(runs), strict=True)
     ]
     drawn += _list_ghosts(explanation)
-    violations = [
-        Violation(
-            names=line.names,
-            first_s=line.first_violation_s,
-            run=names.index(line.run) if line.run in names else None,
-            signal=line.signal,
-        )
-        for line in sections.sort_checks(checks)
-        if line.verdict == "FAIL"
-    ]
-    plots = draw_plots(drawn, metrics, violations)
+    failed = [line for line in checks if line.verdict == "FAIL"]
+    plots = draw_plots(drawn, metrics, failed)
     body = _write_conclusion(runs, names, metrics, explanation, checks)
     body += _write_stage(plots, len(runs), origin)
     if explanation is not None:
