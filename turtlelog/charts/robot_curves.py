@@ -12,7 +12,7 @@ from turtlelog.compare.robot_comparison import SHOWN_UNITS, Quantity
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.measure import find_outliers
-from turtlelog.measure.breaks import PoseGap, find_gaps
+from turtlelog.measure.breaks import find_gaps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay.recorded_motion import find_breaks, read_motion
 from turtlelog.run import Run
@@ -77,8 +77,9 @@ def part_curve(run: Run, curve: Curve) -> Curve:
 
 def find_break_rows(run: Run) -> NDArray[np.int64]:
     """Return the rows of poses before which curves break: at jumps, and after gaps."""
-    gaps = np.array([gap.row for gap in _list_breaking_gaps(run)], dtype=np.int64)
-    return np.unique(np.concatenate([find_jump_rows(run), gaps]))
+    least_ns = min(_find_least_ns(run), _LEAST_NS)
+    gaps = [gap.row for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
+    return np.unique(np.array([*find_jump_rows(run), *gaps], dtype=np.int64))
 
 
 def find_jump_rows(run: Run) -> NDArray[np.int64]:
@@ -135,12 +136,6 @@ in a long run are single poses that a busy computer lost."""
 
 _MOST_NAMED: Final = 5
 """Largest number of gaps with text, the longest gaps; more text would cover the curves."""
-
-
-def _list_breaking_gaps(run: Run) -> list[PoseGap]:
-    """Return the gaps in the poses at which curves break."""
-    least_ns = min(_find_least_ns(run), _LEAST_NS)
-    return [gap for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
 
 
 def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:

@@ -44,14 +44,8 @@ class SpeedTrace:
     highest_m_s: float  # speed of the brightest colour [m/s]
 
 
-def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
-    """Draw the path of a single run in the run's colour: faintly, and as a trail.
-
-    The whole path of a growing run has been driven, so only a bright path is drawn.
-    """
-    if not is_growing:
-        draw_trail(run_stream, run, Look(color=palette.MAIN, width=_TRACE_RADIUS))
-        return
+def draw_growing_path(run_stream: RunStream, run: Run) -> None:
+    """Draw the path of a growing run, which has been driven whole, as one bright path."""
     run_stream.log(entities.PLANE, UPWARD)
     strips = _part_strip(run)
     _log_strips(run_stream, entities.PATH, strips, [palette.MAIN] * len(strips), _TRACE_RADIUS)
@@ -271,7 +265,7 @@ class Look:
 
     color: Color  # colour of turtle and trail
     is_ghost: bool = False  # whether its shell is hollow, and behind other turtles
-    width: float = 1.5  # radius of the trail [points]
+    width: float = _TRACE_RADIUS  # radius of the trail [points]
     size: float = 1.0  # size of the turtle; 1 for a run
 
 

@@ -29,7 +29,7 @@ from turtlelog.draw.rerun.marks import (
     list_responses,
     name_legends,
 )
-from turtlelog.draw.rerun.plane import Look, draw_turtle
+from turtlelog.draw.rerun.plane import Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.timelines import (
     RunStream,
     add_thinning,
@@ -178,7 +178,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     if single.surroundings is not None:
         world.draw_surroundings(stream, single.surroundings, timelines, single.shift_m)
     run_stream = RunStream(stream, "", timelines)
-    plane.draw_driven(run_stream, run)
+    draw_trail(run_stream, run, Look(color=palette.MAIN))
     plane.draw_reference_path(run_stream, run)
     plane.draw_sensed(run_stream, run)
     if single.by_speed is not None:
@@ -355,7 +355,7 @@ class LiveScene:
             self._arrange(run, _open_up(content, references))
             world.draw_world(stream, [run])
         if stream.is_due:
-            plane.draw_driven(run_stream, run, is_growing=True)
+            plane.draw_growing_path(run_stream, run)
             plane.draw_reference_path(run_stream, run)
             plane.draw_sensed(run_stream, run)
             plots.draw_references(stream, references, read_span([run], [timelines]))
