@@ -55,17 +55,11 @@ class AttributionStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepScale:
-    """Unit in which an attribution is drawn.
+    """Unit in which an attribution is drawn."""
 
-    Attributes:
-        factor: Factor from the metric's unit.
-        unit: Unit on the axis: `mm` for a metric in m that stays below 1 m; empty for a number.
-        decimals: Number of decimals of the values.
-    """
-
-    factor: float
-    unit: str
-    decimals: int
+    factor: float  # factor from the metric's unit
+    unit: str  # unit on the axis: `mm` for a metric in m that stays below 1 m; empty for a number
+    decimals: int  # number of decimals of the values
 
     def format_value(self, value: float, *, signed: bool = False) -> str:
         """Return a value of the metric as text. A nonzero value never becomes a plain 0."""
@@ -79,19 +73,12 @@ class StepScale:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waterfall:
-    """Bars below each other; each bar starts where the bar above it ends.
+    """Bars below each other; each bar starts where the bar above it ends."""
 
-    Attributes:
-        steps: Bars, each with its name on the left and its size in words on the right.
-        scale: Unit in which the bars are drawn.
-        metric: Metric of the total.
-        notes: Notes for the reader, one line each, below the axis.
-    """
-
-    steps: tuple[AttributionStep, ...]
-    scale: StepScale
-    metric: str
-    notes: tuple[str, ...]
+    steps: tuple[AttributionStep, ...]  # bars; names on the left, sizes in words on the right
+    scale: StepScale  # unit in which the bars are drawn
+    metric: str  # metric of the total
+    notes: tuple[str, ...]  # notes for the reader, one line each, below the axis
 
     @property
     def joints(self) -> tuple[float, ...]:

@@ -25,20 +25,18 @@ _ROUNDING_NS: Final = 1_000
 
 MarkShape = Literal["disc", "square", "cross"]
 
-_SHAPES: Final[Mapping[str, MarkShape]] = MappingProxyType(
-    {
-        "settling_time": "disc",
-        "final_error": "disc",
-        "position_error": "disc",
-        "overshoot": "square",
-        "largest_error": "square",
-        "cross_track_max": "square",
-        "rise_time": "cross",
-        "time_to_goal": "cross",
-        "longest_saturation": "cross",
-        "dead_time": "cross",
-    }
-)
+_SHAPES: Final[Mapping[str, MarkShape]] = {
+    "settling_time": "disc",
+    "final_error": "disc",
+    "position_error": "disc",
+    "overshoot": "square",
+    "largest_error": "square",
+    "cross_track_max": "square",
+    "rise_time": "cross",
+    "time_to_goal": "cross",
+    "longest_saturation": "cross",
+    "dead_time": "cross",
+}
 """Mark shapes by kind of metric.
 
 Discs mark where a curve comes to rest, squares its extremes, crosses the end or start of a time. A

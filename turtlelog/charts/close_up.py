@@ -56,38 +56,23 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class End:
-    """End of a run.
+    """End of a run."""
 
-    Attributes:
-        run: Number of the run.
-        xy_m: Position of the run's last pose [m].
-        miss_m: Distance from this position to the goal [m].
-        name: Name of the run next to its distance; empty if there is a legend.
-    """
-
-    run: int
-    xy_m: Point
-    miss_m: float
-    name: str = ""
+    run: int  # number of the run
+    xy_m: Point  # position of the run's last pose [m]
+    miss_m: float  # distance from this position to the goal [m]
+    name: str = ""  # name of the run next to its distance; empty if there is a legend
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloseUp:
-    """Content of the close-up.
+    """Content of the close-up."""
 
-    Attributes:
-        goal_xy_m: Position of the goal, at the centre [m].
-        half_m: Half of the close-up's width and height, a round length [m].
-        rings_m: Radii of the rings, round lengths, rising [m].
-        ends: Ends of the runs inside the close-up, nearest first.
-        outside: Number of runs with this goal that end outside.
-    """
-
-    goal_xy_m: Point
-    half_m: float
-    rings_m: tuple[float, ...]
-    ends: tuple[End, ...]
-    outside: int
+    goal_xy_m: Point  # position of the goal, at the centre [m]
+    half_m: float  # half of the close-up's width and height, a round length [m]
+    rings_m: tuple[float, ...]  # radii of the rings, round lengths, rising [m]
+    ends: tuple[End, ...]  # ends of the runs inside the close-up, nearest first
+    outside: int  # number of runs with this goal that end outside
 
     def list_rings(self) -> list[Values]:
         """Return the rings as lines [m], each of shape (n, 2)."""
@@ -128,17 +113,11 @@ class Lettering:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Label:
-    """Text in the close-up.
+    """Text in the close-up."""
 
-    Attributes:
-        text: One or more distances. With names of runs, each has a line, in the order of `runs`.
-        xy_m: Centre of the text [m].
-        runs: Numbers of the runs whose ends it labels; empty for a ring.
-    """
-
-    text: str
-    xy_m: Point
-    runs: tuple[int, ...] = ()
+    text: str  # one or more distances. With names of runs, each has a line, in the order of `runs`
+    xy_m: Point  # centre of the text [m]
+    runs: tuple[int, ...] = ()  # numbers of the runs whose ends it labels; empty for a ring
 
 
 def find_close_up(runs: Sequence[Run]) -> CloseUp | None:

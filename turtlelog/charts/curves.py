@@ -62,21 +62,13 @@ def require_near(runs: Sequence[Run]) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """The values of one quantity of a run, or of its reference.
+    """The values of one quantity of a run, or of its reference."""
 
-    Attributes:
-        start_ns: Time of the first sample in the run's time [ns].
-        time_ns: Times in the run's time [ns], shape (n,).
-        values: Values in deg, m, m/s or rad/s, shape (n,); NaN for gaps.
-        holds: Whether a value is held until the next value.
-        label: Label for the legend, if it differs from the run's label.
-    """
-
-    start_ns: int
-    time_ns: NDArray[np.int64]
-    values: Values
-    holds: bool = False
-    label: str = ""
+    start_ns: int  # time of the first sample in the run's time [ns]
+    time_ns: NDArray[np.int64]  # times in the run's time [ns], shape (n,)
+    values: Values  # values in deg, m, m/s or rad/s, shape (n,); NaN for gaps
+    holds: bool = False  # whether a value is held until the next value
+    label: str = ""  # label for the legend, if it differs from the run's label
 
     @property
     def time_s(self) -> Values:
@@ -86,16 +78,10 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """A constant reference of a signal.
+    """A constant reference of a signal."""
 
-    Attributes:
-        label: Label for a legend.
-        value: Value in the unit of the signal; angles in deg.
-        kind: Kind of the level: the reference, zero, a limit, or a tolerance.
-    """
-
-    label: str
-    value: float
+    label: str  # label for a legend
+    value: float  # value in the unit of the signal; angles in deg
     kind: Literal["target", "zero", "limit", "tolerance"] = "target"
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -15,15 +14,13 @@ from turtlelog.run.loops import ControlLoop
 from turtlelog.theory import compute_step_response
 
 _ALONG: Final = ("along_track",)
-_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "heading": ("heading",),
-        "heading_error": ("heading",),
-        **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), _ALONG),
-        **dict.fromkeys(("world_velocity_x", "world_velocity_y"), _ALONG),
-        "distance": ("along_track", "distance"),
-    }
-)
+_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = {
+    "heading": ("heading",),
+    "heading_error": ("heading",),
+    **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), _ALONG),
+    **dict.fromkeys(("world_velocity_x", "world_velocity_y"), _ALONG),
+    "distance": ("along_track", "distance"),
+}
 """Signals of the loops that determine the ideal response of a curve; along the line, all are
 equal."""
 

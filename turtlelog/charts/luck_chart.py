@@ -48,77 +48,44 @@ WITH_ALL: Final = "with all effects"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LuckLine:
-    """A curve over the starts.
+    """A curve over the starts."""
 
-    Attributes:
-        name: Short label at the right end of the curve; the sentences have the full name.
-        color: Colour of the run, of the removed cause, or of the ghost.
-        kind: `run`: with all effects. `cause`: one cause removed. `ghost`: all causes removed.
-        values: Values in the unit of the picture, shape (n,); NaN if missing.
-        pieces: First and last row of each part without a jump.
-        is_joined: Whether lines join neighbouring values; values of seeds are independent.
-    """
-
-    name: str
-    color: Color
-    kind: str
-    values: Values
-    pieces: tuple[tuple[int, int], ...]
-    is_joined: bool
+    name: str  # short label at the right end of the curve; the sentences have the full name
+    color: Color  # colour of the run, of the removed cause, or of the ghost
+    kind: str  # `run`: with all effects. `cause`: one cause removed. `ghost`: all causes removed
+    values: Values  # values in the unit of the picture, shape (n,); NaN if missing
+    pieces: tuple[tuple[int, int], ...]  # first and last row of each part without a jump
+    is_joined: bool  # whether lines join neighbouring values; values of seeds are independent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LuckPlane:
-    """Ends of the runs relative to the goal.
+    """Ends of the runs relative to the goal."""
 
-    Attributes:
-        title: Title of the picture.
-        half_m: Half of the picture's width and height [m].
-        rings_m: Radii of the rings, round lengths, rising [m].
-        names: Labels of the rings.
-        ends_m: Ends with all effects, relative to the goal [m], shape (n, 2).
-        ghosts_m: Ends without all acting causes, shape (n, 2); empty without such ends.
-        recorded_m: End of the run itself [m], shape (2,).
-        note: How close the ghosts end, in two lines; empty without ghosts.
-    """
-
-    title: str
-    half_m: float
-    rings_m: tuple[float, ...]
-    names: tuple[str, ...]
-    ends_m: Values
-    ghosts_m: Values
-    recorded_m: Values
-    note: str
+    title: str  # title of the picture
+    half_m: float  # half of the picture's width and height [m]
+    rings_m: tuple[float, ...]  # radii of the rings, round lengths, rising [m]
+    names: tuple[str, ...]  # labels of the rings
+    ends_m: Values  # ends with all effects, relative to the goal [m], shape (n, 2)
+    ghosts_m: Values  # ends without all acting causes, shape (n, 2); empty without such ends
+    recorded_m: Values  # end of the run itself [m], shape (2,)
+    note: str  # how close the ghosts end, in two lines; empty without ghosts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LuckPicture:
-    """Content of the picture of chance in a run.
+    """Content of the picture of chance in a run."""
 
-    Attributes:
-        varied: Start headings or seeds: `start` or `seed`.
-        sentences: Result in words, for above the picture.
-        places: Position of each start on the axis [deg], or of each seed, from 1.
-        place_label: Label of the axis of places.
-        value_label: Label of the axis of values.
-        limits: Limits of the axis of values.
-        lines: The curves; the curve with all effects is first.
-        recorded: Position and value of the run itself; None if it has no value.
-        recorded_name: Label of the run's own value.
-        plane: Ends of the runs; None without a goal.
-    """
-
-    varied: str
-    sentences: tuple[str, ...]
-    places: Values
-    place_label: str
-    value_label: str
-    limits: tuple[float, float]
-    lines: tuple[LuckLine, ...]
-    recorded: tuple[float, float] | None
-    recorded_name: str
-    plane: LuckPlane | None
+    varied: str  # start headings or seeds: `start` or `seed`
+    sentences: tuple[str, ...]  # result in words, for above the picture
+    places: Values  # position of each start on the axis [deg], or of each seed, from 1
+    place_label: str  # label of the axis of places
+    value_label: str  # label of the axis of values
+    limits: tuple[float, float]  # limits of the axis of values
+    lines: tuple[LuckLine, ...]  # the curves; the curve with all effects is first
+    recorded: tuple[float, float] | None  # position and value of the run itself; None: no value
+    recorded_name: str  # label of the run's own value
+    plane: LuckPlane | None  # ends of the runs; None without a goal
 
     def find_end(self, line: LuckLine) -> tuple[float, float]:
         """Return the value at the end of a curve; without a value, the lower end of the axis."""

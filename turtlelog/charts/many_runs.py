@@ -50,17 +50,11 @@ _WORDS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainScale:
-    """The number in which many runs differ, with the runs in its order.
+    """The number in which many runs differ, with the runs in its order."""
 
-    Attributes:
-        word: Name of the number: `Kp`, `pause_ticks`.
-        values: Value of each run.
-        unit: Unit of a gain; empty for other numbers, whose keys contain the unit.
-    """
-
-    word: str
-    values: tuple[float, ...]
-    unit: str = ""
+    word: str  # name of the number: `Kp`, `pause_ticks`
+    values: tuple[float, ...]  # value of each run
+    unit: str = ""  # unit of a gain; empty for other numbers, whose keys contain the unit
 
     def name_run(self, number: int) -> str:
         """Return the name of a run in a picture, from the value that the run's colour shows."""
@@ -180,7 +174,8 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     gains = {key for run in runs for key in run.declaration.list_gains()}
     word = ""
     is_of_gain = bool(gains & {*differing}) and all(map(has_one_gain, runs))
-    if is_of_gain and ({*differing} <= gains or _are_apart(runs, min(gains))):
+    is_apart = is_of_gain and len({run.parameters.get(min(gains)) for run in runs}) == len(runs)
+    if is_of_gain and ({*differing} <= gains or is_apart):
         word, differing = "Kp", [min(gains)]
     elif len(differing) == 1:
         word = _WORDS.get(differing[0], differing[0].rpartition(".")[2])
@@ -213,10 +208,6 @@ def find_gain_unit(runs: Sequence[Run], key: str) -> str:
     loops = [loop for run in runs for loop in run.declaration.loops if loop.gain == key]
     units = {loop.gain_unit for loop in loops}
     return units.pop() if len(units) == 1 else ""
-
-
-def _are_apart(runs: Sequence[Run], key: str) -> bool:
-    return len({run.parameters.get(key) for run in runs}) == len(runs)
 
 
 def shorten_run_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ curve determines its colour and dash.
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -188,12 +187,10 @@ def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
     return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
 
-_OF_EVERY_LAW: Final[Mapping[str, Color]] = MappingProxyType(
-    {
-        PAUSE: (140, 70, 20),
-        DONE: (90, 90, 90),
-    }
-)
+_OF_EVERY_LAW: Final[Mapping[str, Color]] = {
+    PAUSE: (140, 70, 20),
+    DONE: (90, 90, 90),
+}
 
 
 _BY_ORDER: Final = (
@@ -266,21 +263,21 @@ MAIN: Final[Color] = choose_run_colors(1)[0]
 Dash = Literal["solid", "dashed", "dotted", "dash-dot"]
 Marker = Literal["up", "diamond", "down", "plus", "star", "left", "right"]
 
-_FIXED: Final["Mapping[CurveKind, Color]"] = MappingProxyType(
-    {
-        "applied": MEASURED,
-        "shaped": SHAPED,
-        "ideal": IDEAL,
-        "aim": IDEAL,
-        "sensed": SENSED,
-        "dropped_out": DROPPED_OUT,
-    }
-)
+_FIXED: Final["Mapping[CurveKind, Color]"] = {
+    "applied": MEASURED,
+    "shaped": SHAPED,
+    "ideal": IDEAL,
+    "aim": IDEAL,
+    "sensed": SENSED,
+    "dropped_out": DROPPED_OUT,
+}
 """Kinds of curves whose colour is the same for every run."""
 
-_DASHES: Final["Mapping[CurveKind, Dash]"] = MappingProxyType(
-    {"ideal": "dotted", "aim": "dash-dot", "shaped": "dash-dot"}
-)
+_DASHES: Final["Mapping[CurveKind, Dash]"] = {
+    "ideal": "dotted",
+    "aim": "dash-dot",
+    "shaped": "dash-dot",
+}
 """Dashes of all kinds of curves except the run's own."""
 
 LIMIT_DASH: Final[Dash] = "dashed"

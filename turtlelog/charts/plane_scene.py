@@ -138,20 +138,12 @@ _INSIDE: Final = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GainEnds:
-    """Ends of the runs of one gain.
+    """Ends of the runs of one gain."""
 
-    Attributes:
-        gain: Gain Kp of the runs.
-        runs: Numbers of the runs, rising.
-        median_xy_m: Median of x and of y [m], shape (2,).
-        outline_xy_m: Corners around the 90 % of the ends nearest to the median [m],
-            counter-clockwise, shape (n, 2).
-    """
-
-    gain: float
-    runs: tuple[int, ...]
-    median_xy_m: Values
-    outline_xy_m: Values
+    gain: float  # gain Kp of the runs
+    runs: tuple[int, ...]  # numbers of the runs, rising
+    median_xy_m: Values  # median of x and of y [m], shape (2,)
+    outline_xy_m: Values  # corners around 90 % of the ends [m], counter-clockwise, shape (n, 2)
 
     @property
     def middle_run(self) -> int:
@@ -288,23 +280,14 @@ def read_way_to_reference(run: Run) -> Values | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorstPlace:
-    """Position of the largest deviation from the tracked path, and the region to show.
+    """Position of the largest deviation from the tracked path, and the region to show."""
 
-    Attributes:
-        run: Number of the run with the largest deviation.
-        xy_m: Position of the robot's pose [m].
-        path_xy_m: Nearest point of the path [m].
-        offset_m: Distance between the pose and this point [m].
-        center_xy_m: Centre of the region: the whole excursion, or its worst part [m].
-        half_m: Half of the region's width and height [m].
-    """
-
-    run: int
-    xy_m: Point
-    path_xy_m: Point
-    offset_m: float
-    center_xy_m: Point
-    half_m: float
+    run: int  # number of the run with the largest deviation
+    xy_m: Point  # position of the robot's pose [m]
+    path_xy_m: Point  # nearest point of the path [m]
+    offset_m: float  # distance between the pose and this point [m]
+    center_xy_m: Point  # centre of the region: the whole excursion, or its worst part [m]
+    half_m: float  # half of the region's width and height [m]
 
 
 def find_worst_place(runs: Sequence[Run]) -> WorstPlace | None:

@@ -107,17 +107,11 @@ class TimePlot:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlottedCurve:
-    """A curve of a run in a plot.
+    """A curve of a run in a plot."""
 
-    Attributes:
-        entry: Entry of the curve.
-        label: Label in the legend of a single run.
-        curve: Values of the curve.
-    """
-
-    entry: CurveEntry
-    label: str
-    curve: Curve
+    entry: CurveEntry  # entry of the curve
+    label: str  # label in the legend of a single run
+    curve: Curve  # values of the curve
 
     @property
     def kind(self) -> CurveKind:
@@ -211,19 +205,12 @@ _MOST_TOGETHER: Final = len(FEW)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateGroup:
-    """States that belong together.
+    """States that belong together."""
 
-    Attributes:
-        title: Title, such as `State lyapunov` or `States of the turn rate`.
-        names: Names of the states in the law's declaration.
-        units: Unit of each state in the law's declaration; empty without a unit.
-        command: Command to which the states belong; None for other states.
-    """
-
-    title: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    command: str | None = None
+    title: str  # title, such as `State lyapunov` or `States of the turn rate`
+    names: tuple[str, ...]  # names of the states in the law's declaration
+    units: tuple[str, ...]  # unit of each state in the law's declaration; empty without a unit
+    command: str | None = None  # command to which the states belong; None for other states
 
     @property
     def label(self) -> str:

@@ -12,7 +12,7 @@ from turtlelog.compare.robot_comparison import SHOWN_UNITS, Quantity
 from turtlelog.display import describe_count
 from turtlelog.errors import ReplayError
 from turtlelog.measure import find_outliers
-from turtlelog.measure.breaks import PoseGap, find_gaps
+from turtlelog.measure.breaks import find_gaps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay.recorded_motion import find_breaks, read_motion
 from turtlelog.run import Run
@@ -21,17 +21,11 @@ from turtlelog.run.loops import COMMAND_UNITS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredRate:
-    """A measured rate without its outliers, and the outliers.
+    """A measured rate without its outliers, and the outliers."""
 
-    Attributes:
-        command: Command that the rate responds to.
-        curve: All other values.
-        outliers: Values that would flatten every other curve. The data keep these values.
-    """
-
-    command: Command
-    curve: Curve
-    outliers: Curve
+    command: Command  # command that the rate responds to
+    curve: Curve  # all other values
+    outliers: Curve  # values that would flatten every other curve. The data keep these values
 
     def name_outliers(self) -> str:
         """Return text on the outliers, of several the largest; empty without outliers."""
@@ -83,8 +77,9 @@ def part_curve(run: Run, curve: Curve) -> Curve:
 
 def find_break_rows(run: Run) -> NDArray[np.int64]:
     """Return the rows of poses before which curves break: at jumps, and after gaps."""
-    gaps = np.array([gap.row for gap in _list_breaking_gaps(run)], dtype=np.int64)
-    return np.unique(np.concatenate([find_jump_rows(run), gaps]))
+    least_ns = min(_find_least_ns(run), _LEAST_NS)
+    gaps = [gap.row for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
+    return np.unique(np.array([*find_jump_rows(run), *gaps], dtype=np.int64))
 
 
 def find_jump_rows(run: Run) -> NDArray[np.int64]:
@@ -143,12 +138,6 @@ _MOST_NAMED: Final = 5
 """Largest number of gaps with text, the longest gaps; more text would cover the curves."""
 
 
-def _list_breaking_gaps(run: Run) -> list[PoseGap]:
-    """Return the gaps in the poses at which curves break."""
-    least_ns = min(_find_least_ns(run), _LEAST_NS)
-    return [gap for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
-
-
 def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
     """Return the longest gaps in the poses that a picture can show, in order of time.
 
@@ -198,21 +187,13 @@ _MOST: Final = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandChange:
-    """A change of a command in one direction, at once or over several commands.
+    """A change of a command in one direction, at once or over several commands."""
 
-    Attributes:
-        begin_s: Time of the change's first command [s].
-        half_s: Time at which the command passes the middle between its levels [s].
-        end_s: Start of the next change, or end of the commands [s].
-        before: Level from which it changes.
-        after: Level to which it changes.
-    """
-
-    begin_s: float
-    half_s: float
-    end_s: float
-    before: float
-    after: float
+    begin_s: float  # time of the change's first command [s]
+    half_s: float  # time at which the command passes the middle between its levels [s]
+    end_s: float  # start of the next change, or end of the commands [s]
+    before: float  # level from which it changes
+    after: float  # level to which it changes
 
     def scale(self, values: Values) -> Values:
         """Return values as the completed fraction of the change: 0 before the change, 1 after."""

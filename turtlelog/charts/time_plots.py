@@ -34,9 +34,10 @@ from turtlelog.charts.robot_curves import part_curve, read_measured
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS
 
-_TOLERANCES: Final[Mapping[str, str]] = MappingProxyType(
-    {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
-)
+_TOLERANCES: Final[Mapping[str, str]] = {
+    "heading_error": "law.heading_tolerance_rad",
+    "distance": "law.position_tolerance_m",
+}
 
 _LIMIT_LABEL: Final = "limit"
 

@@ -38,15 +38,10 @@ class ShownRange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViolationMoment:
-    """One time of a violation.
+    """One time of a violation."""
 
-    Attributes:
-        time_s: Time from the first sample [s].
-        value: Value of the signal at this time, in the unit of the check.
-    """
-
-    time_s: float
-    value: float
+    time_s: float  # time from the first sample [s]
+    value: float  # value of the signal at this time, in the unit of the check
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

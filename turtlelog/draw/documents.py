@@ -5,16 +5,7 @@ from dataclasses import replace
 from itertools import groupby
 from typing import Final
 
-from turtlelog.compare import (
-    Column,
-    Table,
-    format_cell,
-    summarise_run,
-    tabulate_measured,
-    tabulate_runs,
-    tabulate_table1,
-    tabulate_whole_runs,
-)
+from turtlelog import compare
 from turtlelog.compare.run_selection import name_runs
 from turtlelog.display import describe_count
 from turtlelog.draw.table_formats import format_markdown
@@ -51,22 +42,22 @@ def document_runs(
     """
     metrics = [measure_run(run) for run in runs] if metrics is None else metrics
     pairs = zip(runs, metrics, strict=True)
-    summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
+    summaries = [compare.summarise_run(run, metrics=measured) for run, measured in pairs]
     tables = {
-        "Side by side": (_put_ends_first(tabulate_runs(summaries)),),
+        "Side by side": (_put_ends_first(compare.tabulate_runs(summaries)),),
         "Metrics": (
-            tabulate_measured(
+            compare.tabulate_measured(
                 name_runs(runs),
                 choose_essentials(runs, metrics),
                 declarations=[run.declaration for run in runs],
             ),
         ),
-        "Table 1": (tabulate_whole_runs(runs), tabulate_table1(runs)),
+        "Table 1": (compare.tabulate_whole_runs(runs), compare.tabulate_table1(runs)),
     }
     return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}
 
 
-def _put_ends_first(table: Table) -> Table:
+def _put_ends_first(table: compare.Table) -> compare.Table:
     """Return a table of runs with their final position errors directly after the gains.
 
     Next to the pictures there is room for only half of the columns.
@@ -134,7 +125,7 @@ def _head_loop(run: Run, name: str) -> str:
 
 
 def _format_metric(metric: Metric) -> str:
-    value = format_cell(metric.value, Column(title=""))
+    value = compare.format_cell(metric.value, compare.Column(title=""))
     unit = "" if metric.unit == "1" else metric.unit
     at = "" if metric.at_s is None else f"{metric.at_s:.3f}"
     return f"| {_shorten(metric.id)} | {value} | {unit} | {at} |"

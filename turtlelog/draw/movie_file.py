@@ -166,21 +166,13 @@ _SLOWEST: Final = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Film:
-    """The times of a movie's pictures.
+    """The times of a movie's pictures."""
 
-    Attributes:
-        timeline: Timeline of the times.
-        zeros_ns: Zero of the timeline in each run's own time [ns].
-        time_s: Time of each picture on the timeline [s], shape (n,), increasing, then constant.
-        driving: Number of pictures that show the runs driving.
-        pace: Seconds of the runs per second of the movie.
-    """
-
-    timeline: str
-    zeros_ns: tuple[int, ...]
-    time_s: Values
-    driving: int
-    pace: float
+    timeline: str  # timeline of the times
+    zeros_ns: tuple[int, ...]  # zero of the timeline in each run's own time [ns]
+    time_s: Values  # times on the timeline [s], shape (n,), increasing, then constant
+    driving: int  # number of pictures that show the runs driving
+    pace: float  # seconds of the runs per second of the movie
 
 
 def plan_film(

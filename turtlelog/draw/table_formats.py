@@ -10,7 +10,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
-from types import MappingProxyType
 from typing import Final
 
 from turtlelog.compare import Cell, Column, Mark, Table, format_cell
@@ -119,9 +118,12 @@ def format_latex(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
-_FORMATS: Final[Mapping[str, Callable[[Table], str]]] = MappingProxyType(
-    {"txt": format_text, "md": format_markdown, "csv": format_csv, "tex": format_latex}
-)
+_FORMATS: Final[Mapping[str, Callable[[Table], str]]] = {
+    "txt": format_text,
+    "md": format_markdown,
+    "csv": format_csv,
+    "tex": format_latex,
+}
 
 TABLE_FORMATS: Final = tuple(_FORMATS)
 """Formats of tables, named as the suffixes of their files."""
@@ -350,23 +352,17 @@ def _wrap_notes(notes: Sequence[str], width: int) -> Iterator[str]:
 _NARROW_LETTERS: Final = 42
 """Longest row of one of two columns [letters]."""
 
-_MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = MappingProxyType(
-    {
-        "txt": {"best": "{}*", "worst": "{}!"},
-        "md": {"best": "**{}**", "worst": "*{}*"},
-        "tex": {"best": r"\textbf{{{}}}", "worst": r"\textit{{{}}}"},
-    }
-)
+_MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = {
+    "txt": {"best": "{}*", "worst": "{}!"},
+    "md": {"best": "**{}**", "worst": "*{}*"},
+    "tex": {"best": r"\textbf{{{}}}", "worst": r"\textit{{{}}}"},
+}
 """Marks of the best and worst values of a column, by format."""
 
-_LEGENDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "txt": "* best, ! worst of a column.",
-        "md": "**best**, *worst* of a column.",
-        "tex": r"\textbf{best}, \textit{worst} of a column.",
-    }
-)
+_LEGENDS: Final[Mapping[str, str]] = {
+    "txt": "* best, ! worst of a column.",
+    "md": "**best**, *worst* of a column.",
+    "tex": r"\textbf{best}, \textit{worst} of a column.",
+}
 
-_ESCAPES: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
-    {"md": escape_markdown, "tex": _escape_latex}
-)
+_ESCAPES: Final[Mapping[str, Callable[[str], str]]] = {"md": escape_markdown, "tex": _escape_latex}

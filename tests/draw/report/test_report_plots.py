@@ -14,8 +14,8 @@ from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
 from turtlelog.draw.report.drawing import Drawn, Plots
 from turtlelog.draw.report.marked_plots import MOST_MARKED, MOST_VIOLATIONS, RED
-from turtlelog.draw.report.page_plots import Violation, draw_plots
-from turtlelog.draw.report.sections import conclude_runs
+from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.report.sections import CheckLine, conclude_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
@@ -23,7 +23,7 @@ pytest.importorskip("bokeh")
 RECORDINGS = Path(__file__).parents[3] / "recordings" / "paper"
 
 
-def draw(*runs: Run, violations: tuple[Violation, ...] = ()) -> Plots:
+def draw(*runs: Run, violations: tuple[CheckLine, ...] = ()) -> Plots:
     drawn = [
         Drawn(run=run, name=f"run {number}", color=(number, 0, 0))
         for number, run in enumerate(runs)
@@ -35,10 +35,17 @@ def read(gain: int) -> Run:
     return tl.read_run(RECORDINGS / f"kp{gain}.mcap")
 
 
-def violate(run: Run, formula: str) -> Violation:
+def violate(run: Run, formula: str) -> CheckLine:
     (result,) = tl.check_runs(build_spec([formula]), [("kp10.mcap", run)])
     signal = find_violated_signal(run, result).signal
-    return Violation(names=result.names, first_s=result.first_violation_s, run=0, signal=signal)
+    return CheckLine(
+        run="run 0",
+        check=result.check,
+        verdict="FAIL",
+        names=result.names,
+        first_violation_s=result.first_violation_s,
+        signal=signal,
+    )
 
 
 def list_texts(figure: Any) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from turtlelog.draw.rerun.content import Content, find_emptiest_corner
+from turtlelog.draw.rerun.content import Content, find_corners
 from turtlelog.draw.rerun.layout import build_run_layout
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.run_scene import build_single
@@ -54,4 +54,5 @@ def test_legends_stand_where_the_run_of_the_paper_leaves_room() -> None:
 @pytest.mark.parametrize(("level", "corner"), [(0.39, "LeftTop"), (0.41, "LeftBottom")])
 def test_a_legend_takes_two_fifths_of_the_height(level: float, corner: str) -> None:
     values = np.array([0.7, level, level, level, level, 0.05, 0.95, 0.05, 0.95, 0.05])
-    assert find_emptiest_corner(np.arange(10), values, (0.0, 1.0)) == corner
+    curve = Series(entity="x", labels=("x",), time_ns=np.arange(10), values=values[:, np.newaxis])
+    assert find_corners([curve], {"x": (0.0, 1.0)}) == {"x": corner}

@@ -1,7 +1,7 @@
 """Figures for print with matplotlib: the figures of the paper, from any recordings.
 
 `figure_kinds` defines the figures, `figure_curves` and the files of panels draw them, `page` sets
-size and style, `legend` names the contents, and `writing` writes the files.
+size and style, and `writing` writes the files.
 """
 
 from turtlelog.libraries import load_library

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
+from turtlelog import explain
 from turtlelog.charts import attribution_steps
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import Values, find_unit, list_levels, read_curve
@@ -23,15 +23,6 @@ from turtlelog.draw.figures import page
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ShowError
-from turtlelog.explain import (
-    Attribution,
-    Work,
-    attribute_run,
-    choose_metric,
-    identify_run,
-    require_causes,
-    simulate_what_ifs,
-)
 from turtlelog.run import Run
 from turtlelog.run.loops import SIGNAL_WORDS
 
@@ -61,19 +52,12 @@ _CONNECTOR: Final = page.fix_style(color="0.5", linewidth=0.6)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explained:
-    """A run with the causes of its value, and its ghost.
+    """A run with the causes of its value, and its ghost."""
 
-    Attributes:
-        run: Recorded run.
-        found: Attribution, with contributions or with nothing to divide.
-        ghost: The run without all acting causes; None if no cause acts.
-        ghost_name: Causes that the ghost does not have, in words.
-    """
-
-    run: Run
-    found: Attribution
-    ghost: Run | None
-    ghost_name: str = ""
+    run: Run  # recorded run
+    found: explain.Attribution  # attribution, with contributions or with nothing to divide
+    ghost: Run | None  # the run without all acting causes; None if no cause acts
+    ghost_name: str = ""  # causes that the ghost does not have, in words
 
 
 def explain_for_figure(
@@ -91,23 +75,23 @@ def explain_for_figure(
     if len(runs) != 1:
         raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
     (run,) = runs
-    chosen = metric or choose_metric(run.declaration)
-    require_causes(run, chosen, None)
-    identified = identify_run(run)
+    chosen = metric or explain.choose_metric(run.declaration)
+    explain.require_causes(run, chosen, None)
+    identified = explain.identify_run(run)
     if identified.scenario is None:
         reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")
         raise ShowError(f"figure attribution needs a scenario of {run.name}: {reason}")
-    work = Work(report=report)
-    found = attribute_run(run, metric=chosen, identified=identified, work=work)
+    work = explain.Work(report=report)
+    found = explain.attribute_run(run, metric=chosen, identified=identified, work=work)
     if not attribution_steps.list_attribution_steps(found):
         raise ShowError(f"figure attribution needs contributions to {chosen}: {_tell(found)}")
-    ghosts = simulate_what_ifs(identified, found)
+    ghosts = explain.simulate_what_ifs(identified, found)
     name = next(reversed([*ghosts]), "")
     ghost = ghosts.get(name)
     return Explained(run=run, found=found, ghost=ghost, ghost_name=name)
 
 
-def _tell(found: Attribution) -> str:
+def _tell(found: explain.Attribution) -> str:
     """Return why there are no contributions, as one clause."""
     if found.withheld:
         return found.withheld
@@ -206,12 +190,13 @@ def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without {told.ghost_name}"))
     window_s = _find_arrival(told, signal)
+    start_s, end_s = window_s or (-np.inf, np.inf)
     shown: list[Values] = []
     for run, looks, name in lines:
         curve = read_curve(run, signal)
         if curve is not None:
             draw_curve(axes, curve, **looks, label=name)
-            shown.append(curve.values[_find_rows(curve.time_s, window_s)])
+            shown.append(curve.values[(curve.time_s >= start_s) & (curve.time_s <= end_s)])
     values = np.concatenate([*shown, np.zeros(0)])
     if window_s is not None and len(values):
         low, high = float(values.min()), float(values.max())
@@ -220,12 +205,6 @@ def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
     ylabel = f"{words} [{find_unit(told.run, signal)}]"
     axes.set(xlabel=label_time([told.run]), ylabel=ylabel)
     axes.set_title(f"{_name(told)}{'' if window_s is None else ', the last tenth of the step'}")
-
-
-def _find_rows(time_s: Values, window_s: tuple[float, float] | None) -> NDArray[np.bool_]:
-    if window_s is None:
-        return np.ones(len(time_s), dtype=bool)
-    return (time_s >= window_s[0]) & (time_s <= window_s[1])
 
 
 def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
@@ -266,13 +245,15 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
     if goal is not None:
         axes.plot(*goal, "+", ms=9.0, mew=1.6, color="black", zorder=2.8)
         place.avoid_point(goal, _GOAL_MM)
+    # The distance has the decimals of the waterfall if the waterfall shows it.
+    is_shown = told.found.metric == "final.position_error"
+    scale = attribution_steps.choose_step_scale(told.found)
+    tell = scale.format_value if is_shown else format_length
     for run, looks, name in lines:
         end = run.poses.xy_m[-1]
         axes.plot(*end, "o", ms=4.5, color=looks["color"], zorder=3, mec="white", mew=0.5)
         if (np.abs(end - place.center) <= place.half).all():
-            miss = (
-                "" if goal is None else f"\n{_tell_miss(told, float(np.hypot(*(end - goal))))} off"
-            )
+            miss = "" if goal is None else f"\n{tell(float(np.hypot(*(end - goal))))} off"
             color = looks["color"] if run is told.run else "0.35"
             place_words(axes, place, f"{name}{miss}", end, color, _WORDS_POINTS)
     for ring_m in () if close_up is None else close_up.rings_m:
@@ -301,16 +282,6 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Word
     share = 0.16 if width_inch >= page.SIDE_BY_SIDE_INCH else 0.29
     half_mm = np.full(2, 25.4 * share * width_inch)
     return WordSpace(center=center, half=np.full(2, half_m), half_mm=half_mm)
-
-
-def _tell_miss(told: Explained, miss_m: float) -> str:
-    """Return a distance to the goal as text.
-
-    If the waterfall shows `final.position_error`, the text has the decimals of the waterfall.
-    """
-    if told.found.metric == "final.position_error":
-        return attribution_steps.choose_step_scale(told.found).format_value(miss_m)
-    return format_length(miss_m)
 
 
 def _name(told: Explained) -> str:

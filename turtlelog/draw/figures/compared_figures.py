@@ -30,7 +30,7 @@ from turtlelog.draw.figures.rates_figure import draw_rates
 from turtlelog.draw.figures.writing import require_figure_path, write_figure
 from turtlelog.errors import ShowError
 from turtlelog.explain import ExplainedDifference
-from turtlelog.identify import AxisModel, AxisTraces, RobotModel
+from turtlelog.identify import AxisTraces, RobotModel
 from turtlelog.run import Run
 
 _LINE_INCH = 0.27
@@ -82,17 +82,14 @@ def write_robot_figure(
     """
     path = require_figure_path(path)
     if not any(axis.is_known for axis in model.axes):
-        raise ShowError(f"{path}: no axis was identified: {_tell(model.axes)}")
+        reasons = "; ".join(axis.reason for axis in model.axes)
+        raise ShowError(f"{path}: no axis was identified: {reasons}")
     page = page or Page(kind="page")
     with use_looks():
         figure = Figure(figsize=(page.width_inch, page.width_inch), layout="constrained")
         draw_rates(figure, [run], model=model)
         add_legend(figure)
     return write_figure(figure, path, page)
-
-
-def _tell(axes: tuple[AxisModel, ...]) -> str:
-    return "; ".join(axis.reason for axis in axes)
 
 
 _HEIGHT: Final = 1.0

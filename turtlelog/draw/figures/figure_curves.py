@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
 from numpy.typing import NDArray
 
+from turtlelog import theory
 from turtlelog.charts.curves import (
     BEARING_NOW,
     MOST_POINTS,
@@ -30,14 +31,6 @@ from turtlelog.charts.many_runs import find_color_scale
 from turtlelog.charts.palette import FEW, LOOP_DASHES
 from turtlelog.draw.figures import page
 from turtlelog.run import Run
-from turtlelog.theory import (
-    PLANT_INPUTS,
-    compute_closed_loop_response,
-    compute_plant_response,
-    compute_root_locus,
-    compute_settling_time,
-    find_plant_final_value,
-)
 
 _MOST_SWINGS: Final = 8.0
 """Largest path of a curve up and down, relative to its height. Along a longer path, the marks would
@@ -55,17 +48,11 @@ _LAST_S: Final = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pole:
-    """The poles of a closed loop, drawn as dots.
+    """The poles of a closed loop, drawn as dots."""
 
-    Attributes:
-        values: Poles in the s plane [1/s] or the z plane, shape (n,).
-        looks: Colour and marker of the run.
-        label: Label in the legend.
-    """
-
-    values: NDArray[np.complex128]
-    looks: Mapping[str, Any]
-    label: str
+    values: NDArray[np.complex128]  # poles in the s plane [1/s] or the z plane, shape (n,)
+    looks: Mapping[str, Any]  # colour and marker of the run
+    label: str  # label in the legend
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
@@ -120,9 +107,9 @@ def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
 def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
     """Draw the response of the plant 1/s to an impulse, a step and a ramp."""
     time_s = np.linspace(0.0, _LAST_S, 201)
-    for axes, kind in zip(figure.subplots(1, 3), PLANT_INPUTS, strict=True):
-        axes.plot(time_s, compute_plant_response(kind, time_s), **page.choose_lines(1)[0])
-        end = "unbounded" if find_plant_final_value(kind).value is None else "bounded"
+    for axes, kind in zip(figure.subplots(1, 3), theory.PLANT_INPUTS, strict=True):
+        axes.plot(time_s, theory.compute_plant_response(kind, time_s), **page.choose_lines(1)[0])
+        end = "unbounded" if theory.find_plant_final_value(kind).value is None else "bounded"
         axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
     figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
 
@@ -130,7 +117,7 @@ def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: 
 def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the closed loop's step response for each gain, with the 2 % band and 4 tau marked."""
     axes, gains = figure.subplots(), find_gains(runs)
-    last_s = 1.25 * compute_settling_time(min(gains))
+    last_s = 1.25 * theory.compute_settling_time(min(gains))
     time_s = np.linspace(0.0, last_s, 601)
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **page.REFERENCE)
@@ -140,10 +127,10 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     )
     for gain, name in zip(gains, names, strict=True):
         looks = styled[gain]
-        values = compute_closed_loop_response(gain, time_s)
+        values = theory.compute_closed_loop_response(gain, time_s)
         axes.plot(time_s, values, label=name, **looks)
-        settled_s = compute_settling_time(gain)
-        level = compute_closed_loop_response(gain, [0.0, settled_s])[-1]
+        settled_s = theory.compute_settling_time(gain)
+        level = theory.compute_closed_loop_response(gain, [0.0, settled_s])[-1]
         axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"])
     axes.plot([], [], "o", ms=3.5, color="0.35", label="4 τ")
     axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
@@ -163,7 +150,7 @@ def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
     left = 1.25 * min(float(pole.values.real.min()) for pole in poles)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
     axes.text(-0.12 * left, 0.6, "unstable", ha="center", fontsize=7.0, color="0.4")
-    branch = compute_root_locus([0.0, -left])
+    branch = theory.compute_root_locus([0.0, -left])
     axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
     axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
     draw_poles(axes, poles)
@@ -175,7 +162,7 @@ def list_paper_poles() -> list[Pole]:
     """Return the poles of the ideal loops for the gains of the paper."""
     styled = zip(PAPER_GAINS, page.choose_lines(len(PAPER_GAINS)), strict=True)
     return [
-        Pole(values=compute_root_locus([kp]), looks=looks, label=f"Kp = {kp:g}")
+        Pole(values=theory.compute_root_locus([kp]), looks=looks, label=f"Kp = {kp:g}")
         for kp, looks in styled
     ]
 
@@ -310,8 +297,8 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
         Labels in the bar, which the legend need not repeat.
     """
     names = page.label_runs(runs)
-    drawn = [axes for axes in figure.axes if _names_all(axes.get_legend_handles_labels()[1], names)]
-    if len(runs) <= len(FEW) or not drawn:
+    named = [{*names} & {*axes.get_legend_handles_labels()[1]} for axes in figure.axes]
+    if len(runs) <= len(FEW) or all(len(found) <= len(FEW) for found in named):
         return frozenset()
     count = len(runs)
     colors = ListedColormap(page.color_runs(runs))
@@ -337,7 +324,3 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
         bar.set_ticks(places, labels=labels)
         bar.set_label(f"{scale.word} of {count} runs{f' [{scale.unit}]' if scale.unit else ''}")
     return frozenset(names)
-
-
-def _names_all(labels: Sequence[str], names: Sequence[str]) -> bool:
-    return len({*names} & {*labels}) > len(FEW)

@@ -17,6 +17,7 @@ from turtlelog.charts.robot_curves import lack_samples
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.display import NamedValues
+from turtlelog.draw.figures import time_panels
 from turtlelog.draw.figures.attribution_figure import draw_attribution
 from turtlelog.draw.figures.figure_curves import draw_plant_responses, draw_step_responses
 from turtlelog.draw.figures.gain_figure import draw_gains
@@ -37,11 +38,6 @@ from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.draw.figures.rates_figure import draw_rates
 from turtlelog.draw.figures.sampled_loops import draw_bode, draw_nyquist, draw_root_locus, draw_step
 from turtlelog.draw.figures.strip_figure import draw_strips
-from turtlelog.draw.figures.time_panels import (
-    draw_overview,
-    draw_states,
-    draw_time_plot,
-)
 from turtlelog.draw.figures.violation_figure import draw_violation
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
@@ -61,7 +57,7 @@ def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = Non
     return Panel(
         name=plot.title,
         needs=plot.needs,
-        draw=partial(draw_time_plot, name=name, scale=scale),
+        draw=partial(time_panels.draw_time_plot, name=name, scale=scale),
         plot=name,
         loop=plot.loop,
         is_usual=plot.is_usual if is_usual is None else is_usual,
@@ -80,7 +76,7 @@ def _track() -> Panel:
 
 def _draw_track(axes: Axes, runs: Sequence[Run]) -> None:
     follows = all(read_along_error(run) is not None for run in runs)
-    draw_time_plot(axes, runs, name="along_track_error" if follows else "along_track")
+    time_panels.draw_time_plot(axes, runs, name="along_track_error" if follows else "along_track")
 
 
 def list_state_panels(
@@ -103,7 +99,7 @@ def list_state_panels(
             names = [acting] if group.can_share(acting, columns) else names
         for shown in names:
             label = shown[0] if len(shown) == 1 else group.label[0].lower() + group.label[1:]
-            draw = partial(draw_states, names=shown, label=label)
+            draw = partial(time_panels.draw_states, names=shown, label=label)
             panels.append(Panel(name=label, needs="states", draw=draw, is_usual=False))
     return tuple(panels[:most])
 
@@ -239,7 +235,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
             _panel("speed"),
         ),
         list_more=lambda runs: list_state_panels(runs, of_commands=True) if len(runs) == 1 else (),
-        arrange=draw_overview,
+        arrange=time_panels.draw_overview,
     ),
 }
 

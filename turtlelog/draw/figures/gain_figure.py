@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from turtlelog import theory
 from turtlelog.charts.curves import Values
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.many_runs import cut_alike
@@ -20,13 +21,6 @@ from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop
-from turtlelog.theory import (
-    PidGains,
-    Process,
-    compute_saturated_settling_time,
-    compute_settling_time,
-    find_stable_gains,
-)
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 
 _MOST_LINES: Final = 3
@@ -113,23 +107,14 @@ def draw_gains(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainLimits:
-    """Theory's limits of Kp for one timing.
+    """Theory's limits of Kp for one timing."""
 
-    Attributes:
-        dead_time_s: Total dead time of the loop [s].
-        period_s: Sampling period of the loop [s].
-        overshoot: Kp above which the loop overshoots [1/s]; None if the loop is not proportional.
-        stability: Kp above which the loop is unstable [1/s]; None if no Kp is stable.
-        design: Loop for computing responses.
-        gains: Gains of one of the runs, for which the limits of Kp are valid.
-    """
-
-    dead_time_s: float
-    period_s: float
-    overshoot: float | None
-    stability: float | None
-    design: LoopDesign
-    gains: PidGains
+    dead_time_s: float  # total dead time of the loop [s]
+    period_s: float  # sampling period of the loop [s]
+    overshoot: float | None  # Kp above which it overshoots [1/s]; None: not proportional
+    stability: float | None  # Kp above which it is unstable [1/s]; None: no Kp is stable
+    design: LoopDesign  # loop for computing responses
+    gains: theory.PidGains  # gains of one of the runs, for which the limits of Kp are valid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,11 +268,11 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: strip_figure.MetricValues) 
     gains = np.geomspace(max(left, 1e-3 * right), right, _GAINS)
     if found.name == "settling_time":
         if loop.limits and not (loop.limits[0].gains.ki or loop.limits[0].gains.kd):
-            times_s = [compute_settling_time(float(gain)) for gain in gains]
+            times_s = [theory.compute_settling_time(float(gain)) for gain in gains]
             axes.plot(gains, times_s, **_THEORY, label="ideal loop: 4 τ")
         if loop.step is not None:
             size, limit = loop.step
-            settle = partial(compute_saturated_settling_time, step=size, limit=limit)
+            settle = partial(theory.compute_saturated_settling_time, step=size, limit=limit)
             times_s = [settle(float(gain)) for gain in gains]
             axes.plot(gains, times_s, **_LIMITED, label="ideal loop, limited")
     elif found.name == "overshoot":
@@ -367,14 +352,14 @@ def _read_gain(loop: ControlLoop | None, run: Run) -> float:
     return math.nan if gain is None or gain <= 0.0 else float(gain)
 
 
-def _compute_limits(pid: PidGains, process: Process, period_s: float) -> GainLimits:
+def _compute_limits(pid: theory.PidGains, process: theory.Process, period_s: float) -> GainLimits:
     design = LoopDesign(process=process, period_s=period_s, filter_s=pid.filter_s)
     is_proportional = not pid.ki and not pid.kd
     overshoot = find_p_without_overshoot(design) if is_proportional else None
     if is_proportional:
         stability: float | None = design.find_ultimate_gain()
     else:
-        ranges = find_stable_gains(pid, period_s=period_s, process=process)
+        ranges = theory.find_stable_gains(pid, period_s=period_s, process=process)
         stability = ranges[-1][1] if ranges else None
     return GainLimits(
         dead_time_s=process.dead_time_s,

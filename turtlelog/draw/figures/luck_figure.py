@@ -9,14 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from turtlelog.charts import palette
-from turtlelog.charts.luck_chart import (
-    LuckLine,
-    LuckPicture,
-    LuckPlane,
-    build_luck_picture,
-    spread_labels,
-)
+from turtlelog.charts import luck_chart, palette
 from turtlelog.draw.figures.page import SIDE_BY_SIDE_INCH, to_rgb
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ExplainError, ShowError
@@ -78,7 +71,7 @@ def draw_luck(figure: Figure, runs: Sequence[Run], *, luck: Luck | None = None) 
 
     The values are by default those of `measure_luck_for_figure`.
     """
-    shown = build_luck_picture(luck or measure_luck_for_figure(runs))
+    shown = luck_chart.build_luck_picture(luck or measure_luck_for_figure(runs))
     width = float(figure.get_figwidth())
     title = _wrap(shown.sentences, 25.4 * (0.98 * width - 0.1))
     head = (len(title.split("\n")) + 0.5) * _LINE_INCH
@@ -118,7 +111,7 @@ def _break_lines(text: str, width_mm: float) -> list[str]:
     return lines
 
 
-def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
+def _draw_curves(axes: Axes, shown: luck_chart.LuckPicture, height_inch: float) -> None:
     ends = []
     for number, line in enumerate(shown.lines):
         color, zorder = _choose_color(line), 3.0 - 0.1 * number
@@ -138,7 +131,7 @@ def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
     axes.set(ylim=shown.limits, xlim=(shown.places[0] - gap, right + gap))
     axes.set(xlabel=shown.place_label, ylabel=shown.value_label)
     height = (shown.limits[1] - shown.limits[0]) * _LABEL_INCH / height_inch
-    places = spread_labels([end[1] for end in ends], height, shown.limits)
+    places = luck_chart.spread_labels([end[1] for end in ends], height, shown.limits)
     for line, end, place in zip(shown.lines, ends, places, strict=True):
         words = _darken(line)
         leader: dict[str, Any] = {"color": words, "lw": 0.5, "clip_on": False, "zorder": 1.5}
@@ -149,7 +142,9 @@ def _draw_curves(axes: Axes, shown: LuckPicture, height_inch: float) -> None:
         )
 
 
-def _mark_recorded(axes: Axes, shown: LuckPicture, recorded: tuple[float, float]) -> None:
+def _mark_recorded(
+    axes: Axes, shown: luck_chart.LuckPicture, recorded: tuple[float, float]
+) -> None:
     """Mark the run itself, with text on the side of the curve that has more room."""
     color = _choose_color(shown.lines[0])
     axes.plot(*recorded, "o", ms=6.0, color=color, mec="white", mew=0.6, zorder=3.5)
@@ -170,17 +165,17 @@ def _mark_recorded(axes: Axes, shown: LuckPicture, recorded: tuple[float, float]
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})
 
 
-def _choose_color(line: LuckLine) -> tuple[float, ...]:
+def _choose_color(line: luck_chart.LuckLine) -> tuple[float, ...]:
     return _GHOST if line.kind == "ghost" else to_rgb(line.color)
 
 
-def _darken(line: LuckLine) -> tuple[float, ...]:
+def _darken(line: luck_chart.LuckLine) -> tuple[float, ...]:
     if line.kind == "ghost":
         return _GHOST_WORDS
     return tuple(_DARKER * part for part in to_rgb(line.color))
 
 
-def _draw_plane(axes: Axes, plane: LuckPlane, side_inch: float) -> None:
+def _draw_plane(axes: Axes, plane: luck_chart.LuckPlane, side_inch: float) -> None:
     """Draw the ends around the goal, and rings for scale."""
     half = plane.half_m
     place = WordSpace(

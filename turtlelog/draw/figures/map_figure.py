@@ -199,17 +199,11 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColorScale:
-    """Colours of the values of one metric.
+    """Colours of the values of one metric."""
 
-    Attributes:
-        norm: Mapping from values to 0 to 1.
-        colors: Colours of 0 to 1.
-        extend: Pointed ends of the bar: `neither`, `min`, `max` or `both`.
-    """
-
-    norm: Normalize
-    colors: Colormap
-    extend: str
+    norm: Normalize  # mapping from values to 0 to 1
+    colors: Colormap  # colours of 0 to 1
+    extend: str  # pointed ends of the bar: `neither`, `min`, `max` or `both`
 
 
 def _add_bar(axes: Axes, drawn: Any, scale: ColorScale) -> None:
@@ -332,19 +326,12 @@ a tenth of the colours."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ValueRange:
-    """Mapping of values to colours.
+    """Mapping of values to colours."""
 
-    Attributes:
-        low: Value of the first colour.
-        high: Value of the last colour; greater than `low`.
-        is_logarithmic: Whether the scale is logarithmic.
-        extend: Ends beyond which values exist: `neither`, `min`, `max` or `both`.
-    """
-
-    low: float
-    high: float
-    is_logarithmic: bool = False
-    extend: str = "neither"
+    low: float  # value of the first colour
+    high: float  # value of the last colour; greater than `low`
+    is_logarithmic: bool = False  # whether the scale is logarithmic
+    extend: str = "neither"  # ends beyond which values exist: `neither`, `min`, `max` or `both`
 
 
 def find_value_range(values: Values) -> ValueRange:

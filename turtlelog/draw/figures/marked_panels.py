@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -56,7 +55,7 @@ _MOMENTS: Final = frozenset({"settling_time", "time_to_goal", "position_error"})
 _SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "o", "square": "s", "cross": "x"}
 """Mark shapes of matplotlib."""
 
-_OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "heading"})
+_OF_ERRORS: Final[Mapping[str, str]] = {"heading_error": "heading"}
 """Error curves that also show the characteristics of a loop's signal."""
 
 
@@ -150,17 +149,13 @@ def choose_marks(signal: str, marks: Sequence[Characteristic]) -> list[Character
 
 def _mark_run(panel: _Marked, marks: Sequence[Characteristic]) -> Iterator[_Told]:
     for mark in marks:
-        shown = replace(mark, value=panel.read(mark.at_s)) if _is_end(panel, mark) else mark
+        is_end = mark.kind == "position_error" and str(panel.axes.get_label()) in _COORDINATES
+        # The mark at the end of a coordinate shows the value instead of the distance.
+        shown = replace(mark, value=panel.read(mark.at_s)) if is_end else mark
         draw = _DRAWN.get(mark.kind)
         text = draw(panel, shown, marks) if draw is not None else ""
         if text:
             yield shown, text
-
-
-def _is_end(panel: _Marked, mark: Characteristic) -> bool:
-    """Return whether a mark at the end of a coordinate shows the value instead of the distance."""
-    is_coordinate = str(panel.axes.get_label()) in _COORDINATES
-    return is_coordinate and mark.kind == "position_error"
 
 
 def _word(panel: _Marked, mark: Characteristic, text: str) -> Word:

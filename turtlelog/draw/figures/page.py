@@ -127,17 +127,15 @@ STROKES: Final[Mapping[Dash, Any]] = MappingProxyType(
 )
 """Dashes of matplotlib, in multiples of the line's width."""
 
-_MARKERS: Final[Mapping[Marker, tuple[str, float]]] = MappingProxyType(
-    {
-        "up": ("^", 4.6),
-        "diamond": ("D", 3.6),
-        "down": ("v", 4.6),
-        "plus": ("P", 4.8),
-        "star": ("*", 6.0),
-        "left": ("<", 4.6),
-        "right": (">", 4.6),
-    }
-)
+_MARKERS: Final[Mapping[Marker, tuple[str, float]]] = {
+    "up": ("^", 4.6),
+    "diamond": ("D", 3.6),
+    "down": ("v", 4.6),
+    "plus": ("P", 4.8),
+    "star": ("*", 6.0),
+    "left": ("<", 4.6),
+    "right": (">", 4.6),
+}
 """Markers of matplotlib, with sizes at which they look equally large [points]."""
 
 _MARK_EVERY: Final = 0.24

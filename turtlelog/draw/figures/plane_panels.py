@@ -225,7 +225,8 @@ def _show_worst(
     """Show the largest deviation from the path, with its size."""
     center, color = np.array(worst.center_xy_m), page.color_runs(runs)[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
-    _draw_worst_place(axes, worst, color)
+    ends = np.array([worst.path_xy_m, worst.xy_m])
+    axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
     _write(axes, plane_scene.label_worst_place(worst, lettering), color)
     axes.set(title="furthest off the path", ylabel="")
     axes.locator_params(nbins=5)
@@ -308,12 +309,6 @@ def _draw_ways_to_reference(axes: Axes, runs: Sequence[Run]) -> None:
     starts_m, gaps = run.poses.xy_m[rows], np.full((len(rows), 2), np.nan)
     lines = np.stack([starts_m, starts_m + ways_m[rows], gaps], axis=1).reshape(-1, 2)
     axes.plot(*lines.T, **_WAY, label=f"to the reference, every {step_s:g} s")
-
-
-def _draw_worst_place(axes: Axes, worst: plane_scene.WorstPlace, color: Any) -> None:
-    """Draw the largest deviation from the path of all runs, in the colour of its run."""
-    ends = np.array([worst.path_xy_m, worst.xy_m])
-    axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
 
 
 def _choose_step(duration_s: float) -> float:

@@ -4,13 +4,14 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from turtlelog.charts.curves import Curve, Values, read_applied, read_command
+from turtlelog import identify
+from turtlelog.charts.curves import Command, Curve, Values, read_applied, read_command
 from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
@@ -26,17 +27,6 @@ from turtlelog.draw.figures.page import (
     label_runs,
 )
 from turtlelog.errors import ShowError
-from turtlelog.identify import (
-    AxisModel,
-    AxisTraces,
-    Estimate,
-    RobotModel,
-    format_delay,
-    format_gain,
-    identify_robot,
-    predict_axis,
-    trace_axis,
-)
 from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
@@ -77,20 +67,22 @@ class DrawnAxis:
         model: Result of the identification, or the reason why it is missing.
         brackets: Meaning of the values in brackets.
         command: Held command.
-        measured: Measured rate of the robot; None if the rate is unknown.
+        measured: Measured rate of the robot; None if unknown.
         traces: Measured rate and model, if a model is known.
         outliers_s: End times of steps that the fit left out, shape (m,).
     """
 
-    model: AxisModel
+    model: identify.AxisModel
     brackets: str
     command: Curve
     measured: tuple[Values, Values] | None
-    traces: AxisTraces | None
+    traces: identify.AxisTraces | None
     outliers_s: Values = field(default_factory=lambda: np.empty(0))
 
 
-def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None = None) -> None:
+def draw_rates(
+    figure: Figure, runs: Sequence[Run], *, model: identify.RobotModel | None = None
+) -> None:
     """Draw commands and measured rates of one run, with its model by `identify_robot`.
 
     Raises:
@@ -99,7 +91,7 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
     if len(runs) != 1:
         raise ShowError(f"figure rates: expected one recording, found {len(runs)}")
     (run,) = runs
-    model = identify_robot([run]) if model is None else model
+    model = identify.identify_robot([run]) if model is None else model
     drawn = [found for axis in model.axes if (found := _read_axis(axis, model, run)) is not None]
     if not drawn:
         raise ShowError("figure rates needs commands that are not always 0")
@@ -137,21 +129,17 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
 
 def lacks_commands(run: Run) -> bool:
     """Return whether the run has no command that the robot could follow."""
-    return not any(_is_driven(run, name) for name in COMMAND_WORDS)
+    curves = [read_command(run, name) for name in get_args(Command)]
+    return not any(curve is not None and np.any(curve.values) for curve in curves)
 
 
-def _is_driven(run: Run, name: str) -> bool:
-    curve = read_command(run, name)  # type: ignore[arg-type]
-    return curve is not None and bool(np.any(curve.values))
-
-
-def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None:
+def _read_axis(axis: identify.AxisModel, model: identify.RobotModel, run: Run) -> DrawnAxis | None:
     command = read_command(run, axis.axis)
     if command is None or not np.any(command.values):
         return None
     drawn = partial(DrawnAxis, model=axis, brackets=model.brackets, command=command)
     if axis.is_known:
-        traces = trace_axis(axis, run)
+        traces = identify.trace_axis(axis, run)
         measured = (traces.time_s - run.start_ns / 1e9, traces.measured)
         outliers = [event.time_s for event in model.events if event.axis == axis.axis]
         return drawn(measured=measured, traces=traces, outliers_s=np.array(outliers))
@@ -243,7 +231,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
             _draw_followed(axes, change, *_read_fine(one, run), (from_s, until_s), **_EACH)
         if one.traces is not None:
             fine_s = np.linspace(from_s, until_s, _FINE)
-            _, rate = predict_axis(one.model, run, fine_s + run.start_ns / 1e9)
+            _, rate = identify.predict_axis(one.model, run, fine_s + run.start_ns / 1e9)
             looks = {**MODELLED, "linewidth": 0.9, "zorder": 2.4}
             _draw_followed(axes, change, fine_s, rate, (from_s, until_s), **looks)
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
@@ -275,7 +263,7 @@ def _draw_followed(
     axes.plot(time_s[rows] - change.half_s, change.scale(values[rows]), **looks)
 
 
-def _draw_interval(axes: Axes, dead_time: Estimate) -> None:
+def _draw_interval(axes: Axes, dead_time: identify.Estimate) -> None:
     """Draw the interval of the dead time's end, at the upper edge."""
     if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
         return
@@ -299,7 +287,7 @@ def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
     return time_s[:-1] + 0.5 * apart_s - run.start_ns / 1e9, moved / apart_s
 
 
-def _read(found: Estimate | None) -> float:
+def _read(found: identify.Estimate | None) -> float:
     return 0.0 if found is None else max(found.value, 0.0)
 
 
@@ -310,13 +298,13 @@ def tell_model(one: DrawnAxis, changes: int) -> str:
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
         return told
     delays = f"dead time {_tell_ms(model.dead_time_s)}, time constant {_tell_ms(model.lag_s)}"
-    return f"{told}, gain {format_gain(model.gain)}\n{delays}\nin brackets: {one.brackets}"
+    return f"{told}, gain {identify.format_gain(model.gain)}\n{delays}\nin brackets: {one.brackets}"
 
 
-def _tell_ms(found: Estimate) -> str:
+def _tell_ms(found: identify.Estimate) -> str:
     if found.high - found.low < _EXACT_S:
         return f"{1e3 * found.value:.3g} ms"
-    value, _, interval = format_delay(found).partition(" ")
+    value, _, interval = identify.format_delay(found).partition(" ")
     return f"{value} ms {interval}"
 
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
+from turtlelog import theory
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
@@ -23,15 +24,6 @@ from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, fi
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
-from turtlelog.theory import (
-    LoopModel,
-    PidLoop,
-    compute_open_loop,
-    compute_pid_locus,
-    compute_pid_poles,
-    compute_pid_step_response,
-    list_known,
-)
 
 _POINTS: Final = 600
 """Number of points of each frequency response: 3 per millimetre of a column."""
@@ -95,8 +87,8 @@ class _LoopCurve:
     run: str  # name of the run; empty if there is only one
     is_many: bool  # whether a colour bar names the runs, because there are many
     layer: int  # index of the loop in its law; loop 0 is on top
-    model: LoopModel  # model of the loop in theory
-    found: PidLoop  # properties of the loop
+    model: theory.LoopModel  # model of the loop in theory
+    found: theory.PidLoop  # properties of the loop
     run_looks: Mapping[str, Any]  # colour and marker of the run
 
     @property
@@ -127,7 +119,7 @@ class _LoopCurve:
         verdict = "" if self.found.stable else " (unstable)"
         return f"Kp = {self.found.gains.kp:g}{verdict}"
 
-    def label(self, tell: Callable[[PidLoop], str]) -> str:
+    def label(self, tell: Callable[[theory.PidLoop], str]) -> str:
         """Return a legend entry: the run, the loop, and the text of `tell`."""
         if self.is_many:
             return self.run
@@ -137,7 +129,7 @@ class _LoopCurve:
 def find_lack_of_theory(runs: Sequence[Run]) -> str:
     """Return why theory has no loop; empty if it has a loop."""
     models = [model for run in runs for model in model_run_loops(run)]
-    if list_known(models):
+    if theory.list_known(models):
         return ""
     reasons = [model.reason for model in models]
     return f"a loop that theory knows ({reasons[0]})" if reasons else "a law that declares a loop"
@@ -286,7 +278,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     for curve, label in zip(curves, _name_loops(axes, curves, _tell_step), strict=True):
         gains, settings = curve.model.require()
         count = min(math.ceil(last_s / curve.found.period_s) + 2, _MOST_SAMPLES)
-        values = _cut_where_far(compute_pid_step_response(gains, count, **settings))
+        values = _cut_where_far(theory.compute_pid_step_response(gains, count, **settings))
         time_s = np.arange(count) * curve.found.period_s
         axes.plot(time_s, values, label=label, **curve.looks)
         highest = max(highest, min(float(np.nanmax(values)), 1.0 + _FAR))
@@ -297,7 +289,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
 
 def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
     """Return the loops of runs that theory knows. Runs differ in colour, loops in dashes."""
-    known = [list_known(model_run_loops(run)) for run in runs]
+    known = [theory.list_known(model_run_loops(run)) for run in runs]
     loops = dict.fromkeys(model.loop.name for models in known for model in models)
     layers = {name: layer for layer, name in enumerate(loops)}
     return [
@@ -321,7 +313,7 @@ def _name_styled(runs: Sequence[Run]) -> list[str]:
 
 
 def _name_loops(
-    axes: Axes, curves: Sequence[_LoopCurve], tell: Callable[[PidLoop], str]
+    axes: Axes, curves: Sequence[_LoopCurve], tell: Callable[[theory.PidLoop], str]
 ) -> list[str | None]:
     """Return the legend text of each loop; for many runs, only the dashes of each loop."""
     labels = [curve.label(tell) for curve in curves]
@@ -332,7 +324,7 @@ def _name_loops(
     return list(labels)
 
 
-def _tell_margins(found: PidLoop) -> str:
+def _tell_margins(found: theory.PidLoop) -> str:
     """Return the margins as short legend text."""
     margins = found.margins
     if margins is None:
@@ -345,7 +337,7 @@ def _tell_margins(found: PidLoop) -> str:
     return ", ".join(words) or "stable"
 
 
-def _tell_step(found: PidLoop) -> str:
+def _tell_step(found: theory.PidLoop) -> str:
     """Return overshoot and settling time as short legend text."""
     if not found.stable:
         return "unstable"
@@ -356,7 +348,7 @@ def _tell_step(found: PidLoop) -> str:
     return f"{overshoot}, settles in {found.settling_time_s:.3g} s"
 
 
-def _list_frequencies(found: PidLoop) -> Values:
+def _list_frequencies(found: theory.PidLoop) -> Values:
     """Return frequencies [rad/s] around the crossover, up to pi / T."""
     highest = math.pi / found.period_s
     crossover = found.gains.kp * found.process.gain
@@ -366,9 +358,9 @@ def _list_frequencies(found: PidLoop) -> Values:
     return np.geomspace(lowest, highest, _POINTS)
 
 
-def _respond(model: LoopModel, frequencies: Values) -> NDArray[np.complex128]:
+def _respond(model: theory.LoopModel, frequencies: Values) -> NDArray[np.complex128]:
     gains, settings = model.require()
-    return compute_open_loop(gains, frequencies, **settings)
+    return theory.compute_open_loop(gains, frequencies, **settings)
 
 
 def _unwrap_degrees(values: NDArray[np.complex128]) -> Values:
@@ -443,10 +435,10 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
     highest = 1.5 * max(limit, *(curve.found.gains.kp for curve in group))
     _draw_unit_circle(axes)
     rising = np.geomspace(1e-3 * highest, highest, _GAINS).tolist()
-    locus = compute_pid_locus(gains, rising, **settings)
+    locus = theory.compute_pid_locus(gains, rising, **settings)
     axes.plot(locus.real, locus.imag, ".", color="0.55", ms=1.2, zorder=1.6)
     for end in {end for ends in first.found.stable_gains for end in ends if end > 0.0}:
-        poles = compute_pid_poles(replace(gains, kp=end), **settings)
+        poles = theory.compute_pid_poles(replace(gains, kp=end), **settings)
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
     marked = [
@@ -468,7 +460,7 @@ def _cut_where_far(values: Values) -> Values:
     return np.where(np.arange(len(values)) > beyond.argmax(), np.nan, values)
 
 
-def _choose_duration(found: PidLoop) -> float:
+def _choose_duration(found: theory.PidLoop) -> float:
     """Return the drawn duration of a step response [s]."""
     if found.settling_time_s is not None:
         return 1.4 * found.settling_time_s

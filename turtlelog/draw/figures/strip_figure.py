@@ -55,22 +55,13 @@ _NONE: Final = to_hex(UNSTABLE)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricValues:
-    """A metric of several runs.
+    """A metric of several runs."""
 
-    Attributes:
-        id: Id of the metric.
-        label: Label of an axis, with the unit.
-        values: Value of each run in this unit; NaN for a missing value.
-        reasons: Reason for each missing value; empty for an existing value, or if the run was not
-            measured.
-        factor: Factor from the metric's unit to the unit of the label.
-    """
-
-    id: str
-    label: str
-    values: Values
-    reasons: tuple[str, ...]
-    factor: float = 1.0
+    id: str  # id of the metric
+    label: str  # label of an axis, with the unit
+    values: Values  # value of each run in this unit; NaN for a missing value
+    reasons: tuple[str, ...]  # reason for each missing value, if measured; otherwise empty
+    factor: float = 1.0  # factor from the metric's unit to the unit of the label
 
     @property
     def loop(self) -> str:
@@ -92,17 +83,11 @@ class MetricValues:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunGroups:
-    """Runs in groups.
+    """Runs in groups."""
 
-    Attributes:
-        label: Differing quantity, for an axis.
-        names: Name of each group.
-        rows: Indices of the runs of each group.
-    """
-
-    label: str
-    names: tuple[str, ...]
-    rows: tuple[tuple[int, ...], ...]
+    label: str  # differing quantity, for an axis
+    names: tuple[str, ...]  # name of each group
+    rows: tuple[tuple[int, ...], ...]  # indices of the runs of each group
 
 
 def group_runs(runs: Sequence[Run]) -> RunGroups:

@@ -17,15 +17,9 @@ from matplotlib.ticker import MaxNLocator
 from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_run_colors, to_hex
 from turtlelog.display import describe_count
-from turtlelog.draw.figures import map_figure
+from turtlelog.draw.figures import map_figure, writing
 from turtlelog.draw.figures.figure_curves import count_legend_columns
 from turtlelog.draw.figures.page import REFERENCE, Page, choose_colors, to_rgb, use_looks
-from turtlelog.draw.figures.writing import (
-    ShownFigure,
-    require_figure_path,
-    save_figure,
-    write_figure,
-)
 from turtlelog.errors import ShowError
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits, find_loop_limits, list_gain_keys
 from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity, find_sensitivities
@@ -88,9 +82,9 @@ def write_map_figure(
     Raises:
         ShowError: If the file cannot be written.
     """
-    path = require_figure_path(path)
+    path = writing.require_figure_path(path)
     page = page or Page(kind="page")
-    return write_figure(_draw(view, limits, kind, page), path, page)
+    return writing.write_figure(_draw(view, limits, kind, page), path, page)
 
 
 def draw_map(  # noqa: PLR0913  (all but the first have defaults)
@@ -131,7 +125,7 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
 def draw_sweep_svg(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind) -> bytes:
     """Return the content of the .svg file that `write_map_figure` writes."""
     page, data = Page(kind="page"), io.BytesIO()
-    save_figure(_draw(view, limits, kind, page), data, "svg", page)
+    writing.save_figure(_draw(view, limits, kind, page), data, "svg", page)
     return data.getvalue()
 
 
@@ -148,7 +142,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
     most = max(len(one.keys) for one in found)
     height = _TORNADO_INCH + _BAR_INCH * most if kind == "tornado" else _PANEL_INCH
     rows, columns = _choose_grid(len(metrics), height, page)
-    figure = ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
+    figure = writing.ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
     reasons = map_figure.group_reasons(metrics)

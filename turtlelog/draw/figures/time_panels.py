@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -38,27 +37,23 @@ from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.draw.figures.plane_panels import draw_paths, show_all
 from turtlelog.run import Run
 
-_LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = MappingProxyType(
-    {
-        "beside": {"linewidth": 0.9, "zorder": 1.9},
-        "measured": {"linewidth": 0.8, "zorder": 1.9},
-        "applied": {"linewidth": 0.8, "zorder": 1.9},
-        "shaped": {"linewidth": 0.9, "zorder": 1.9},
-        "ideal": {"linewidth": 0.7, "zorder": 1.8},
-        "aim": {"linewidth": 0.8, "zorder": 1.9},
-        "sensed": {"marker": ".", "markersize": 2.4, "markeredgewidth": 0.0, "zorder": 1.7},
-    }
-)
-"""Width and order of each kind of curve; colour and dashes come from `charts.looks`."""
+_LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = {
+    "beside": {"linewidth": 0.9, "zorder": 1.9},
+    "measured": {"linewidth": 0.8, "zorder": 1.9},
+    "applied": {"linewidth": 0.8, "zorder": 1.9},
+    "shaped": {"linewidth": 0.9, "zorder": 1.9},
+    "ideal": {"linewidth": 0.7, "zorder": 1.8},
+    "aim": {"linewidth": 0.8, "zorder": 1.9},
+    "sensed": {"marker": ".", "markersize": 2.4, "markeredgewidth": 0.0, "zorder": 1.7},
+}
+"""Width and order of each kind of curve; colour and dashes come from `charts.palette`."""
 
-_LEVELS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
-    {
-        "target": page.REFERENCE,
-        "zero": {**page.REFERENCE, "label": None},
-        "limit": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
-        "tolerance": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
-    }
-)
+_LEVELS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "target": page.REFERENCE,
+    "zero": {**page.REFERENCE, "label": None},
+    "limit": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
+    "tolerance": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
+}
 
 _GRID: Final = {"color": "0.8", "linewidth": 0.5}
 """Style of the zero line in a panel of commands or states."""
@@ -172,8 +167,10 @@ def _draw_curves(
         for found in listed:
             if found.kind == "outlier":
                 continue
-            if found.kind == "aim" and _is_known(found.curve, aims):
-                continue
+            if found.kind == "aim":
+                if any(_are_alike(found.curve, other) for other in aims):
+                    continue
+                aims.append(found.curve)
             own = {
                 **_choose_looks(found, looks, colors[number], is_alone=is_alone),
                 **(_COMMANDED if found.kind == "run" and is_answered else {}),
@@ -198,14 +195,6 @@ def _choose_looks(
     if found.kind in POINTS:
         own["linestyle"] = ""
     return own
-
-
-def _is_known(aim: Curve, aims: list[Curve]) -> bool:
-    """Return whether a reference is in `aims`; if not, add it there."""
-    if any(_are_alike(aim, other) for other in aims):
-        return True
-    aims.append(aim)
-    return False
 
 
 def _draw(axes: Axes, run: Run, kind: CurveKind, curve: Curve, looks: Mapping[str, Any]) -> None:

@@ -16,24 +16,11 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from turtlelog.compare import (
-    name_runs,
-    order_by_gain,
-    summarise_run,
-    tabulate_measured,
-    tabulate_runs,
-    tabulate_table1,
-    tabulate_whole_runs,
-)
+from turtlelog import compare
 from turtlelog.draw.documents import choose_essentials
+from turtlelog.draw.figures import marked_panels
 from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend
 from turtlelog.draw.figures.figure_kinds import FIGURES, has_table1, list_usual_figures
-from turtlelog.draw.figures.marked_panels import (
-    cut_time_axes,
-    find_shown_times,
-    mark_panels,
-    require_window,
-)
 from turtlelog.draw.figures.needs import FigureKind
 from turtlelog.draw.figures.page import Page, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
@@ -97,20 +84,22 @@ def draw_figure(
     runs = list_runs(runs)
     kind, page = _find_kind(name, runs, kinds), page or Page()
     is_alone = name == "plane" and has_one_plane(runs)
-    require_window(runs, page)
+    marked_panels.require_window(runs, page)
     if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
         page = page.widen()
     with use_looks():
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
         figure = ShownFigure(figsize=size, layout="constrained")
-        kind.draw_on(figure, order_by_gain(runs))
-        cut_time_axes(figure, runs, page)
-        stress_window(figure, order_by_gain(runs), find_shown_times(runs, page))
-        add_legend(figure, without=add_gain_bar(figure, order_by_gain(runs)))
+        kind.draw_on(figure, compare.order_by_gain(runs))
+        marked_panels.cut_time_axes(figure, runs, page)
+        stress_window(
+            figure, compare.order_by_gain(runs), marked_panels.find_shown_times(runs, page)
+        )
+        add_legend(figure, without=add_gain_bar(figure, compare.order_by_gain(runs)))
         page.fit(figure)
         if page.has_marks:
             is_cut = page.from_s is not None or page.to_s is not None
-            mark_panels(figure, order_by_gain(runs), is_cut=is_cut)
+            marked_panels.mark_panels(figure, compare.order_by_gain(runs), is_cut=is_cut)
     return figure
 
 
@@ -333,16 +322,18 @@ def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
 
 def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list[Path]:
     """Write tables as `write_tables` does, with the function that `replace_together` yields."""
-    runs = order_by_gain(runs)
+    runs = compare.order_by_gain(runs)
     if len(runs) <= _MOST_COLUMNS:
         essentials = choose_essentials(runs, [measure_run(run) for run in runs])
         declarations = [run.declaration for run in runs]
-        metrics = tabulate_measured(name_runs(runs), essentials, declarations=declarations)
+        metrics = compare.tabulate_measured(
+            compare.name_runs(runs), essentials, declarations=declarations
+        )
     else:
-        metrics = tabulate_runs([summarise_run(run) for run in runs])
+        metrics = compare.tabulate_runs([compare.summarise_run(run) for run in runs])
     tables = {
-        "whole-runs": tabulate_whole_runs(runs),
-        "table1": tabulate_table1(runs),
+        "whole-runs": compare.tabulate_whole_runs(runs),
+        "table1": compare.tabulate_table1(runs),
         "metrics": metrics,
     }
     if not has_table1(runs):

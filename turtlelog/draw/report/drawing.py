@@ -32,26 +32,13 @@ RING: Final = "#8a8a8a"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawn:
-    """A run or ghost with its drawing style.
+    """A run or ghost with its drawing style."""
 
-    Attributes:
-        run: Data of the run.
-        name: Name in the legend.
-        color: Colour in every plot.
-        is_ghost: Whether it is a what-if.
-        is_plotted: Whether the plots over time also show this run.
-    """
-
-    run: Run
-    name: str
-    color: Color
-    is_ghost: bool = False
-    is_plotted: bool = True
-
-
-def _make_crosshair() -> Any:
-    models = load_library("bokeh.models")
-    return models.Span(dimension="height", line_color=RING, line_alpha=0.5)
+    run: Run  # data of the run
+    name: str  # name in the legend
+    color: Color  # colour in every plot
+    is_ghost: bool = False  # whether it is a what-if
+    is_plotted: bool = True  # whether the plots over time also show this run
 
 
 @dataclass(slots=True, kw_only=True)
@@ -60,7 +47,7 @@ class Plots:
 
     Attributes:
         roots: Figures by the id of their place.
-        config: Ids of models for the script, by their role.
+        config: Ids of models for the script by role.
         thinned: Number of curves drawn with fewer points than were recorded.
         points: Largest number of points of a curve.
         kinds: Kinds of curves in the page.
@@ -73,7 +60,11 @@ class Plots:
     thinned: int = 0
     points: int = MOST_POINTS
     kinds: set[CurveKind] = field(default_factory=set)
-    crosshair: Any = field(default_factory=_make_crosshair)
+    crosshair: Any = field(
+        default_factory=lambda: load_library("bokeh.models").Span(
+            dimension="height", line_color=RING, line_alpha=0.5
+        )
+    )
     alternatives: dict[str, str] = field(default_factory=dict)
 
 

@@ -1,8 +1,6 @@
 """The plots of a report as models of Bokeh, and their ids for the page's script."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +13,6 @@ from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash, to_hex
 from turtlelog.charts.robot_curves import list_seen_gaps
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
-from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.draw.report.drawing import (
     MOST_POINTS,
     RING,
@@ -27,6 +24,7 @@ from turtlelog.draw.report.drawing import (
     thin,
 )
 from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
+from turtlelog.draw.report.sections import CheckLine
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run
@@ -56,9 +54,12 @@ _WIDTH: Final = 1.8
 _THIN: Final = 1.2
 """Width of all curves except the run's own curve [pixels]."""
 
-_STROKES: Final[Mapping[Dash, str]] = MappingProxyType(
-    {"solid": "solid", "dashed": "dashed", "dotted": "dotted", "dash-dot": "dotdash"}
-)
+_STROKES: Final[Mapping[Dash, str]] = {
+    "solid": "solid",
+    "dashed": "dashed",
+    "dotted": "dotted",
+    "dash-dot": "dotdash",
+}
 """Dashes of Bokeh."""
 
 _RARE: Final = 1e-3
@@ -69,44 +70,19 @@ _FAR_OFF: Final = 20.0
 of view. With such outliers, the other rows would take less than a twentieth of the plot."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Violation:
-    """The failure of a check.
-
-    Attributes:
-        names: Signals in the check.
-        first_s: Time of the first violation [s]; None if it has no time.
-        run: Index of the run; None if the run is not shown.
-        signal: Violated signal to draw; None if no signal is violated.
-    """
-
-    names: tuple[str, ...]
-    first_s: float | None
-    run: int | None = None
-    signal: ViolatedSignal | None = None
-
-
 def draw_plots(
     drawn: Sequence[Drawn],
     metrics: Sequence[Mapping[str, Metric]],
-    violations: Sequence[Violation],
+    failed: Sequence[CheckLine],
 ) -> Plots:
     """Return the plane, the close-up of the goal, if any, and the plots over time.
 
-    `drawn` are the runs, whose metrics these are, and then the ghosts.
+    `drawn` are the runs, whose metrics these are, and then the ghosts. `failed` are failed checks.
     """
     plots = Plots(points=max(_LEAST_POINTS, min(MOST_POINTS, _MOST_OF_ALL // len(drawn))))
-    plots.config = {
-        "runs": [
-            {"name": one.name, "color": to_hex(one.color), "ghost": one.is_ghost} for one in drawn
-        ],
-        "plots": [],
-        "planes": [],
-        "marks": [],
-        "cursors": [],
-        "figures": [],
-        "words": [],
-    }
+    inks = [{"name": one.name, "color": to_hex(one.color), "ghost": one.is_ghost} for one in drawn]
+    kinds = ("plots", "planes", "marks", "cursors", "figures", "words")
+    plots.config = {"runs": inks, **{kind: [] for kind in kinds}}
     runs = [one.run for one in drawn]
     draw_planes(plots, drawn, find_close_up(runs))
     restless = _find_restless(drawn)
@@ -121,12 +97,9 @@ def draw_plots(
     pairs = zip(runs, metrics, strict=False)
     marks = [list_characteristics(run, known) for run, known in pairs]
     for name in _choose_plots(runs):
-        _draw_plot(plots, drawn, name, x_range, (marks, violations))
-    found = [
-        (one.signal, None if one.run is None else drawn[one.run].color)
-        for one in violations
-        if one.signal is not None
-    ]
+        _draw_plot(plots, drawn, name, x_range, (marks, failed))
+    colors = {one.name: one.color for one in drawn if not one.is_ghost}
+    found = [(one.signal, colors.get(one.run)) for one in failed if one.signal is not None]
     draw_violations(plots, found, x_range)
     return plots
 
@@ -162,7 +135,7 @@ def _draw_plot(
     drawn: Sequence[Drawn],
     name: str,
     x_range: Any,
-    marked: tuple[Sequence[Sequence[Characteristic]], Sequence[Violation]],
+    marked: tuple[Sequence[Sequence[Characteristic]], Sequence[CheckLine]],
 ) -> None:
     models = load_library("bokeh.models")
     plot = find_plot(name, [one.run for one in drawn])
@@ -200,9 +173,9 @@ def _draw_plot(
     signals = {entry.signal for entry in plot.curves if entry.signal}
     mark_plots(plots, figure, drawn, signals, marked[0])
     for found in marked[1]:
-        if found.first_s is not None and _concerns(found, name):
+        if found.first_violation_s is not None and _concerns(found, name):
             figure.add_layout(
-                models.Span(location=found.first_s, dimension="height", line_color=RED,
+                models.Span(location=found.first_violation_s, dimension="height", line_color=RED,
                             line_dash="dotted", line_width=2)
             )  # fmt: skip
     cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
@@ -217,7 +190,7 @@ def _draw_plot(
     )
 
 
-def _concerns(found: Violation, name: str) -> bool:
+def _concerns(found: CheckLine, name: str) -> bool:
     """Return whether a violation is marked in a plot.
 
     Without a signal, it is marked in all plots.
@@ -237,17 +210,13 @@ def _list_plotted(
         if one.is_plotted
         and not (number in restless and plotted_curves.leaves_out(len(drawn), plot))
         for found in plotted_curves.list_plotted(
-            one.run, plot, _choose_kinds(one, number, len(drawn))
+            one.run,
+            plot,
+            _GHOST if one.is_ghost else plotted_curves.choose_kinds(number, len(drawn)),
         )
         if found.kind not in plotted_curves.POINTS
     ]
     return sorted(listed, key=lambda pair: (pair[0] not in restless, pair[1].kind == "run"))
-
-
-def _choose_kinds(
-    one: Drawn, number: int, count: int
-) -> frozenset[plotted_curves.CurveKind] | None:
-    return _GHOST if one.is_ghost else plotted_curves.choose_kinds(number, count)
 
 
 def _list_curves(

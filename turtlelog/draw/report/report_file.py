@@ -8,32 +8,23 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
+from turtlelog import compare
 from turtlelog.charts.curves import require_near
 from turtlelog.charts.many_runs import choose_colors_by_value
 from turtlelog.charts.palette import GHOST, choose_cause_colors
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import CurveKind
-from turtlelog.compare import (
-    Column,
-    Table,
-    name_runs,
-    order_by_gain,
-    summarise_run,
-    tabulate_measured,
-    tabulate_runs,
-)
 from turtlelog.display import describe_count, show_angle
 from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
 from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report import sections
 from turtlelog.draw.report.drawing import Drawn, Plots
-from turtlelog.draw.report.page_plots import Violation, draw_plots
+from turtlelog.draw.report.page_plots import draw_plots
 from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution
 from turtlelog.files.urls import make_path
@@ -53,15 +44,13 @@ _MARKS_NOTE: Final = (
     '<p class="note">Shaded where a run has them: pauses over the whole height, dead times in'
     " pink, settling bands along the reference.</p>"
 )
-_KINDS: Final[Mapping[CurveKind, str]] = MappingProxyType(
-    {
-        "ideal": "dotted grey: the ideal loop",
-        "aim": "dashed grey: what is asked for",
-        "applied": "green: what the plant applied",
-        "measured": "green: what the robot measured",
-        "beside": "lighter: the distance to the reference",
-    }
-)
+_KINDS: Final[Mapping[CurveKind, str]] = {
+    "ideal": "dotted grey: the ideal loop",
+    "aim": "dashed grey: what is asked for",
+    "applied": "green: what the plant applied",
+    "measured": "green: what the robot measured",
+    "beside": "lighter: the distance to the reference",
+}
 """Descriptions of the kinds of curves other than the run's own."""
 
 _LARGE: Final = 2**20
@@ -115,25 +104,16 @@ def write_report(
     texts = (source if isinstance(source, str) else str(source) for source in sources)
     known = [*texts] or [""] * len(runs)
     file_of = {id(run): file for run, file in zip(runs, known, strict=True)}
-    runs = order_by_gain(runs)
-    metrics, names = [measure_run(run) for run in runs], name_runs(runs)
+    runs = compare.order_by_gain(runs)
+    metrics, names = [measure_run(run) for run in runs], compare.name_runs(runs)
     near, origin = move_near(runs)
     drawn = [
         Drawn(run=run, name=name, color=color)
         for run, name, color in zip(near, names, choose_colors_by_value(runs), strict=True)
     ]
     drawn += _list_ghosts(explanation)
-    violations = [
-        Violation(
-            names=line.names,
-            first_s=line.first_violation_s,
-            run=names.index(line.run) if line.run in names else None,
-            signal=line.signal,
-        )
-        for line in sections.sort_checks(checks)
-        if line.verdict == "FAIL"
-    ]
-    plots = draw_plots(drawn, metrics, violations)
+    failed = [line for line in checks if line.verdict == "FAIL"]
+    plots = draw_plots(drawn, metrics, failed)
     body = _write_conclusion(runs, names, metrics, explanation, checks)
     body += _write_stage(plots, len(runs), origin)
     if explanation is not None:
@@ -243,12 +223,12 @@ def _write_tables(
     runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
 ) -> str:
     pairs = zip(runs, metrics, strict=True)
-    summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
-    body = sections.write_table(tabulate_runs(summaries))
+    summaries = [compare.summarise_run(run, metrics=measured) for run, measured in pairs]
+    body = sections.write_table(compare.tabulate_runs(summaries))
     if len(runs) <= _MOST_COLUMNS:
         essentials = choose_essentials(runs, metrics)
         declarations = [run.declaration for run in runs]
-        table = tabulate_measured(names, essentials, declarations=declarations)
+        table = compare.tabulate_measured(names, essentials, declarations=declarations)
         body += f"<details><summary>Metrics</summary>{sections.write_table(table)}</details>"
     return f'<section id="tables"><h2>Side by side</h2>{body}</section>'
 
@@ -279,18 +259,14 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
     resources = load_library("bokeh.resources").Resources(mode="inline", components=["bokeh"])
     config = plots.config | {"places": {place: one.id for place, one in plots.roots.items()}}
     code = files("turtlelog.draw.report").joinpath("page.js").read_text("utf-8")
-    library = _end_no_script("\n".join(resources.js_raw))
+    # An end tag in a text would end the script.
+    library = "\n".join(resources.js_raw).replace("</script", "<\\/script")
     scripts = f"""<script>{library}</script>
 <script type="application/json" id="drawing">{_escape(drawing)}</script>
 <script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
 <script>{code}</script>"""
     policy = write_policy_tag(library, code)
     return sections.write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
-
-
-def _end_no_script(code: str) -> str:
-    """Return code for a page with end tags in its texts escaped, which keeps the meaning."""
-    return code.replace("</script", "<\\/script")
 
 
 def _escape(code: str) -> str:
@@ -365,12 +341,12 @@ def _conclude_sweep(view: SweptView, limits: Sequence[LoopLimits]) -> str:
     return f'<section id="conclusion">{parts}</section>'
 
 
-def _tabulate_sweep(view: SweptView) -> Table:
-    return Table(
+def _tabulate_sweep(view: SweptView) -> compare.Table:
+    return compare.Table(
         title="Metrics of the rows that are shown",
         columns=(
-            *(Column(title=title) for title in ("metric", "unit", "least", "greatest")),
-            *(Column(title=title) for title in ("without a value", "best row", "its keys")),
+            *(compare.Column(title=title) for title in ("metric", "unit", "least", "greatest")),
+            *(compare.Column(title=title) for title in ("without a value", "best row", "its keys")),
         ),
         rows=tuple(_list_cells(view, metric) for metric in view.results.metrics),
         notes=("A row is run again by turtlelog run --from TABLE --row NUMBER.",),

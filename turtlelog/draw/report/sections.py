@@ -108,7 +108,7 @@ def write_attribution(name: str, found: Attribution) -> str:
 def write_checks(lines: Sequence[CheckLine]) -> str:
     """Return the checks as a table, failed checks first, each with its first violation."""
     heads = ["verdict", "run", "check", "value", "limit", "margin", "first violated", "why"]
-    order = sort_checks(lines)
+    order = sorted(lines, key=lambda line: line.verdict != "FAIL")
     rows = []
     for line in order:
         at = "" if line.first_violation_s is None else f"{line.first_violation_s:.3f} s"
@@ -123,11 +123,6 @@ def write_checks(lines: Sequence[CheckLine]) -> str:
     )
     table = _wrap_table("Checks; times from the first sample", heads, rows)
     return f'<section id="checks"><h2>Checks</h2>{table}{marks}{_place_violations(order)}</section>'
-
-
-def sort_checks(lines: Sequence[CheckLine]) -> list[CheckLine]:
-    """Return checks in the order of display: failed checks first."""
-    return sorted(lines, key=lambda line: line.verdict != "FAIL")
 
 
 def _place_violations(lines: Sequence[CheckLine]) -> str:

@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.archetypes import VisibleTimeRanges
 
 from turtlelog.charts import palette
@@ -167,6 +166,7 @@ def describe_content(
     """Return the content of a recording of runs; `series` are the curves of each run."""
     close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
     states = group_states(*(run.declaration for run in runs))
+    phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
     return Content(
         prefixes=tuple(prefixes),
         series=tuple(
@@ -189,17 +189,12 @@ def describe_content(
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
-        timelines=_list_timelines(runs),
+        timelines=(TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases)),
         notes={**_note_gaps(runs, series), **_count_outliers(series)},
         controlled=frozenset(
             entities.name_plot(plot) for run in runs for plot in list_controlled(run)
         ),
     )
-
-
-def _list_timelines(runs: Sequence[Run]) -> tuple[str, ...]:
-    phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
-    return (TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases))
 
 
 def _note_gaps(runs: Sequence[Run], series: Sequence[Sequence[Series]]) -> dict[str, str]:
@@ -230,24 +225,13 @@ def find_corners(
     first_ns = min((int(curves.time_ns[0]) for curves in series), default=0)
     last_ns = max((int(curves.time_ns[-1]) for curves in series), default=1)
     rows: dict[str, list[Values]] = {}
-    for curves in series:
-        if curves.plot in ranges:
-            low, high = ranges[curves.plot]
-            across = (curves.time_ns - first_ns) / max(last_ns - first_ns, 1)
-            for column in curves.values.T:
-                places = np.column_stack([across, (column - low) / (high - low)])
-                rows.setdefault(curves.plot, []).append(places[np.isfinite(column)])
+    for curves in (one for one in series if one.plot in ranges):
+        low, high = ranges[curves.plot]
+        across = (curves.time_ns - first_ns) / max(last_ns - first_ns, 1)
+        for column in curves.values.T:
+            places = np.column_stack([across, (column - low) / (high - low)])
+            rows.setdefault(curves.plot, []).append(places[np.isfinite(column)])
     return {plot: _find_emptiest(np.concatenate(places)) for plot, places in rows.items()}
-
-
-def find_emptiest_corner(
-    time_ns: NDArray[np.int64], values: Values, limits: tuple[float, float]
-) -> str:
-    """Return the emptiest corner of a plot with given limits, for one curve."""
-    low, high = limits
-    across = (time_ns - time_ns[0]) / max(int(time_ns[-1] - time_ns[0]), 1)
-    places = np.column_stack([across, (values - low) / (high - low)])
-    return _find_emptiest(places[np.isfinite(values)])
 
 
 def _find_emptiest(places: Values) -> str:

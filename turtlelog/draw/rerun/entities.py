@@ -133,9 +133,10 @@ def title_plot(entity: str) -> str:
     return _TITLES[entity]
 
 
-_TITLES: Final[Mapping[str, str]] = MappingProxyType(
-    {GAP_MM: "Distance to ghost [mm]", GAP_M: "Distance to ghost [m]"}
-)
+_TITLES: Final[Mapping[str, str]] = {
+    GAP_MM: "Distance to ghost [mm]",
+    GAP_M: "Distance to ghost [m]",
+}
 
 
 def join_path(*parts: str) -> str:

@@ -7,26 +7,14 @@ from typing import Final
 
 import rerun as rr
 
-from turtlelog.charts import palette
-from turtlelog.charts.attribution_steps import (
-    choose_acting_contributions,
-    choose_step_scale,
-    draw_up_attribution,
-)
+from turtlelog.charts import attribution_steps, palette
 from turtlelog.charts.close_up import Lettering, name_ends
 from turtlelog.charts.luck_chart import build_luck_picture
 from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.compare import Column, Table
-from turtlelog.draw.rerun import entities, marks, plane, plots
+from turtlelog.draw.rerun import entities, explanation_pictures, marks, plane, plots
 from turtlelog.draw.rerun.content import Content, describe_content, find_largest_shown
 from turtlelog.draw.rerun.entities import GHOSTS, RUNS, join_path, name_part
-from turtlelog.draw.rerun.explanation_pictures import (
-    count_ends,
-    draw_luck_ends,
-    draw_luck_picture,
-    draw_reason,
-    draw_waterfall_picture,
-)
 from turtlelog.draw.rerun.ghosts import (
     Ghost,
     build_ideal_ghost,
@@ -113,21 +101,23 @@ def write_explanation_rrd(
         lines=tuple(join_path(scene.prefixes[0], entities.LINES, name) for name in lines),
         steps_title=_name_steps(found),
         luck_title=None if picture is None else f"With other {picture.varied}s",
-        starts="" if picture is None else count_ends(picture, content.goal),
+        starts="" if picture is None else explanation_pictures.count_ends(picture, content.goal),
         has_dead_time=bool(dead_times),
     )
     name = f"{recorded.name}, explained"
     with open_recording(path, name=name, layout=build_explanation_layout(content)) as stream:
         run_stream = _draw_scene(stream, scene, content, metrics)
         if found.withheld:
-            draw_reason(stream, write_sentences(found))
+            explanation_pictures.draw_reason(stream, write_sentences(found))
         else:
-            waterfall = draw_up_attribution(found)
+            waterfall = attribution_steps.draw_up_attribution(found)
             ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
-            draw_waterfall_picture(stream, waterfall, _tell_ghosts(found, ghosts))
+            explanation_pictures.draw_waterfall_picture(
+                stream, waterfall, _tell_ghosts(found, ghosts)
+            )
         if picture is not None:
-            draw_luck_picture(stream, picture)
-            draw_luck_ends(stream, picture, content.goal)
+            explanation_pictures.draw_luck_picture(stream, picture)
+            explanation_pictures.draw_luck_ends(stream, picture, content.goal)
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
             marks.draw_lines(
@@ -294,7 +284,7 @@ def _name_steps(found: Attribution) -> str:
         return f"Why {found.metric} has no value"
     if found.withheld:
         return f"Why there are no contributions to {found.metric}"
-    return f"Why {found.metric} is {choose_step_scale(found).format_value(value)}"
+    return f"Why {found.metric} is {attribution_steps.choose_step_scale(found).format_value(value)}"
 
 
 def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]) -> tuple[str, ...]:
@@ -302,10 +292,10 @@ def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]])
 
     `ghosts` are the metrics of the drawn what-ifs, by the causes that each what-if lacks.
     """
-    acting = [share.cause for share in choose_acting_contributions(found)]
+    acting = [share.cause for share in attribution_steps.choose_acting_contributions(found)]
     if len(acting) < 2:
         return ()
-    scale = choose_step_scale(found)
+    scale = attribution_steps.choose_step_scale(found)
     ends = {name: ghosts[name][found.metric].value for name in acting if name in ghosts}
     told = [
         f"{scale.format_value(value)} without {name}"

@@ -59,23 +59,14 @@ _KEY_UP: Final = 0.055
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ghost:
-    """A run that did not happen, for comparison with a real run.
+    """A run that did not happen, for comparison with a real run."""
 
-    Attributes:
-        name: Name of the ghost in words.
-        prefix: Entity prefix.
-        run: Run with the ghost's poses.
-        look: Style of the ghost.
-        is_run: Whether the ghost was simulated; otherwise only its poses are valid.
-        brief: Short name.
-    """
-
-    name: str
-    prefix: str
-    run: Run
-    look: Look
-    is_run: bool
-    brief: str = ""
+    name: str  # name of the ghost in words
+    prefix: str  # entity prefix
+    run: Run  # run with the ghost's poses
+    look: Look  # style of the ghost
+    is_run: bool  # whether the ghost was simulated; otherwise only its poses are valid
+    brief: str = ""  # short name
 
 
 def build_ideal_ghost(run: Run) -> Ghost | None:

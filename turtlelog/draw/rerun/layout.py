@@ -198,7 +198,9 @@ def _choose_legend(content: Content) -> Corners:
 
 
 def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
-    left = _list_left_views(content)
+    left = _list_planes_of(content)
+    tabs = [] if content.is_small else _list_tabs(content)
+    left += [rrb.Tabs(*tabs, active_tab=0)] if tabs else []
     parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
     stacks = [cells for column in _COLUMNS if (cells := _list_cells(content, column, legends))]
     if stacks:
@@ -220,14 +222,6 @@ def link_views(root: rrb.Container, *, end_s: float | None = None) -> rrb.Bluepr
     )
     layout.end_s = end_s
     return layout
-
-
-def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
-    left = _list_planes_of(content)
-    tabs = [] if content.is_small else _list_tabs(content)
-    if tabs:
-        left.append(rrb.Tabs(*tabs, active_tab=0))
-    return left
 
 
 def _list_tabs(content: Content) -> list[rrb.View]:

@@ -39,25 +39,15 @@ _MOST_DEAD_SAMPLES: Final = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """A metric at its point of a curve.
+    """A metric at its point of a curve."""
 
-    Attributes:
-        plot: Plot of the curve.
-        label: Legend text with the value. The name of the curve in a plot contains this text.
-        sign: Shape as a letter, because a legend shows only a dot.
-        shape: Rerun's name of a marker.
-        time_ns: Time in the run's own time [ns].
-        level: Value in the unit of the curve.
-        is_minor: Whether a full legend may leave it out.
-    """
-
-    plot: str
-    label: str
-    sign: str
-    shape: Shape
-    time_ns: int
-    level: float
-    is_minor: bool = False
+    plot: str  # plot of the curve
+    label: str  # legend text with the value. The name of the curve in a plot contains this text
+    sign: str  # shape as a letter, because a legend shows only a dot
+    shape: Shape  # Rerun's name of a marker
+    time_ns: int  # time in the run's own time [ns]
+    level: float  # value in the unit of the curve
+    is_minor: bool = False  # whether a full legend may leave it out
 
     @property
     def entity(self) -> str:
@@ -280,21 +270,13 @@ pixels."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Legends:
-    """All curves, lines and marks of plots, with their names in legends.
+    """All curves, lines and marks of plots, with their names in legends."""
 
-    Attributes:
-        series: Curves.
-        references: Level lines.
-        marks: Metrics on curves.
-        names: Name of the main curve of each plot, which vertical lines share.
-        shown: Plots whose legend contains more than their title.
-    """
-
-    series: tuple[Series, ...]
-    references: tuple[LevelLines, ...]
-    marks: tuple[Mark, ...]
-    names: Mapping[str, str]
-    shown: frozenset[str]
+    series: tuple[Series, ...]  # curves
+    references: tuple[LevelLines, ...]  # level lines
+    marks: tuple[Mark, ...]  # metrics on curves
+    names: Mapping[str, str]  # name of the main curve of each plot, which vertical lines share
+    shown: frozenset[str]  # plots whose legend contains more than their title
 
 
 def name_legends(

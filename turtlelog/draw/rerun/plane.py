@@ -37,27 +37,15 @@ _ABOVE_TRACES: Final = 28.0  # below points, which have 30
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SpeedTrace:
-    """A path in colours of its speed.
+    """A path in colours of its speed."""
 
-    Attributes:
-        strips: Segments of one colour [m], each of shape (n, 2).
-        colors: Colour of each strip; brighter means faster.
-        highest_m_s: Speed of the brightest colour [m/s].
-    """
-
-    strips: list[Values]
-    colors: list[Color]
-    highest_m_s: float
+    strips: list[Values]  # segments of one colour [m], each of shape (n, 2)
+    colors: list[Color]  # colour of each strip; brighter means faster
+    highest_m_s: float  # speed of the brightest colour [m/s]
 
 
-def draw_driven(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
-    """Draw the path of a single run in the run's colour: faintly, and as a trail.
-
-    The whole path of a growing run has been driven, so only a bright path is drawn.
-    """
-    if not is_growing:
-        draw_trail(run_stream, run, Look(color=palette.MAIN, width=_TRACE_RADIUS))
-        return
+def draw_growing_path(run_stream: RunStream, run: Run) -> None:
+    """Draw the path of a growing run, which has been driven whole, as one bright path."""
     run_stream.log(entities.PLANE, UPWARD)
     strips = _part_strip(run)
     _log_strips(run_stream, entities.PATH, strips, [palette.MAIN] * len(strips), _TRACE_RADIUS)
@@ -273,19 +261,12 @@ legs."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """The style of a turtle and its trail.
+    """The style of a turtle and its trail."""
 
-    Attributes:
-        color: Colour of turtle and trail.
-        is_ghost: Whether it belongs to a ghost, whose shell is hollow and behind other turtles.
-        width: Radius of the trail [points].
-        size: Size of the turtle; 1 for a run.
-    """
-
-    color: Color
-    is_ghost: bool = False
-    width: float = 1.5
-    size: float = 1.0
+    color: Color  # colour of turtle and trail
+    is_ghost: bool = False  # whether its shell is hollow, and behind other turtles
+    width: float = _TRACE_RADIUS  # radius of the trail [points]
+    size: float = 1.0  # size of the turtle; 1 for a run
 
 
 def count_segments(trails: int) -> int:

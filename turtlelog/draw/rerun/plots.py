@@ -1,8 +1,7 @@
 """The curves and level lines of a run, their plots, and their drawing."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
@@ -17,7 +16,6 @@ from turtlelog.charts.plotted_curves import (
     POINTS,
     CurveKind,
     PlottedCurve,
-    StateGroup,
     TimePlot,
     group_states,
     has_own,
@@ -36,18 +34,16 @@ LINE_WIDTH: Final = 1.5
 
 _THIN_WIDTH: Final = 1.25
 
-_WIDTHS: Final[Mapping[CurveKind, float]] = MappingProxyType(
-    {
-        "measured": _THIN_WIDTH,
-        "applied": _THIN_WIDTH,
-        "shaped": _THIN_WIDTH,
-        "ideal": 1.0,
-        "aim": 1.0,
-        "sensed": 0.75,
-        "dropped_out": 2.5,
-        "outlier": 4.0,
-    }
-)
+_WIDTHS: Final[Mapping[CurveKind, float]] = {
+    "measured": _THIN_WIDTH,
+    "applied": _THIN_WIDTH,
+    "shaped": _THIN_WIDTH,
+    "ideal": 1.0,
+    "aim": 1.0,
+    "sensed": 0.75,
+    "dropped_out": 2.5,
+    "outlier": 4.0,
+}
 """Widths of lines and sizes of points [points]. The run's own curve has `LINE_WIDTH`."""
 
 _COMPARED: Final[frozenset[CurveKind]] = frozenset({"run", "measured", "outlier"})
@@ -58,9 +54,11 @@ _COMMANDED_WIDTH: Final = 3.0
 
 Marker = Literal["circle", "cross", "diamond", "up", "down"]
 
-_MARKERS: Final[Mapping[CurveKind, Marker]] = MappingProxyType(
-    {"sensed": "circle", "dropped_out": "cross", "outlier": "cross"}
-)
+_MARKERS: Final[Mapping[CurveKind, Marker]] = {
+    "sensed": "circle",
+    "dropped_out": "cross",
+    "outlier": "cross",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,19 +99,12 @@ class Series:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelLines:
-    """Level lines across a plot.
+    """Level lines across a plot."""
 
-    Attributes:
-        plot: Entity of the plot.
-        levels: Levels in the plot's unit, increasing.
-        name: Common name in a legend; empty: each level has its own name.
-        color: Colour of the lines.
-    """
-
-    plot: str
-    levels: tuple[Level, ...]
-    name: str = ""
-    color: Color = palette.IDEAL
+    plot: str  # entity of the plot
+    levels: tuple[Level, ...]  # levels in the plot's unit, increasing
+    name: str = ""  # common name in a legend; empty: each level has its own name
+    color: Color = palette.IDEAL  # colour of the lines
 
 
 def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Series, ...]:
@@ -147,7 +138,9 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
         found.append(
             replace(
                 series,
-                labels=_name_curves(shown, series.labels),
+                labels=(shown,)
+                if len(series.labels) == 1
+                else tuple(f"{shown} {label}" for label in series.labels),
                 colors=(color,) * len(series.labels),
                 width=_THIN_WIDTH if is_beside else LINE_WIDTH,
             )
@@ -186,7 +179,12 @@ def draw_series(run_stream: RunStream, series: Series) -> None:
             aggregation_policy="MinMax",
         )
     run_stream.log(series.entity, style)
-    run_stream.send(series.entity, series.time_ns, series.values, _build_scalars)
+    run_stream.send(
+        series.entity,
+        series.time_ns,
+        series.values,
+        lambda values: rr.Scalars.columns(scalars=values),
+    )
 
 
 def draw_references(
@@ -276,14 +274,15 @@ def _find_width(found: PlottedCurve, plot: TimePlot) -> float:
 
 
 def _list_state(run: Run, name: str) -> Iterator[Series]:
-    hues = dict(hue for group in group_states(run.declaration) for hue in _color_states(group))
+    hues = {
+        state: color
+        for group in group_states(run.declaration)
+        for state, color in zip(
+            group.names, palette.choose_run_colors(len(group.names)), strict=True
+        )
+    }
     for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
         yield replace(series, colors=(hues[name],))
-
-
-def _color_states(group: StateGroup) -> Iterable[tuple[str, Color]]:
-    """Return the states of a group, each with a distinct colour."""
-    return zip(group.names, palette.choose_run_colors(len(group.names)), strict=True)
 
 
 def _take_logarithm(series: Series, name: str) -> Series:
@@ -292,11 +291,3 @@ def _take_logarithm(series: Series, name: str) -> Series:
     values = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
     entity = entities.name_logarithm(name) + series.entity.removeprefix(name)
     return replace(series, entity=entity, values=values)
-
-
-def _name_curves(name: str, labels: tuple[str, ...]) -> tuple[str, ...]:
-    return (name,) if len(labels) == 1 else tuple(f"{name} {label}" for label in labels)
-
-
-def _build_scalars(values: Values) -> rr.ComponentColumnList:
-    return rr.Scalars.columns(scalars=values)

@@ -14,8 +14,9 @@ from turtlelog.charts.robot_curves import label_error
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
-from turtlelog.draw.rerun.content import find_emptiest_corner, view_curves
+from turtlelog.draw.rerun.content import find_corners, view_curves
 from turtlelog.draw.rerun.layout import link_views
+from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.rrd_file import open_recording
 from turtlelog.draw.rerun.world import draw_points, draw_strips
 from turtlelog.errors import ShowError
@@ -62,12 +63,15 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
     """Return a view of the rates of an axis, and a view of the model's residuals."""
     title = TIME_PLOTS[found.axis].label
     rates = [f"/{found.axis}/{name}" for name, _, _ in _CURVES if name != _RESIDUAL]
-    low, high = np.nanmin(found.commanded), np.nanmax(found.commanded)
-    corner = find_emptiest_corner(
-        np.rint(found.time_s * 1e9).astype(np.int64),
-        found.commanded,
-        (float(low), float(high) if high > low else float(low) + 1.0),
+    low, high = float(np.nanmin(found.commanded)), float(np.nanmax(found.commanded))
+    command = Series(
+        entity="command",
+        labels=(title,),
+        time_ns=np.rint(found.time_s * 1e9).astype(np.int64),
+        values=found.commanded[:, np.newaxis],
     )
+    limits = (low, high if high > low else low + 1.0)
+    corner = find_corners([command], {command.plot: limits})[command.plot]
     legend, hidden = rrb.PlotLegend(rrb.Corner2D[corner]), rrb.PlotLegend(visible=False)
     residual = [f"/{found.axis}/{_RESIDUAL}"]
     return [

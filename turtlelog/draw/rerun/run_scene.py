@@ -29,7 +29,7 @@ from turtlelog.draw.rerun.marks import (
     list_responses,
     name_legends,
 )
-from turtlelog.draw.rerun.plane import Look, draw_turtle
+from turtlelog.draw.rerun.plane import Look, draw_trail, draw_turtle
 from turtlelog.draw.rerun.timelines import (
     RunStream,
     add_thinning,
@@ -107,35 +107,20 @@ def build_run_scene(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Single:
-    """A measured run with everything that is drawn.
+    """A measured run with everything that is drawn."""
 
-    Attributes:
-        run: The run. Far coordinates are relative to its start.
-        origin: Text on this offset.
-        metrics: Metrics of the run by id.
-        series: Curves of the run and of theory.
-        references: Level lines.
-        marks: Metrics that can be marked on a curve.
-        names: Names of the main curve of each plot.
-        legends: Plots that have a legend.
-        by_speed: Path in colours of its speed; None if nothing moves.
-        ideal: The ideal loop; None if theory does not know its poses.
-        shift_m: Offset added to the positions [m], shape (2,).
-        surroundings: Scans and map of the robot; None if unknown.
-    """
-
-    run: Run
-    origin: str
-    metrics: Mapping[str, Metric]
-    series: tuple[plots.Series, ...]
-    references: tuple[plots.LevelLines, ...]
-    marks: tuple[Mark, ...]
-    names: Mapping[str, str]
-    legends: frozenset[str]
-    by_speed: plane.SpeedTrace | None
-    ideal: Ghost | None = None
-    shift_m: Values = field(default_factory=lambda: np.zeros(2))
-    surroundings: Surroundings | None = None
+    run: Run  # the run. Far coordinates are relative to its start
+    origin: str  # text on this offset
+    metrics: Mapping[str, Metric]  # metrics of the run by id
+    series: tuple[plots.Series, ...]  # curves of the run and of theory
+    references: tuple[plots.LevelLines, ...]  # level lines
+    marks: tuple[Mark, ...]  # metrics that can be marked on a curve
+    names: Mapping[str, str]  # names of the main curve of each plot
+    legends: frozenset[str]  # plots that have a legend
+    by_speed: plane.SpeedTrace | None  # path in colours of its speed; None if nothing moves
+    ideal: Ghost | None = None  # the ideal loop; None if theory does not know its poses
+    shift_m: Values = field(default_factory=lambda: np.zeros(2))  # added to positions [m], (2,)
+    surroundings: Surroundings | None = None  # scans and map of the robot; None if unknown
 
     def list_lined(self) -> list[str]:
         """Return the plots with event lines, if the run has events."""
@@ -193,7 +178,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     if single.surroundings is not None:
         world.draw_surroundings(stream, single.surroundings, timelines, single.shift_m)
     run_stream = RunStream(stream, "", timelines)
-    plane.draw_driven(run_stream, run)
+    draw_trail(run_stream, run, Look(color=palette.MAIN))
     plane.draw_reference_path(run_stream, run)
     plane.draw_sensed(run_stream, run)
     if single.by_speed is not None:
@@ -307,7 +292,10 @@ class GrowingStream(rr.RecordingStream):
         start, end = max(sent - first, 0), count - held
         if start < end:
             self._sent[entity_path] = first + end
-            parts: list[Any] = [_cut(column, start, end) for column in (*index, *values)]
+            parts: list[Any] = [
+                _Part(column, column.as_arrow_array().slice(start, end - start))
+                for column in (*index, *values)
+            ]
             super().send_columns(
                 entity_path, parts[: len(index)], parts[len(index) :], strict=strict
             )
@@ -367,7 +355,7 @@ class LiveScene:
             self._arrange(run, _open_up(content, references))
             world.draw_world(stream, [run])
         if stream.is_due:
-            plane.draw_driven(run_stream, run, is_growing=True)
+            plane.draw_growing_path(run_stream, run)
             plane.draw_reference_path(run_stream, run)
             plane.draw_sensed(run_stream, run)
             plots.draw_references(stream, references, read_span([run], [timelines]))
@@ -431,7 +419,3 @@ def _flush(stream: rr.RecordingStream) -> None:
         raise ConnectionError(
             f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
         ) from err
-
-
-def _cut(column: Any, start: int, end: int) -> _Part:
-    return _Part(column, column.as_arrow_array().slice(start, end - start))

@@ -129,7 +129,10 @@ def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> It
     width, height = size
     options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
     with start_viewer([*options, "--window-size", f"{width}x{height}"]) as viewer:
-        client = _connect(viewer, port)
+        try:
+            client = wait_for_viewer(viewer, port)
+        except ConnectionError as err:
+            raise _describe_lack(str(err)) from err
         for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
             client.run_command("ui.zoom_in_ui")
         yield Camera(viewer, client, size)
@@ -161,13 +164,6 @@ def write_snapshot(
     require_recordings([rrd_path])
     with open_camera(size=size, zoom=zoom) as camera:
         return camera.take(rrd_path, png_path, at_s=at_s, timeline=timeline)
-
-
-def _connect(viewer: ViewerProcess, port: int) -> ViewerClient:
-    try:
-        return wait_for_viewer(viewer, port)
-    except ConnectionError as err:
-        raise _describe_lack(str(err)) from err
 
 
 def _has_ended(viewer: ViewerProcess) -> bool:

@@ -46,7 +46,7 @@ class Timelines:
 
     Attributes:
         zero_ns: Zero of `sim_time`, in the run's own time [ns].
-        tick_ns: Times of the run's poses [ns], shape (n,), whose indices are the ticks.
+        tick_ns: Times of the poses [ns], shape (n,); the indices are ticks.
         starts_ns: Zeros of the timelines of phases, by their names, in the run's own time [ns].
         epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
         borders_ns: Times of phase starts, phase ends and events in the run's own time [ns],

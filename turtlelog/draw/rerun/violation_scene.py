@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.charts import palette
@@ -24,7 +23,7 @@ from turtlelog.draw.rerun.layout import LEGEND_TITLE, build_run_layout, build_vi
 from turtlelog.draw.rerun.plots import Series, draw_series
 from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording
 from turtlelog.draw.rerun.run_scene import build_single, draw_single
-from turtlelog.draw.rerun.timelines import RunStream, Times, add_thinning, build_run_timelines
+from turtlelog.draw.rerun.timelines import RunStream, add_thinning, build_run_timelines
 from turtlelog.draw.rerun.world import draw_points, draw_strips
 from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.run import Event, Run
@@ -187,7 +186,10 @@ def _draw(run_stream: RunStream, part: str, curve: Curve, label: str, **looks: A
 
 def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
     """Fill the band with vertical strokes; an unbounded band is filled up to the plot's edge."""
-    times_ns, rows = _choose_strokes(violated.curve.time_ns)
+    time_ns = violated.curve.time_ns
+    times_ns = np.linspace(time_ns[0], time_ns[-1], _STROKES).round().astype(np.int64)
+    rows = np.searchsorted(time_ns, times_ns, side="right") - 1
+    rows = np.clip(rows, 0, len(time_ns) - 1)
     part = violated.find_range()
     low, high = (
         np.full(len(rows), edge) if end is None else end[rows]
@@ -203,13 +205,6 @@ def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
     entity = f"{entities.VIOLATED}/band"
     run_stream.log(entity, style)
     run_stream.send_few(entity, np.repeat(times_ns, 3), rr.Scalars.columns(scalars=strokes))
-
-
-def _choose_strokes(time_ns: Times) -> tuple[Times, NDArray[np.int64]]:
-    """Return evenly spaced times, and the rows that are valid at these times."""
-    times_ns = np.linspace(time_ns[0], time_ns[-1], _STROKES).round().astype(np.int64)
-    rows = np.searchsorted(time_ns, times_ns, side="right") - 1
-    return times_ns, np.clip(rows, 0, len(time_ns) - 1)
 
 
 def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal) -> None:

@@ -133,7 +133,7 @@ def draw_close_up(
     rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
     up_m = _ABOVE * LETTERING.line * close_up.half_m
     lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
-    hues = [_choose_color(line, colors) for line in lines]
+    hues = [colors[one.runs[0]] if len(one.runs) == 1 else palette.START for one in lines]
     _write_labels(stream, entities.MISSES, up_m, lines, hues)
     _write_labels(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
     draw_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
@@ -234,11 +234,6 @@ def _part_lines(label: Label, lettering: Lettering, half_m: float) -> list[Label
         Label(text=line, xy_m=(x_m, y_m + (middle - number) * line_m), runs=(run,))
         for number, (line, run) in enumerate(zip(lines, label.runs, strict=True))
     ]
-
-
-def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
-    """Return the colour of the text's run, or grey for several runs."""
-    return colors[label.runs[0]] if len(label.runs) == 1 else palette.START
 
 
 def _write_labels(
