@@ -329,6 +329,7 @@ def test_a_gain_of_negative_commands_that_all_reach_the_bound_is_a_note(
 def test_a_gain_that_the_bound_hides_is_refused_with_the_commands_that_show_it(
     high: float, said: str
 ) -> None:
+    """A robot with a bound is identified once for several tests, which takes 2 s."""
     motions = [read_axis_motion(identify("bound")[0], "turn_rate")]
     fit = fit_axis(motions)
     found = replace(
