@@ -27,8 +27,10 @@ from turtlelog.identify import (
 )
 from turtlelog.identify.axis_fit import fit_axis
 from turtlelog.identify.axis_motion import read_axis_motion
+from turtlelog.identify.axis_values import describe_fit
 from turtlelog.identify.doubts import cover_rivals
 from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
+from turtlelog.identify.refused_axes import refuse_fit
 from turtlelog.identify.robot_structure import Structure
 from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.run import Run
@@ -319,6 +321,29 @@ def test_a_gain_of_negative_commands_that_all_reach_the_bound_is_a_note(
     found, notes = identify_sizes([-1.0, 0.3, -small, 0.6, -1.3, 0.5, 0.0, 1.2], reverse=1.0)
     assert known(found.gain).low < 0.95 < known(found.gain).high
     assert ("Every negative command of the turn rate reaches the limit" in notes) is is_told
+
+
+@pytest.mark.parametrize(
+    ("high", "said"), [(9.9, "0 to 9.9, is wider"), (10.1, "0 to more than 10, is wider")]
+)
+def test_a_gain_that_the_bound_hides_is_refused_with_the_commands_that_show_it(
+    high: float, said: str
+) -> None:
+    """A robot with a bound is identified once for several tests, which takes 2 s."""
+    motions = [read_axis_motion(identify("bound")[0], "turn_rate")]
+    fit = fit_axis(motions)
+    found = replace(
+        describe_fit("turn_rate", fit, 9),
+        gain=Estimate(value=1.0, low=0.0, high=high, unit="1"),
+        bound=Estimate(value=0.7, low=0.69, high=0.71, unit="rad/s"),
+    )
+    refused = refuse_fit("turn_rate", motions, fit, found)
+    assert refused is not None
+    assert said in refused.reason
+    assert refused.advice == "step the turn rate ten times for 2 s, also to less than 0.7 rad/s"
+    plain = refuse_fit("turn_rate", motions, fit, replace(found, bound=None))
+    assert plain is not None
+    assert plain.advice == "step the turn rate ten times for 2 s"
 
 
 def test_a_command_that_is_below_the_bound_for_a_moment_is_not_enough() -> None:

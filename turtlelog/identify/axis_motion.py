@@ -42,6 +42,10 @@ _MEMORY_S: Final = 3.0
 """Time for which an earlier command matters [s]: the largest dead time plus 1.5 s of time
 constants."""
 
+_TOGETHER_S: Final = 0.1
+"""Time within which two commands change together [s]: a usual robot's delay. A program that sends
+both axes apart needs 10 ms."""
+
 STANDING: Final = 0.02
 """Mean rate below which a robot is at rest, as a share of the largest command."""
 
@@ -103,6 +107,14 @@ class AxisMotion:
         """
         bends_rad = np.diff(self.direction_rad, prepend=0.0)
         return np.asarray(np.where(self.follows, np.cos(bends_rad), 0.0))
+
+    @property
+    def joint(self) -> NDArray[np.bool_]:
+        """Whether each change of the command comes together with one of the other axis."""
+        changes_s = self.commands.time_s[1:]
+        others_s = np.empty(0) if self.beside is None else self.beside.time_s[1:]
+        first = np.searchsorted(others_s, changes_s - _TOGETHER_S)
+        return np.asarray(first < np.searchsorted(others_s, changes_s + _TOGETHER_S, side="right"))
 
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""

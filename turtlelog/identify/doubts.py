@@ -82,6 +82,20 @@ def cover_rivals(
     return replace(covered, doubts=(*found.doubts, doubt))
 
 
+def cover_waiting(found: AxisModel, other: AxisModel) -> AxisModel:
+    """Return an axis in doubt that may wait for the other axis, whose delays it then has, too."""
+    covered = found
+    for field in ("dead_time_s", "total_delay_s"):
+        covered = _widen(covered, field, getattr(other, field))
+    name, beside = NAMES[found.axis], NAMES[other.axis]
+    doubt = (
+        f"Nearly all changes of the {name} come together with changes of the {beside}. The log does"
+        f" not show whether the {name} only waits for the {beside}, and advice uses the longer"
+        " delay."
+    )
+    return replace(covered, doubts=(*found.doubts, doubt))
+
+
 def describe_rivals(structures: Sequence[Structure]) -> str:
     """Return the further parameters of structures; parameters common to all appear once."""
     parts = [_list_parts(one) for one in structures]

@@ -24,7 +24,7 @@ from turtlelog.identify.axis_motion import (
 )
 from turtlelog.identify.axis_values import describe_fit
 from turtlelog.identify.held_response import Values
-from turtlelog.identify.robot_model import AxisModel
+from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.run import Run
 
 _OPPOSITE_EXPLAINS: Final = 0.5
@@ -42,6 +42,10 @@ _SUDDEN_S: Final = 0.1
 _SUDDEN_SHARE: Final = 0.05
 """Share of the range of commands that must change within this time; slower changes are ramps. A
 ramp over the range then takes more than 2 s, and shows no start."""
+
+_ENDLESS: Final = 10.0
+"""Multiple of a value above which the end of its interval is not printed: it is as good as none,
+and its digits are rounding."""
 
 _ABSURD: Final = 1e9
 """Largest plausible command or step of a robot [m/s], [rad/s], [m] or [rad]: light needs 3 s for
@@ -125,7 +129,14 @@ def refuse_fit(
     if repetition is not None:
         reason, is_opposite = _tell_twin(fit, *repetition)
         opposite = find_opposite(axis, motions, None) if is_opposite else None
-    return opposite or (refuse_axis(axis, reason) if reason else None)
+    if opposite or not reason:
+        return opposite
+    refused = refuse_axis(axis, reason)
+    if found.gain is None or found.bound is None or not _is_wide(found.gain):
+        return refused
+    # Commands at the bound show no gain: any larger one leads there, too.
+    most = found.bound.value / found.gain.value
+    return replace(refused, advice=f"{refused.advice}, also to less than {most:.2g} {UNITS[axis]}")
 
 
 def find_opposite(
@@ -169,18 +180,43 @@ def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
             "the commands explain nothing of how the motion changes: are they this robot's, and of"
             " the clock of its poses?"
         )
-    usual_s = float(np.median(fit.model.duration_s))
+    return _find_wide(found, float(np.median(fit.model.duration_s)))
+
+
+def refuse_wide(found: AxisModel, how: str) -> AxisModel | None:
+    """Return an axis without values if an interval is wider than its value; else None.
+
+    Args:
+        found: Axis with its values.
+        how: How else to drive, to know it.
+    """
+    reason = _find_wide(found, 0.0)
+    if not reason:
+        return None
+    refused = refuse_axis(found.axis, reason)
+    return replace(refused, advice=f"{refused.advice}, {how}")
+
+
+def _find_wide(found: AxisModel, fine_s: float) -> str:
+    """Return which interval of an axis is wider than its value; empty if none is."""
     for name, value, fine in (
         ("gain", found.gain, 0.0),
-        ("total delay", found.total_delay_s, usual_s),
+        ("total delay", found.total_delay_s, fine_s),
     ):
-        if value is not None and value.high - value.low > max(value.value, fine):
+        if value is not None and _is_wide(value, fine):
             unit = "" if value.unit == "1" else f" {value.unit}"
+            most = _ENDLESS * value.value
+            high = f"more than {most:.3g}" if value.high > most else f"{value.high:.3g}"
             return (
-                f"the interval of the {name}, {value.low:.3g} to {value.high:.3g}{unit}, is wider"
-                f" than its value of {value.value:.3g}{unit}"
+                f"the interval of the {name}, {value.low:.3g} to {high}{unit}, is wider than its"
+                f" value of {value.value:.3g}{unit}"
             )
     return ""
+
+
+def _is_wide(value: Estimate, fine: float = 0.0) -> bool:
+    """Return whether an interval is wider than its value, and than what is fine anyway."""
+    return value.high - value.low > max(value.value, fine)
 
 
 _SAMPLE_S: Final = 0.01

@@ -20,7 +20,12 @@ from turtlelog.identify.axis_motion import (
     read_axis_motion,
 )
 from turtlelog.identify.axis_values import describe_fit
-from turtlelog.identify.doubts import cover_parts, cover_rivals, find_correlation_delay
+from turtlelog.identify.doubts import (
+    cover_parts,
+    cover_rivals,
+    cover_waiting,
+    find_correlation_delay,
+)
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.refused_axes import (
     find_absurd,
@@ -28,6 +33,7 @@ from turtlelog.identify.refused_axes import (
     find_opposite,
     refuse_axis,
     refuse_fit,
+    refuse_wide,
 )
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
 from turtlelog.identify.structure_choice import LEAST_BELOW, choose_structure
@@ -51,6 +57,10 @@ the gain varies."""
 _MOSTLY: Final = 0.95
 """Share of an axis's commands beside one command of the other axis, above which no commands are
 left to compare: less than a twentieth of the commands gives no interval of its own."""
+
+_JOINTLY: Final = 0.9
+"""Share of the changes of an axis together with the other axis, above which its delay alone is
+unknown: one change in ten does not outweigh the others."""
 
 _FEWEST_STEPS: Final = 50
 """Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
@@ -81,8 +91,9 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     exact = _identify_ticks(runs)
     if exact is not None:
         return exact
-    found = [_identify_axis(runs, axis) for axis in AXES]
-    notes = [doubt for model, _ in found for doubt in model.doubts]
+    found = _identify_axes(runs)
+    models = [model for model, _ in found]
+    notes = [doubt for model in models for doubt in model.doubts]
     notes += [note for model, _ in found for note in _compare_runs(runs, model)]
     notes += [_note_one_size(model) for model, _ in found if _has_one_size(runs, model)]
     notes += [note for model, _ in found for note in _note_one_beside(runs, model)]
@@ -99,6 +110,16 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         events=tuple(event for _, events in found for event in events),
         notes=tuple(notes),
     )
+
+
+def _identify_axes(runs: Sequence[Run]) -> list[tuple[AxisModel, list[RobotEvent]]]:
+    speed, turn_rate = (_identify_axis(runs, axis) for axis in AXES)
+    pairs = ((speed, turn_rate), (turn_rate, speed))
+    models = [_doubt_waiting(runs, own, other) for (own, _), (other, _) in pairs]
+    return [
+        (model, events if model.is_known else [])
+        for model, (_, events) in zip(models, (speed, turn_rate), strict=True)
+    ]
 
 
 def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[RobotEvent]]:
@@ -236,6 +257,23 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
             f" {usual:.3g} {UNITS[other]}. The log does not show the gain of the"
             f" {NAMES[model.axis]} without this {NAMES[other]}."
         )
+
+
+def _doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> AxisModel:
+    """Return an axis in doubt if it is slower than the other axis and never changes without it.
+
+    Wheels whose acceleration is limited turn only after they have braked. Both axes share wheels,
+    motors and odometry, so nothing else delays one of them alone.
+    """
+    delay, other_delay = model.total_delay_s, other.total_delay_s
+    is_slower = delay is not None and (other_delay is None or delay.low > other_delay.high)
+    if not is_slower or model.limit_acts == "at_wheels":
+        return model
+    joint = np.concatenate([read_axis_motion(run, model.axis).joint for run in runs])
+    if np.mean(joint) < _JOINTLY:
+        return model
+    covered = cover_waiting(model, other)
+    return refuse_wide(covered, f"while the {NAMES[other.axis]} rests") or covered
 
 
 def _note_stops(model: AxisModel) -> str:
