@@ -5,6 +5,7 @@ measurements on published logs.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, Final
@@ -172,16 +173,6 @@ PART: Final = PlantPart(
 )
 
 
-@dataclass(slots=True)
-class _Teleport:
-    """Target of a teleport: a relative motion, or a pose."""
-
-    relative: bool
-    first_m: float
-    y_m: float
-    angle_rad: float
-
-
 class Turtle:
     """A turtle without controller and queue, which can also move sideways and teleport."""
 
@@ -213,7 +204,7 @@ class Turtle:
         self._settings = SimpleNamespace(scene=scene)
         self._state = begin(None, x_m, y_m, heading_rad, is_rounded=is_rounded)
         self._state.keeps_32_bits = keeps_32_bits
-        self._teleports: list[_Teleport] = []
+        self._teleports: list[Callable[[TurtleState], None]] = []
 
     def take_command(
         self, speed_m_s: float, turn_rate_rad_s: float, lateral_speed_m_s: float = 0.0
@@ -224,41 +215,31 @@ class Turtle:
 
     def teleport_to(self, x_m: float, y_m: float, heading_rad: float) -> None:
         """Request to be set to a pose in the world frame at the next step [m, m, rad]."""
-        to = to_float32(x_m), to_float32(y_m), to_float32(heading_rad)
-        self._teleports.append(_Teleport(False, *to))  # noqa: FBT003
+        down_m = max(0.0, to_float32(WORLD_SIZE_M - to_float32(y_m)))
+        pose = to_float32(x_m), down_m, to_float32(heading_rad)
+
+        def set_pose(state: TurtleState) -> None:
+            state.x_m, state.down_m, state.heading_rad = pose
+
+        self._teleports.append(set_pose)
 
     def teleport_by(self, forward_m: float, turn_rad: float) -> None:
         """Request to turn, then move along the new heading, at the next step [m, rad]."""
-        by = to_float32(forward_m), 0.0, to_float32(turn_rad)
-        self._teleports.append(_Teleport(True, *by))  # noqa: FBT003
+        way_m, turned_rad = to_float32(forward_m), to_float32(turn_rad)
+
+        def turn_and_move(state: TurtleState) -> None:
+            state.heading_rad += turned_rad
+            state.x_m += math.cos(state.heading_rad) * way_m
+            state.down_m -= math.sin(state.heading_rad) * way_m
+
+        self._teleports.append(turn_and_move)
 
     def step(self) -> None:
         """Move for one step: teleports, watchdog, turn, motion along the new heading, clamp."""
         for teleport in self._teleports:
-            self._teleport(teleport)
+            teleport(self._state)
         self._teleports.clear()
         move(self._settings, self._state, None, 0)
-
-    def _teleport(self, to: _Teleport) -> None:
-        state = self._state
-        if to.relative:
-            state.heading_rad += to.angle_rad
-            state.x_m += math.cos(state.heading_rad) * to.first_m
-            state.down_m -= math.sin(state.heading_rad) * to.first_m
-        else:
-            state.x_m = to.first_m
-            state.down_m = max(0.0, to_float32(WORLD_SIZE_M - to.y_m))
-            state.heading_rad = to.angle_rad
-
-    @property
-    def speed_m_s(self) -> float:
-        """Velocity that the turtle holds along its heading [m/s]."""
-        return self._state.speed
-
-    @property
-    def lateral_speed_m_s(self) -> float:
-        """Velocity that the turtle holds to the left of its heading [m/s]."""
-        return self._state.lateral_speed
 
     @property
     def turn_rate_rad_s(self) -> float:

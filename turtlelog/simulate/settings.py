@@ -34,7 +34,7 @@ Convert = Callable[[Any], Any]
 
 @dataclass(slots=True)
 class NoNumbers:
-    """Settings of a law in any Python, which reads its own parameters."""
+    """A record without numbers: settings of a law in any Python, which reads its own parameters."""
 
 
 class Mirror(NamedTuple):

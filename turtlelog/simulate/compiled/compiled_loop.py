@@ -45,6 +45,7 @@ from turtlelog.simulate.loop_parts import (
 )
 from turtlelog.simulate.rows import MAX_DURATION, EventRow, SampleRow, TickRow, describe_event
 from turtlelog.simulate.settings import (
+    NoNumbers,
     bound_rows,
     build_settings,
     find_law_numbers,
@@ -96,15 +97,11 @@ class Kinds:
     Attributes:
         settings: Record of the settings.
         state: Record of the state.
-        states: Record of the law's states in a sample.
-        waiting: Record of a command that waits for the plant.
         new: A row of each kind with its defaults, shape (1,).
     """
 
     settings: np.dtype[Any]
     state: np.dtype[Any]
-    states: np.dtype[Any]
-    waiting: np.dtype[Any]
     new: NDArray[Any]
 
     def allocate(self, ticks: int, samples: int) -> Rows:
@@ -112,20 +109,15 @@ class Kinds:
         return Rows(
             ticks=np.empty(ticks, TICK),
             samples=np.empty(samples, SAMPLE),
-            states=np.empty(samples, self.states),
+            states=np.empty(samples, self.new.dtype["states"]),
             events=np.empty(EVENTS_PERTICK * ticks, EVENT),
-            waiting=np.empty(2 * samples, self.waiting),
+            waiting=np.empty(2 * samples, self.new.dtype["waiting"]),
             table=np.empty((0, 0)),
             pieces=np.empty(0, PIECE),
             drawn_ticks=np.zeros(ticks, _OFTICKS),
             drawn_samples=np.zeros(samples, _OFSAMPLES),
             new=self.new,
         )
-
-
-@dataclass(slots=True)
-class _Nothing:
-    """A row for a kind of record that a loop does not have."""
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
@@ -150,14 +142,12 @@ def find_kinds(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Kinds
         "sample": SampleRow,
         "event": EventRow,
         "states": shape.States,
-        "waiting": plant.Waiting or _Nothing,
+        "waiting": plant.Waiting or NoNumbers,
     }
     fields = [(name, kind, field(default_factory=kind)) for name, kind in rows.items()]
     return Kinds(
         settings=build_dtype(shape.Settings),
         state=build_dtype(shape.State),
-        states=build_dtype(shape.States),
-        waiting=build_dtype(rows["waiting"]),
         new=as_record(make_dataclass("New", fields, slots=True)()),
     )
 
