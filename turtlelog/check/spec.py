@@ -25,7 +25,7 @@ from turtlelog.measure import (
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.scenario import describe_unknown_key
-from turtlelog.scenario.dotted_keys import name_key
+from turtlelog.scenario.file_tables import name_key
 
 FORMAT: Final = 1
 """Format of specifications; newer formats are refused."""

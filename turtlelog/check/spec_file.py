@@ -31,7 +31,7 @@ from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource, parse_goal_option, parse_wheelbase, parse_wheels
 from turtlelog.scenario import describe_unknown_key
-from turtlelog.scenario.dotted_keys import describe_value, name_key
+from turtlelog.scenario.file_tables import describe_value, name_key
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "trajectory", "read")

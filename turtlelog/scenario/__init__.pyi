@@ -1,5 +1,7 @@
-from .dotted_keys import (
+from .file_tables import (
     DEFAULT_LAW as DEFAULT_LAW,
+    PAPER_RUNS as PAPER_RUNS,
+    PRESETS as PRESETS,
     flatten_tables as flatten_tables,
     nest_parameters as nest_parameters,
 )
@@ -24,10 +26,6 @@ from .overrides import (
     parse_assignments as parse_assignments,
     replay_commands as replay_commands,
     unwrap_number as unwrap_number,
-)
-from .presets import (
-    PAPER_RUNS as PAPER_RUNS,
-    PRESETS as PRESETS,
 )
 from .scenario_file import (
     format_scenario as format_scenario,

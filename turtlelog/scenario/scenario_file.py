@@ -23,9 +23,8 @@ from turtlelog.files.text_files import (
 from turtlelog.files.urls import make_path
 from turtlelog.laws.open_loop import MOST_ROWS
 from turtlelog.run.paths import MOST_POINTS
-from turtlelog.scenario.dotted_keys import describe_value
+from turtlelog.scenario.file_tables import PAPER_RUNS, PRESET_TABLES, PRESETS, describe_value
 from turtlelog.scenario.model import Scenario, require_scenario
-from turtlelog.scenario.presets import PAPER_RUNS, PRESET_TABLES, PRESETS
 from turtlelog.scenario.table_conversion import build_scenario, nest_scenario
 
 

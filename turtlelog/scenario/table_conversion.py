@@ -35,7 +35,7 @@ from turtlelog.laws import (
 from turtlelog.parts import Complaint
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import Parameter, Run
-from turtlelog.scenario.dotted_keys import (
+from turtlelog.scenario.file_tables import (
     DEFAULT_LAW,
     describe_type,
     describe_value,
