@@ -147,7 +147,8 @@ class ControlLoop:
         _require_one_of(f"{place}: signal", self.signal, tuple(REFERENCES))
         _require_one_of(f"{place}: command", self.command, tuple(COMMAND_WORDS))
         _require_one_of(f"{place}: reference", self.reference, REFERENCES[self.signal])
-        for field_name in _KEY_FIELDS:
+        names = ("gain", "limit", "integral_gain", "derivative_gain", "derivative_filter")
+        for field_name in names:
             key = getattr(self, field_name)
             if key is not None and not (isinstance(key, str) and _KEY.fullmatch(key)):
                 expected = "a key such as law.kp_angular, or None"
@@ -168,7 +169,9 @@ class ControlLoop:
         The integral of a turn rate is a heading; the integral of a speed is an along-track position
         or a distance.
         """
-        return (self.signal, self.command) in _INTEGRATED
+        if self.command == "turn_rate":
+            return self.signal == "heading"
+        return self.signal in {"along_track", "distance"}
 
     @property
     def has_theory(self) -> bool:
@@ -194,13 +197,6 @@ class ControlLoop:
         """Scenario key of the command's limit."""
         return self.limit or LIMIT_KEYS[self.command]
 
-
-_KEY_FIELDS: Final = ("gain", "limit", "integral_gain", "derivative_gain", "derivative_filter")
-"""Fields of a loop that hold a scenario key."""
-
-_INTEGRATED: Final = frozenset(
-    {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
-)
 
 LIMIT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
     {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
