@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeAlias, Unpack
+from typing import Any, Literal, TypeAlias, Unpack
 
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_loss
@@ -47,14 +47,8 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
-Expected: TypeAlias = "Recording | AnyReference"
-
-
-class Watch(Protocol):
-    """Function that is called for every used recording and every check."""
-
-    def __call__(self, recording: "Recording", result: CheckResult | None, /) -> None:
-        """Receive the result of a check; None if the recording has only been used."""
+Watch: TypeAlias = Callable[["Recording", CheckResult | None], None]
+"""Function that is called for every check, and with None if a recording has only been used."""
 
 
 class UnknownMetricError(CheckError, AttributeError):
@@ -169,7 +163,9 @@ class Recording:
         result = judge_check(check, self.run, file=self.file)
         return self._conclude([replace(result, check=result.expected)])
 
-    def matches(self, reference: Expected, *, tolerance: AnyTolerance = None) -> CheckOutcome:
+    def matches(
+        self, reference: "Recording | AnyReference", *, tolerance: AnyTolerance = None
+    ) -> CheckOutcome:
         """Return whether the recording agrees with a reference.
 
         Args:
@@ -377,14 +373,6 @@ def _name_law(law: object) -> str:
     return f"{module}:{name}"
 
 
-class HasRun(Protocol):
-    """Object that contains a run, such as a `Recording`."""
-
-    @property
-    def run(self) -> Run:
-        """The run."""
-
-
 class DrivenRecording:
     """Response of a law to the recorded poses; `matches` compares it with the recording."""
 
@@ -407,7 +395,7 @@ class DrivenRecording:
         raise CheckError(f"{self._file} driven again: assert .matches(recording)")
 
     def matches(
-        self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
+        self, recording: Recording | Run, *, tolerance: Tolerance | None = None
     ) -> CheckOutcome:
         """Return whether the law answers as recorded: equal commands, errors, phases and end.
 

@@ -105,12 +105,9 @@ def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
     commands and goal.
     """
     lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
-    if len(lawless) < len(of) or not of:
-        laws = [
-            run.declaration if isinstance(run, Run) else run for run in of if run not in lawless
-        ]
-        return tuple(dict.fromkeys([*_list_of_laws(*laws), *_list_of_motion(lawless)]))
-    return _list_of_motion(lawless)
+    laws = [run.declaration if isinstance(run, Run) else run for run in of if run not in lawless]
+    of_laws = _list_of_laws(*laws) if laws or not of else ()
+    return tuple(dict.fromkeys([*of_laws, *_list_of_motion(lawless)]))
 
 
 def is_lawless(run: Run) -> bool:
@@ -256,26 +253,8 @@ def measure_run(
     context = RunContext(run, settings)
     # Values at the limits of a float become statuses, not warnings.
     with np.errstate(all="ignore"):
-        return Metrics(
-            (
-                (
-                    name,
-                    _measure(context, name, kinds[name])
-                    if name in kinds
-                    else _miss_metric(run, name),
-                )
-                for name in names
-            ),
-            first=list_essential_metrics(run),
-        )
-
-
-def _miss_metric(run: Run, name: str) -> Metric:
-    missing = miss_metric(run.declaration, name)
-    if len(run.samples) or run.declaration.loops:
-        return missing
-    reason = "no samples of a controller were read"
-    return replace(missing, status=Status.ABSENT, reason=reason)
+        found = [(name, _measure(context, name, kinds.get(name))) for name in names]
+    return Metrics(found, first=list_essential_metrics(run))
 
 
 def miss_metric(declaration: Declaration, name: str) -> Metric:
@@ -292,7 +271,13 @@ def miss_metric(declaration: Declaration, name: str) -> Metric:
     return Metric(id=name, value=None, unit=unit, status=Status.NO_PHASE, reason=reason)
 
 
-def _measure(context: RunContext, name: str, kind: MetricKind) -> Metric:
+def _measure(context: RunContext, name: str, kind: MetricKind | None) -> Metric:
+    if kind is None:
+        missing = miss_metric(context.run.declaration, name)
+        if not is_lawless(context.run):
+            return missing
+        reason = "no samples of a controller were read"
+        return replace(missing, status=Status.ABSENT, reason=reason)
     if kind.needs_poses and not len(context.run.poses):
         result: Result = NO_POSES
     else:

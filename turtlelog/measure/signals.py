@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
@@ -214,10 +215,9 @@ def explain_no_signal(run: Run, name: str) -> str:
 def list_signals(declaration: Declaration) -> Mapping[str, SignalKind]:
     """Return every signal that runs of a law can contain, by name: `SIGNALS`, then its states."""
     states = {
-        name: _sample(
-            declaration.state_units.get(name, "1"),
-            f"State {name} of the law.",
-            partial(_read_state, column=column),
+        name: replace(
+            _sample(declaration.state_units.get(name, "1"), f"State {name} of the law.", "states"),
+            read=partial(_read_state, column=column),
         )
         for column, name in enumerate(declaration.states)
     }
@@ -304,11 +304,12 @@ def _sensed(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> Si
     return replace(_pose(unit, meaning, read), source="sensed pose", resampling="hold")
 
 
-def _applied(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
-    return replace(_pose(unit, meaning, read), resampling="hold")
+def _applied(unit: str, meaning: str, column: str) -> SignalKind:
+    return replace(_pose(unit, meaning, attrgetter(f"poses.{column}")), resampling="hold")
 
 
-def _sample(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
+def _sample(unit: str, meaning: str, column: str) -> SignalKind:
+    read = attrgetter(f"samples.{column}")
     return SignalKind(unit=unit, source="sample", resampling="hold", meaning=meaning, read=read)
 
 
@@ -322,51 +323,35 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
             "Heading, counter-clockwise from the x axis, without jumps at a full turn.",
             _read_heading,
         ),
-        "speed": _sample(
-            "m/s",
-            "Commanded speed along the heading, after clipping.",
-            lambda run: run.samples.speed_m_s,
-        ),
-        "turn_rate": _sample(
-            "rad/s", "Commanded turn rate, after clipping.", lambda run: run.samples.turn_rate_rad_s
-        ),
-        "wanted_speed": _sample(
-            "m/s", "Commanded speed before clipping.", lambda run: run.samples.wanted_speed_m_s
-        ),
+        "speed": _sample("m/s", "Commanded speed along the heading, after clipping.", "speed_m_s"),
+        "turn_rate": _sample("rad/s", "Commanded turn rate, after clipping.", "turn_rate_rad_s"),
+        "wanted_speed": _sample("m/s", "Commanded speed before clipping.", "wanted_speed_m_s"),
         "wanted_turn_rate": _sample(
-            "rad/s",
-            "Commanded turn rate before clipping.",
-            lambda run: run.samples.wanted_turn_rate_rad_s,
+            "rad/s", "Commanded turn rate before clipping.", "wanted_turn_rate_rad_s"
         ),
         "shaped_speed": _sample(
-            "m/s",
-            "Commanded speed after shaping, before the limits.",
-            lambda run: run.samples.shaped_speed_m_s,
+            "m/s", "Commanded speed after shaping, before the limits.", "shaped_speed_m_s"
         ),
         "shaped_turn_rate": _sample(
             "rad/s",
             "Commanded turn rate after shaping, before the limits.",
-            lambda run: run.samples.shaped_turn_rate_rad_s,
+            "shaped_turn_rate_rad_s",
         ),
         "applied_speed": _applied(
             "m/s",
             "Magnitude of the speed that the plant integrated, including a disturbance.",
-            lambda run: run.poses.speed_m_s,
+            "speed_m_s",
         ),
         "applied_turn_rate": _applied(
             "rad/s",
             "Turn rate that the plant integrated, including a disturbance.",
-            lambda run: run.poses.turn_rate_rad_s,
+            "turn_rate_rad_s",
         ),
         "measured_speed": _applied(
-            "m/s",
-            "Forward speed that the robot reports, negative backward.",
-            lambda run: run.poses.measured_speed_m_s,
+            "m/s", "Forward speed that the robot reports, negative backward.", "measured_speed_m_s"
         ),
         "measured_turn_rate": _applied(
-            "rad/s",
-            "Turn rate that the robot reports.",
-            lambda run: run.poses.measured_turn_rate_rad_s,
+            "rad/s", "Turn rate that the robot reports.", "measured_turn_rate_rad_s"
         ),
         "sensed_x": _sensed(
             "m", "Coordinate x that the controller reads.", lambda run: _read_sensed(run, 0)

@@ -40,11 +40,9 @@ class Sampling:
     is_latin: bool = False
 
     def __post_init__(self) -> None:
-        for name, least in (("count", 1), ("seed", 0)):
-            found = getattr(self, name)
+        for option, found, least in (("--sample", self.count, 1), ("--seed", self.seed, 0)):
             if found < least:
-                name = "--sample" if name == "count" else "--seed"
-                raise SweepError(f"{name}: expected at least {least}, found {found}")
+                raise SweepError(f"{option}: expected at least {least}, found {found}")
         if self.count > MOST_DRAWN:
             most = f"at most {MOST_DRAWN:,} rows"
             raise SweepError(f"--sample: expected {most}, found {self.count:,}")
