@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -162,9 +162,7 @@ def assign_columns(
 
 
 def _fill_unit(choice: Choice, unit: str | None) -> Choice:
-    if choice.unit is not None or unit not in choice.units:
-        return choice
-    return Choice(field=choice.field, column=choice.column, name=choice.name, unit=unit)
+    return replace(choice, unit=unit) if choice.unit is None and unit in choice.units else choice
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:

@@ -116,7 +116,7 @@ def _parse_text(text: str, size: int) -> PlainTable:
     if not first:
         raise LogError("expected a table, found no rows")
     delimiter = _find_delimiter(first)
-    require_few_columns(len(first.split(None if delimiter == _BLANK else delimiter, _MOST_COLUMNS)))
+    require_few_columns(_count_cells(first, delimiter))
     header = _split_line(first, delimiter)
     has_header = True
     is_first = all(map(_is_number, header))
@@ -152,21 +152,19 @@ def _find_first_row(text: str) -> tuple[list[str], str, bool]:
     return comments, first.strip(), next(rows, None) is not None
 
 
+def _count_cells(line: str, delimiter: str) -> int:
+    return len(line.split(None if delimiter == _BLANK else delimiter, _MOST_COLUMNS))
+
+
 def _find_delimiter(line: str) -> str:
-    for delimiter in (";", "\t", ","):
-        if delimiter in line:
-            return delimiter
-    return _BLANK
+    return next((delimiter for delimiter in (";", "\t", ",") if delimiter in line), _BLANK)
 
 
 def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
     """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
-            if (
-                len(comment.split(None if candidate == _BLANK else candidate, _MOST_COLUMNS))
-                > _MOST_COLUMNS
-            ):
+            if _count_cells(comment, candidate) > _MOST_COLUMNS:
                 continue
             names = _split_line(comment, candidate)
             if len(names) == count and not any(map(_is_number, names)):
