@@ -59,11 +59,7 @@ class JsonField:
 
 
 def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
-    """Return the fields of messages that a schema in `jsonschema` describes.
-
-    Raises:
-        LogError: If the schema is not JSON, or does not describe an object with properties.
-    """
+    """Return the fields of messages that a schema in `jsonschema` describes."""
     if len(data) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
     try:
@@ -93,9 +89,6 @@ def decode_objects(
     Without `decode`, a function from the index and bytes of a message to an object, they are JSON.
     Missing numbers are NaN, missing texts empty, other missing values None. Columns of integers or
     truth values with missing values become float columns.
-
-    Raises:
-        LogError: If a message is not a JSON object, or a value does not have its field's kind.
     """
     columns: list[list[Any]] = [[] for _ in fields]
     for row, data in enumerate(messages):  # one at a time: objects are larger than their text
@@ -115,11 +108,7 @@ class _Schema:
         self._name, self._root, self._left = name, root, _MOST_PARTS
 
     def list_fields(self, schema: Any, path: tuple[str, ...]) -> Iterator[JsonField]:
-        """Yield the fields of messages, including those of nested objects.
-
-        Raises:
-            LogError: If a type contains itself, or there are too many parts.
-        """
+        """Yield the fields of messages, including those of nested objects."""
         schema = self._resolve(schema)
         properties = schema.get("properties")
         if not isinstance(properties, dict):

@@ -138,9 +138,6 @@ def assign_columns(
     """Return the columns with known quantities, by quantity.
 
     The user's columns by quantity (`asked`) have a name, with or without a unit in brackets.
-
-    Raises:
-        LogError: If a requested column does not exist or is ambiguous.
     """
     chosen: dict[str, Choice] = {}
     for field, text in asked.items():

@@ -6,7 +6,7 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -43,20 +43,6 @@ _BLANK: Final = " "
 """Delimiter that means any number of spaces and tabs."""
 
 
-class _TableColumns(Protocol):
-    """Reader of the columns of a table.
-
-    Attributes:
-        lines: Number of each row in its file, from 1; known after the first reading.
-    """
-
-    lines: Sequence[int]
-
-    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of the columns with the given indices."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainTable:
     """A table as in its file.
@@ -70,7 +56,7 @@ class PlainTable:
     """
 
     names: tuple[str, ...]
-    columns: "_TableColumns"
+    columns: "_TextColumns | _StoredColumns"
     word: str
     has_header: bool = True
     units: Mapping[str, str] = field(default_factory=dict)

@@ -212,9 +212,6 @@ def choose_path_topics(
 
     A controller's short local plan (local_plan) and topics with the name of a trace are not
     references.
-
-    Raises:
-        LogError: If the requested topic does not exist, or has another type.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
