@@ -181,11 +181,7 @@ def _read_page_header(stream: BinaryIO, place: int, end: int) -> tuple[dict[int,
 
 
 class _Thrift:
-    """Values in the compact protocol, read one after another.
-
-    Attributes:
-        place: Offset of the next value.
-    """
+    """Values in the compact protocol, read one after another; the next is at `place`."""
 
     def __init__(self, data: bytes, most_parts: int) -> None:
         self._data, self._parts, self._most = data, 0, most_parts

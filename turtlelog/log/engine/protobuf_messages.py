@@ -89,8 +89,8 @@ class ProtobufType:
     def decode(self, row: int, data: bytes) -> dict[str, Any]:
         """Return a message as an object."""
         if len(data) > LONGEST_MESSAGE:
-            most = LONGEST_MESSAGE
-            raise LogError(f"message {row}: expected up to {most} bytes, found {len(data)}")
+            found = f"expected up to {LONGEST_MESSAGE} bytes, found {len(data)}"
+            raise LogError(f"message {row}: {found}")
         try:
             return self._decode(data)
         except LogError as err:

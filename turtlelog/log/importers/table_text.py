@@ -165,11 +165,7 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
 
 
 class _TextColumns:
-    """The columns of a table of text.
-
-    Attributes:
-        lines: Line number of each row; known after the first reading.
-    """
+    """The columns of a table of text, and the line of each row, known after the first reading."""
 
     def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
         """Use a text whose lines have `count` cells; the file has `size` bytes.
@@ -273,12 +269,7 @@ def _read_parquet(path: Path) -> PlainTable:
 
 
 class _StoredColumns:
-    """The columns of a Parquet file.
-
-    Attributes:
-        names: Names of the columns; names within structs have dots.
-        lines: Number of each row.
-    """
+    """The columns of a Parquet file, with dots in names within structs, and the row numbers."""
 
     def __init__(self, file: ParquetFile) -> None:
         self._file, self.names = file, [leaf.path for leaf in file.leaves]

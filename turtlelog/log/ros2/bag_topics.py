@@ -89,11 +89,7 @@ _POSE_NAMES: Final = (
 
 
 class NoPosesError(LogError):
-    """Error of a bag without a readable topic of poses.
-
-    Attributes:
-        is_unread: Whether there are pose topics that cannot be read.
-    """
+    """Error of a bag without a readable topic of poses; some may be unreadable (`is_unread`)."""
 
     def __init__(self, text: str, *, is_unread: bool = False) -> None:
         super().__init__(text)
