@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_file_info, read_run, read_trajectory
-from turtlelog.log.engine.protobuf_messages import read_protobuf_type
+from turtlelog.log.engine.object_messages import read_protobuf_type
 
 START_S = 1_700_000_000
 DOUBLE, TEXT, MESSAGE = 1, 9, 11

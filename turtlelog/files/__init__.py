@@ -1,8 +1,6 @@
 """Files that a user names: small texts, TOML files, and paths that may be URLs.
 
 fsspec, which reads object storage and http, is loaded only for URLs.
-
-The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

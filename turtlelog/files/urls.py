@@ -274,11 +274,7 @@ def make_path(path: "str | os.PathLike[str]") -> Path:
 
 
 def is_there(path: Path) -> bool:
-    """Return whether a file, or an object behind a URL, exists.
-
-    Raises:
-        RemoteError: If this cannot be determined, or the bucket does not exist.
-    """
+    """Return whether a file, or an object behind a URL, exists."""
     if not isinstance(path, RemotePath):
         return path.exists()
     from turtlelog.files.requests import find_object
@@ -287,11 +283,7 @@ def is_there(path: Path) -> bool:
 
 
 def has_files(folder: Path) -> bool:
-    """Return whether a folder contains anything, or any object exists below a URL.
-
-    Raises:
-        RemoteError: If the URL is not writable, or this cannot be determined.
-    """
+    """Return whether a folder contains anything, or any object exists below a URL."""
     if not isinstance(folder, RemotePath):
         return folder.is_dir() and any(folder.iterdir())
     from turtlelog.files.requests import find_objects

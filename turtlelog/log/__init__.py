@@ -1,7 +1,4 @@
-"""Reading and writing of runs: formats, columns of any file, importers, recovery, recording.
-
-The public names are in `__init__.pyi` and load on first use.
-"""
+"""Reading and writing of runs: formats, columns of any file, importers, recovery, recording."""
 
 from turtlelog.libraries import attach_names
 

@@ -82,17 +82,11 @@ def open_file(path: str | Path) -> BinaryIO:
         raise LogError(f"expected a file, found a {kind}")
     stream = path.file.open() if isinstance(path, RemotePath) else path.open("rb")
     if found.st_size < _POINTER_BYTES:
-        _refuse_pointer(stream)
+        if stream.read(len(LFS_POINTER)) == LFS_POINTER:
+            stream.close()
+            raise LogError("this is a Git LFS pointer, not the file: git lfs pull")
+        stream.seek(0)
     return stream
-
-
-def _refuse_pointer(stream: BinaryIO) -> None:
-    """Refuse and close a Git LFS pointer. The position in other files does not change."""
-    start = stream.read(len(LFS_POINTER))
-    if start == LFS_POINTER:
-        stream.close()
-        raise LogError("this is a Git LFS pointer, not the file: git lfs pull")
-    stream.seek(0)
 
 
 def name_write_error(path: str | Path, err: Exception) -> LogError:
@@ -283,11 +277,7 @@ _STOPS: Final = (*_KEYBOARD, *_REQUESTS)
 
 @dataclass(slots=True)
 class StopRequest:
-    """A request to end the program.
-
-    Attributes:
-        signal_number: Number of the signal; None if no signal has arrived.
-    """
+    """A request to end the program: the number of the signal; None if none has arrived."""
 
     signal_number: int | None = None
 
@@ -332,11 +322,8 @@ def exit_on_terminate() -> Iterator[None]:
     Ctrl-C raises an exception by default. Existing settings by `nohup` or a handler stay. On
     Windows, only a console sends SIGTERM; ending a task kills the process.
     """
-
-    def leave(number: int, _frame: FrameType | None) -> None:
-        sys.exit(128 + number)
-
-    with _handle(leave, _find_defaults((*_REQUESTS, *_KEYBOARD))):
+    signals = _find_defaults((*_REQUESTS, *_KEYBOARD))
+    with _handle(lambda number, _frame: sys.exit(128 + number), signals):
         yield
 
 

@@ -151,11 +151,7 @@ def _measure_depth(children: list[int]) -> int:
 
 
 def iterate_pages(stream: BinaryIO, chunk: ChunkClaim) -> Iterator[PageClaim]:
-    """Yield the headers of a column's pages in a row group; no page is unpacked.
-
-    Raises:
-        DamageError: If a header is invalid, or a page extends beyond the file.
-    """
+    """Yield the headers of a column's pages in a row group; no page is unpacked."""
     place, end = chunk.start, chunk.start + chunk.size
     if chunk.start < len(_MAGIC) or chunk.size < 0 or end > stream.seek(0, 2):
         raise DamageError("expected a complete Parquet file, found a column outside the file")
@@ -185,11 +181,7 @@ def _read_page_header(stream: BinaryIO, place: int, end: int) -> tuple[dict[int,
 
 
 class _Thrift:
-    """Values in the compact protocol, read one after another.
-
-    Attributes:
-        place: Offset of the next value.
-    """
+    """Values in the compact protocol, read one after another; the next is at `place`."""
 
     def __init__(self, data: bytes, most_parts: int) -> None:
         self._data, self._parts, self._most = data, 0, most_parts

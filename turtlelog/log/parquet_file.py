@@ -140,7 +140,12 @@ class ParquetFile:
             LogError: If the columns need too much memory. The message does not contain the file's
                 name.
         """
-        places = [place for place in range(len(self.leaves)) if self._is_asked(place, names)]
+        starts = None if names is None else tuple(f"{name}." for name in names)
+        places = [
+            place
+            for place, leaf in enumerate(self.leaves)
+            if starts is None or f"{leaf.path}.".startswith(starts)
+        ]
         groups = range(len(self.group_rows)) if group is None else [group]
         parquet = load_library("pyarrow.parquet")
         with open_file(self._path) as stream:
@@ -178,10 +183,6 @@ class ParquetFile:
                 f" for a file of {self._size:,} bytes. Write fewer columns"
                 f"{self._advice}"
             )
-
-    def _is_asked(self, place: int, names: Sequence[str] | None) -> bool:
-        path = self.leaves[place].path
-        return names is None or any(path == name or path.startswith(f"{name}.") for name in names)
 
     def _require_bounded(
         self, stream: BinaryIO, places: Sequence[int], groups: Sequence[int]

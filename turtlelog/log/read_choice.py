@@ -164,11 +164,7 @@ def match_topic(asked: str, names: Collection[str]) -> str:
 
 
 def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:
-    """Return position [m] and heading [rad] of a requested goal; None for a missing heading.
-
-    Raises:
-        LogError: If the goal is not two or three finite numbers.
-    """
+    """Return position [m] and heading [rad] of a requested goal; None for a missing heading."""
     if len(goal) not in {2, 3} or not all(map(math.isfinite, goal)):
         raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {goal!r:.60}")
     x_m, y_m, *heading_rad = map(float, goal)
@@ -176,11 +172,7 @@ def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], flo
 
 
 def parse_joints(text: str) -> tuple[str, str]:
-    """Return the names of the left and the right wheel.
-
-    Raises:
-        LogError: If there are not two names.
-    """
+    """Return the names of the left and the right wheel."""
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise LogError(f"wheel_joints: expected LEFT,RIGHT, two joints, found {text[:60]}")
@@ -188,11 +180,7 @@ def parse_joints(text: str) -> tuple[str, str]:
 
 
 def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
-    """Return the radius of wheels and the distance between them [m].
-
-    Raises:
-        LogError: If there are not two lengths > 0.
-    """
+    """Return the radius of wheels and the distance between them [m]."""
     if len(values) != 2 or not all(map(_is_length, values)):
         raise LogError(
             f"wheels: expected radius and track above 0 in m, as in (0.033, 0.16), found"
@@ -202,11 +190,7 @@ def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
 
 
 def parse_wheelbase(value: float) -> float:
-    """Return the distance between the axles [m].
-
-    Raises:
-        LogError: If the value is not a length > 0.
-    """
+    """Return the distance between the axles [m]."""
     if not _is_length(value):
         raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
     return float(value)

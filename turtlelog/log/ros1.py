@@ -336,11 +336,7 @@ def name_as_ros2(kind: str) -> str:
 
 
 def read_ros1_type(name: str, text: str) -> MessageType:
-    """Return a type from its definition in `ros1msg`.
-
-    Raises:
-        LogError: As for `read_type`, and if there is no text.
-    """
+    """Return a type from its definition in `ros1msg`."""
     if not text.strip():
         raise LogError(f"schema {name}: the file holds no definition of it")
     has_header = "MSG: std_msgs/Header" in text or shorten_type(name) == "std_msgs/Header"

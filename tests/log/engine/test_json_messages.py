@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, iter_columns, read_columns, read_info
-from turtlelog.log.engine import json_messages
+from turtlelog.log.engine import object_messages
 from turtlelog.log.engine.message_types import LONGEST_TEXT
 from turtlelog.log.engine.topic_columns import read_some_columns
 
@@ -160,9 +160,9 @@ def test_wrong_message_is_one_line_with_its_number(
 
 def test_message_of_any_length_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     size = len(json.dumps(make_pose()))
-    monkeypatch.setattr(json_messages, "LONGEST_MESSAGE", size)
+    monkeypatch.setattr(object_messages, "LONGEST_MESSAGE", size)
     assert len(read(tmp_path, [make_pose()])) == 1
-    monkeypatch.setattr(json_messages, "LONGEST_MESSAGE", size - 1)
+    monkeypatch.setattr(object_messages, "LONGEST_MESSAGE", size - 1)
     with pytest.raises(LogError, match=f"expected up to {size - 1} bytes of JSON, found {size}"):
         read(tmp_path, [make_pose()])
 

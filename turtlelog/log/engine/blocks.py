@@ -160,11 +160,7 @@ def walk_blocks(
     *,
     damages: list[Loss] | None = None,
 ) -> Iterator[Block]:
-    """Yield a complete file as blocks, in file order, and fill the catalogue.
-
-    Raises:
-        DamageError: If something is damaged and no list for damages is given.
-    """
+    """Yield a complete file as blocks, in file order, and fill the catalogue."""
 
     def build(section: Section) -> Block:
         block = build_walked_block(

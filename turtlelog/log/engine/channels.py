@@ -12,7 +12,6 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from turtlelog.display import join_words
 from turtlelog.errors import LogError
-from turtlelog.log.engine.json_messages import JsonField, read_json_schema
 from turtlelog.log.engine.limits import FIELDS, Allowance
 from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
@@ -23,6 +22,11 @@ from turtlelog.log.engine.message_types import (
     Layout,
     read_type,
     shorten_type,
+)
+from turtlelog.log.engine.object_messages import (
+    JsonField,
+    read_json_schema,
+    read_protobuf_type,
 )
 from turtlelog.log.file_access import DamageError, LimitError
 
@@ -263,8 +267,6 @@ def _read_schema(schema: Schema, allowance: Allowance) -> dict[str, Any]:
     if schema.encoding == SchemaEncoding.JSONSchema:
         objects = read_json_schema(schema.name, schema.data)
     elif schema.encoding == SchemaEncoding.Protobuf:
-        from turtlelog.log.engine.protobuf_messages import read_protobuf_type  # few files need it
-
         kind = read_protobuf_type(schema.name, schema.data)
         objects, decode = tuple(kind.list_fields()), kind.decode
     if objects is not None:

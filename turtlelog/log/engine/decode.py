@@ -17,7 +17,6 @@ from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import Decode, TopicPlan
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.json_messages import JsonField, decode_objects
 from turtlelog.log.engine.limits import UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
@@ -28,6 +27,7 @@ from turtlelog.log.engine.message_types import (
     Layout,
     fill_columns,
 )
+from turtlelog.log.engine.object_messages import JsonField, decode_objects
 from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_bytes, gather_heads
 
 Rows = dict[str, Column]

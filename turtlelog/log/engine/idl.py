@@ -77,9 +77,6 @@ def convert_idl(name: str, text: str) -> str:
     Args:
         name: `package/msg/Type`, or a scoped name (`package::msg::Type`).
         text: IDL text; or several texts, each after a line of equals signs and a line with `IDL:`.
-
-    Raises:
-        LogError: If the text is not IDL, or cannot be expressed in `ros2msg`.
     """
     if len(text) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(text)}")

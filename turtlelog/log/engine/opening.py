@@ -83,11 +83,7 @@ def strip_suffixes(path: Path) -> str:
 
 
 class _Unpacked(io.BufferedReader):
-    """A file after unpacking.
-
-    Attributes:
-        stored_size: Packed size [bytes], which sets the limits.
-    """
+    """A file after unpacking, with its packed size [bytes], which sets the limits."""
 
     def __init__(self, place: Path, stored_size: int) -> None:
         super().__init__(io.FileIO(place))

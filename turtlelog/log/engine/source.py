@@ -231,11 +231,7 @@ class Selection:
         return {topic: plan for topic, plan in plans if plan is not None}
 
     def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
-        """Return the plan of a topic; None if it is not requested.
-
-        Raises:
-            LogError: If the topic is requested by name and cannot be decoded.
-        """
+        """Return the plan of a topic; None if it is not requested."""
         if self.topics is not None and topic not in self.topics:
             return None
         plan = catalogue.find_plan(topic)

@@ -74,8 +74,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
             if size % page:  # SQLite would fill an incomplete last page with zeros
                 if place == path:
                     folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
-                    place = folder / "bag.db3"
-                    shutil.copyfile(path, place)
+                    place = Path(shutil.copyfile(path, folder / "bag.db3"))
                 os.truncate(place, size - size % page)
             check_pages(place, page, is_damaged=is_damaged)
             connection = _connect(place, "mode=ro&immutable=1", is_damaged=is_damaged)
@@ -204,9 +203,7 @@ def list_tables(execute: _Execute) -> dict[str, BagTable]:
 
 
 def _describe_table(execute: _Execute, table: str, needed: Collection[str]) -> BagTable:
-    found = [
-        (name, hidden) for _, name, _, _, _, _, hidden in execute(f"PRAGMA table_xinfo({table})")
-    ]
+    found = [(name, hidden) for _, name, *_, hidden in execute(f"PRAGMA table_xinfo({table})")]
     columns = [name for name, hidden in found if not hidden]
     for name in needed:
         if name not in columns:

@@ -57,9 +57,6 @@ def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
 
     In a damaged file, invalid pages and rows that claim too much are skipped, but the definitions
     of tables must be valid. No file beside it may change it.
-
-    Raises:
-        LogError: If pages belong to two trees, or rows claim more bytes than exist.
     """
     with path.open("rb") as stream:
         usable = page_size - stream.read(_FILE_HEAD)[_RESERVED]

@@ -246,15 +246,15 @@ class SqliteSource:
                 "messages: expected rows with a topic, a time and data, found others"
             )
         row, kind, held, named, timestamp, topic_id = found
-        place = f"messages: row {row}"
+        fault = f"the table topics has no topic_id {topic_id}"
         if kind != "integer" or timestamp < 0:
             value = timestamp if kind == "integer" else kind
-            return DamageError(f"{place}: timestamp: expected nanoseconds from 0 on, found {value}")
-        if held != "blob":
-            return DamageError(f"{place}: data: expected a blob, found {held}")
-        if named != "integer":
-            return DamageError(f"{place}: topic_id: expected a whole number, found {named}")
-        return DamageError(f"{place}: the table topics has no topic_id {topic_id}")
+            fault = f"timestamp: expected nanoseconds from 0 on, found {value}"
+        elif held != "blob":
+            fault = f"data: expected a blob, found {held}"
+        elif named != "integer":
+            fault = f"topic_id: expected a whole number, found {named}"
+        return DamageError(f"messages: row {row}: {fault}")
 
     def _count_steps(self) -> bool:
         self._steps_left -= _STEPS

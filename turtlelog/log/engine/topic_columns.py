@@ -193,10 +193,7 @@ def collect_parts(
                 promised = expected.get(topic, 0) if source.is_indexed else 0
                 stores[topic] = _RowStore(0 if topic in wholes else promised)
             stores[topic].take(found)
-    parts: dict[str, list[Rows]] = {}
-    for topic, columns in wholes.items():
-        if columns.has_rows:
-            parts[topic] = [columns.finish()]
+    parts = {topic: [columns.finish()] for topic, columns in wholes.items() if columns.has_rows}
     for topic, store in stores.items():
         parts[topic] = [*parts.get(topic, []), *store.parts]
     return parts

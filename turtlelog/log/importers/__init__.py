@@ -1,7 +1,4 @@
-"""Import of third-party logs as runs, one module per layout.
-
-The public names are in `__init__.pyi` and load on first use.
-"""
+"""Import of third-party logs as runs, one module per layout."""
 
 from turtlelog.libraries import attach_names
 

@@ -378,8 +378,5 @@ def _describe_gaps(
 
 def _describe_start(start_ns: int) -> dict[str, str]:
     """Return a note on the start time if a table does not start at 0."""
-    if not start_ns:
-        return {}
-    if start_ns < 1e18:
-        return {"original_timestamp": f"{start_ns / 1e9:.9f} s"}
-    return {"original_timestamp": format_utc(start_ns)}
+    text = f"{start_ns / 1e9:.9f} s" if start_ns < 1e18 else format_utc(start_ns)
+    return {"original_timestamp": text} if start_ns else {}

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -138,9 +138,6 @@ def assign_columns(
     """Return the columns with known quantities, by quantity.
 
     The user's columns by quantity (`asked`) have a name, with or without a unit in brackets.
-
-    Raises:
-        LogError: If a requested column does not exist or is ambiguous.
     """
     chosen: dict[str, Choice] = {}
     for field, text in asked.items():
@@ -162,9 +159,7 @@ def assign_columns(
 
 
 def _fill_unit(choice: Choice, unit: str | None) -> Choice:
-    if choice.unit is not None or unit not in choice.units:
-        return choice
-    return Choice(field=choice.field, column=choice.column, name=choice.name, unit=unit)
+    return replace(choice, unit=unit) if choice.unit is None and unit in choice.units else choice
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:

@@ -6,7 +6,7 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -43,20 +43,6 @@ _BLANK: Final = " "
 """Delimiter that means any number of spaces and tabs."""
 
 
-class _TableColumns(Protocol):
-    """Reader of the columns of a table.
-
-    Attributes:
-        lines: Number of each row in its file, from 1; known after the first reading.
-    """
-
-    lines: Sequence[int]
-
-    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of the columns with the given indices."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainTable:
     """A table as in its file.
@@ -70,7 +56,7 @@ class PlainTable:
     """
 
     names: tuple[str, ...]
-    columns: "_TableColumns"
+    columns: "_TextColumns | _StoredColumns"
     word: str
     has_header: bool = True
     units: Mapping[str, str] = field(default_factory=dict)
@@ -116,7 +102,7 @@ def _parse_text(text: str, size: int) -> PlainTable:
     if not first:
         raise LogError("expected a table, found no rows")
     delimiter = _find_delimiter(first)
-    require_few_columns(len(first.split(None if delimiter == _BLANK else delimiter, _MOST_COLUMNS)))
+    require_few_columns(_count_cells(first, delimiter))
     header = _split_line(first, delimiter)
     has_header = True
     is_first = all(map(_is_number, header))
@@ -152,21 +138,19 @@ def _find_first_row(text: str) -> tuple[list[str], str, bool]:
     return comments, first.strip(), next(rows, None) is not None
 
 
+def _count_cells(line: str, delimiter: str) -> int:
+    return len(line.split(None if delimiter == _BLANK else delimiter, _MOST_COLUMNS))
+
+
 def _find_delimiter(line: str) -> str:
-    for delimiter in (";", "\t", ","):
-        if delimiter in line:
-            return delimiter
-    return _BLANK
+    return next((delimiter for delimiter in (";", "\t", ",") if delimiter in line), _BLANK)
 
 
 def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
     """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
-            if (
-                len(comment.split(None if candidate == _BLANK else candidate, _MOST_COLUMNS))
-                > _MOST_COLUMNS
-            ):
+            if _count_cells(comment, candidate) > _MOST_COLUMNS:
                 continue
             names = _split_line(comment, candidate)
             if len(names) == count and not any(map(_is_number, names)):
@@ -181,11 +165,7 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
 
 
 class _TextColumns:
-    """The columns of a table of text.
-
-    Attributes:
-        lines: Line number of each row; known after the first reading.
-    """
+    """The columns of a table of text, and the line of each row, known after the first reading."""
 
     def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
         """Use a text whose lines have `count` cells; the file has `size` bytes.
@@ -289,12 +269,7 @@ def _read_parquet(path: Path) -> PlainTable:
 
 
 class _StoredColumns:
-    """The columns of a Parquet file.
-
-    Attributes:
-        names: Names of the columns; names within structs have dots.
-        lines: Number of each row.
-    """
+    """The columns of a Parquet file, with dots in names within structs, and the row numbers."""
 
     def __init__(self, file: ParquetFile) -> None:
         self._file, self.names = file, [leaf.path for leaf in file.leaves]

@@ -1,7 +1,4 @@
-"""turtlelog's recordings: contents, writing and reading.
-
-The public names are in `__init__.pyi` and load on first use.
-"""
+"""turtlelog's recordings: contents, writing and reading."""
 
 from turtlelog.libraries import attach_names
 

@@ -22,35 +22,20 @@ from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import DamageError
+from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import HEAD, Head, describe_recovery, parse_head
-from turtlelog.log.recording.topics import (
-    CONTROL,
-    LAW_STATE,
-    MEASURED,
-    POSE,
-    POSE64,
-    REFERENCE,
-    REFERENCE64,
-    SCHEMAS,
-    SENSED,
-    SENSED64,
-    SHAPED,
-    TOPIC_NAMES,
-    USED_FIELDS,
-    VELOCITY64,
-    Topic,
-    define_states,
-    list_topics,
-)
 from turtlelog.run.loops import Declaration
 
 _MOST_PLANS: Final = 64
 """Number of cached topic layouts: those of every recording, and of the states of some laws."""
 
-_OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True, is_counted=True)
+_OWN: Final = Selection(topics=topics.TOPIC_NAMES, is_lenient=True, is_flat=True, is_counted=True)
 _USED: Final = replace(
     _OWN,
-    kept={name: frozenset((LOG_TIME, SEQUENCE, *fields)) for name, fields in USED_FIELDS.items()},
+    kept={
+        name: frozenset((LOG_TIME, SEQUENCE, *fields))
+        for name, fields in topics.USED_FIELDS.items()
+    },
 )
 
 
@@ -160,19 +145,19 @@ def build_contents(
     head: Head | None = None,
 ) -> Contents:
     """Return the contents from records outside chunks and the rows of topics in parts."""
-    head, topics = head or _find_head(records), dict[str, TopicColumns]()
+    head, tables = head or _find_head(records), dict[str, TopicColumns]()
     states = () if head.declaration is None else head.declaration.states
     # For an unfinished recording, its topics show its effects.
-    for topic in list_topics(head.declaration, more={*head.more_topics, *parts}):
-        plan = _plan(topic, states if topic.name == LAW_STATE else ())
+    for topic in topics.list_topics(head.declaration, more={*head.more_topics, *parts}):
+        plan = _plan(topic, states if topic.name == topics.LAW_STATE else ())
         if topic.name in catalogue.topics:
             _check_type(plan, catalogue.find_plan(topic.name))
         rows = parts.get(topic.name) or [_make_empty_rows(topic, plan)]
-        topics |= build_columns({topic.name: rows}, {topic.name: topic.schema})
+        tables |= build_columns({topic.name: rows}, {topic.name: topic.schema})
     return Contents(
         head=head,
         attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
-        topics=topics,
+        topics=tables,
         damages=tuple(damages),
         recovered=describe_recovery(records),
     )
@@ -187,7 +172,7 @@ def _find_head(records: Collection[Any]) -> Head:
 
 
 def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
-    is_state = expected.topic == LAW_STATE
+    is_state = expected.topic == topics.LAW_STATE
     # The type of the states may have any name; only the declared fields matter.
     if found.type != expected.type and not is_state:
         kind = found.type or "no type"
@@ -201,18 +186,20 @@ def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
 
 
 @lru_cache(maxsize=_MOST_PLANS)
-def _plan(topic: Topic, states: tuple[str, ...]) -> TopicPlan:
-    definition = define_states(states) if states else SCHEMAS[topic.schema]
+def _plan(topic: topics.Topic, states: tuple[str, ...]) -> TopicPlan:
+    definition = topics.define_states(states) if states else topics.SCHEMAS[topic.schema]
     kind = read_type(topic.schema, definition)
     return TopicPlan(topic=topic.name, type=topic.schema, fields=kind.fields, layout=kind.layout)
 
 
-def _make_empty_rows(topic: Topic, plan: TopicPlan) -> Rows:
-    return dict(_keep_empty_rows(topic)) if topic.schema in SCHEMAS else make_empty_rows(plan)
+def _make_empty_rows(topic: topics.Topic, plan: TopicPlan) -> Rows:
+    return (
+        dict(_keep_empty_rows(topic)) if topic.schema in topics.SCHEMAS else make_empty_rows(plan)
+    )
 
 
 @lru_cache(maxsize=_MOST_PLANS)
-def _keep_empty_rows(topic: Topic) -> Rows:
+def _keep_empty_rows(topic: topics.Topic) -> Rows:
     return make_empty_rows(_plan(topic, ()))
 
 
@@ -224,52 +211,57 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     command is missing. The remaining poses are numbered anew. If no sample read a pose, it is
     unknown whether the pose dropped out or its sensed values are lost.
     """
-    topics, declaration = dict(contents.topics), contents.head.declaration
+    tables, declaration = dict(contents.topics), contents.head.declaration
     pose_topics = [
         name
-        for name in (POSE.name, POSE64.name, VELOCITY64.name, MEASURED.name)
-        if name == POSE.name or (name in topics and len(topics[name]))
+        for name in (
+            topics.POSE.name,
+            topics.POSE64.name,
+            topics.VELOCITY64.name,
+            topics.MEASURED.name,
+        )
+        if name == topics.POSE.name or (name in tables and len(tables[name]))
     ]
-    numbers = _intersect({name: topics[name] for name in pose_topics})
+    numbers = _intersect({name: tables[name] for name in pose_topics})
     for name in pose_topics:
-        topics[name] = topics[name].select(np.isin(topics[name].sequence, numbers))
-    clauses, read = _reconcile_sensed(topics, numbers)
-    samples = topics[CONTROL.name]
+        tables[name] = tables[name].select(np.isin(tables[name].sequence, numbers))
+    clauses, read = _reconcile_sensed(tables, numbers)
+    samples = tables[topics.CONTROL.name]
     kept = samples.select(np.isin(samples.fields["pose_sequence"], read))
     if declaration is not None:
-        kept = _take_described(kept, topics, declaration)
+        kept = _take_described(kept, tables, declaration)
     rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
     fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
-    topics[CONTROL.name] = replace(kept, fields=fields)
+    tables[topics.CONTROL.name] = replace(kept, fields=fields)
     lost = len(samples) - len(kept)
     if lost:
-        more = [name for topic, name in _MORE_OF_SAMPLES.items() if topic in topics]
+        more = [name for topic, name in _MORE_OF_SAMPLES.items() if topic in tables]
         whats = ", ".join(["pose", *more, "states or reference"])
         clauses.insert(0, f"{lost} samples without their {whats} are dropped")
-    return replace(contents, topics=topics), "".join(f"; {clause}" for clause in clauses)
+    return replace(contents, topics=tables), "".join(f"; {clause}" for clause in clauses)
 
 
-_MORE_OF_SAMPLES: Final = {SENSED.name: "sensed pose", SHAPED.name: "shaped command"}
+_MORE_OF_SAMPLES: Final = {topics.SENSED.name: "sensed pose", topics.SHAPED.name: "shaped command"}
 """Other messages of each sample, in runs with these topics."""
 
 
 def _reconcile_sensed(
-    topics: dict[str, TopicColumns], numbers: NDArray[np.uint32]
+    tables: dict[str, TopicColumns], numbers: NDArray[np.uint32]
 ) -> tuple[list[str], NDArray[np.uint32]]:
     """Drop the sensed values of lost poses, and number the rest like the remaining poses.
 
     Returns:
         Clauses on the losses, and the numbers of poses that a sample may have read.
     """
-    if SENSED.name not in topics:
+    if topics.SENSED.name not in tables:
         return [], numbers
-    names = [name for name in (SENSED.name, SENSED64.name) if len(topics[name])]
-    sensed = _intersect({name: topics[name] for name in names}) if names else numbers[:0]
+    names = [name for name in (topics.SENSED.name, topics.SENSED64.name) if len(tables[name])]
+    sensed = _intersect({name: tables[name] for name in names}) if names else numbers[:0]
     both = np.intersect1d(sensed, numbers)
     for name in names:
-        found = topics[name].select(np.isin(topics[name].sequence, both))
+        found = tables[name].select(np.isin(tables[name].sequence, both))
         places = np.searchsorted(numbers, found.sequence).astype(np.uint32)
-        topics[name] = replace(found, sequence=places)
+        tables[name] = replace(found, sequence=places)
     clauses = []
     if lost := len(sensed) - len(both):
         clauses.append(f"{lost} sensed poses without their pose are dropped")
@@ -279,31 +271,40 @@ def _reconcile_sensed(
 
 
 def _take_described(
-    samples: TopicColumns, topics: dict[str, TopicColumns], declaration: Declaration
+    samples: TopicColumns, tables: dict[str, TopicColumns], declaration: Declaration
 ) -> TopicColumns:
     """Return the complete samples, and drop all rows of the other samples."""
     if declaration.states:
-        samples = samples.select(np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
+        samples = samples.select(
+            np.isin(samples.fields["sequence"], tables[topics.LAW_STATE].sequence)
+        )
     if declaration.has_reference:
         # In these phases every sample has a reference pose.
         moved = {loop.name for loop in declaration.loops if loop.moves}
         phases = enumerate(declaration.phases.values())
         numbers = [number for number, loops in phases if not moved.isdisjoint(loops)]
         due = np.isin(samples.fields["phase"], numbers)
-        is_there = np.isin(samples.fields["sequence"], topics[REFERENCE64.name].sequence)
+        is_there = np.isin(samples.fields["sequence"], tables[topics.REFERENCE64.name].sequence)
         samples = samples.select(is_there | ~due)
-    if SHAPED.name in topics:
-        samples = samples.select(np.isin(samples.fields["sequence"], topics[SHAPED.name].sequence))
-    for name in (LAW_STATE, REFERENCE.name, REFERENCE64.name, SHAPED.name):
-        if name in topics:
-            is_kept = np.isin(topics[name].sequence, samples.fields["sequence"])
-            topics[name] = topics[name].select(is_kept)
+    if topics.SHAPED.name in tables:
+        samples = samples.select(
+            np.isin(samples.fields["sequence"], tables[topics.SHAPED.name].sequence)
+        )
+    for name in (
+        topics.LAW_STATE,
+        topics.REFERENCE.name,
+        topics.REFERENCE64.name,
+        topics.SHAPED.name,
+    ):
+        if name in tables:
+            is_kept = np.isin(tables[name].sequence, samples.fields["sequence"])
+            tables[name] = tables[name].select(is_kept)
     return samples
 
 
-def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
-    numbers = next(iter(topics.values())).sequence
-    for name, columns in topics.items():
+def _intersect(tables: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
+    numbers = next(iter(tables.values())).sequence
+    for name, columns in tables.items():
         if (columns.sequence[1:] <= columns.sequence[:-1]).any():
             raise LogError(f"topic {name}: expected poses numbered in order, found others")
         numbers = np.intersect1d(numbers, columns.sequence)

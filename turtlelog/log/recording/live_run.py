@@ -9,7 +9,7 @@ from dataclasses import replace
 from os import fstat
 from os.path import samestat
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import BinaryIO, Final, Protocol, Self
 
 import msgspec
@@ -245,12 +245,7 @@ class Recorder:
         self._exits.enter_context(exit_on_terminate())
         return self
 
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._exits:
             self.close()
 

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Final, Self
 
 import numpy as np
@@ -163,12 +162,7 @@ class RecordingTail:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stream.close()
 
     @property
@@ -225,11 +219,7 @@ class RecordingTail:
 
 
 def build_run(contents: Contents) -> Run:
-    """Return the run in the contents of a recording. The topics are removed to save memory.
-
-    Raises:
-        LogError: If there is no pose, or the contents do not form a run.
-    """
+    """Return the run in the contents of a recording. The topics are removed to save memory."""
     head = contents.head
     tables, is_complete = parse_scenario_file(contents.attachments)
     columns = contents.topics

@@ -52,11 +52,7 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
 
 
 def build_messages(run: Run) -> tuple[TopicColumns, ...]:
-    """Return the messages of a run in the order of `list_topics`, without empty topics.
-
-    Raises:
-        LogError: If a time or a number exceeds the range of its field.
-    """
+    """Return the messages of a run in the order of `list_topics`, without empty topics."""
     _require_range("poses.time_ns", run.poses.time_ns, 2**63)
     _require_range("commands.time_ns", run.commands.time_ns, 2**63)
     _require_range("samples.time_ns", run.samples.time_ns, 2**63)

@@ -250,11 +250,7 @@ def name_state_type(kind: object) -> str:
 def describe_topics(
     topics: Sequence[tuple[str, str]], definitions: Mapping[str, str]
 ) -> list[tuple[Schema, Channel]]:
-    """Return schema and channel of topics, given by name and type. Ids begin at 1.
-
-    Raises:
-        LogError: If the `ros2msg` text of a type is not among the definitions.
-    """
+    """Return schema and channel of topics, given by name and type. Ids begin at 1."""
     schemas: dict[str, Schema] = {}
     pairs = []
     for number, (topic, kind) in enumerate(topics, start=1):

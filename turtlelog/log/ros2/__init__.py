@@ -5,8 +5,6 @@ them. `bag_topics` chooses topics; `bag_poses`, `bag_transforms` and `computed_p
 poses. `bag_columns` makes columns of messages, and `reported_motion` judges the rates of odometry.
 `stamps` and `bag_clock` time the rows. `bag_references` adds goal and path, `bag_commands` adds
 commands and samples, and `bag_reader` builds the run.
-
-The public names are in `__init__.pyi` and load on first use.
 """
 
 from turtlelog.libraries import attach_names

@@ -49,11 +49,7 @@ NEVER_IN_BAGS: Final = (
 def read_commands_alone(
     bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, err: NoPosesError
 ) -> Run:
-    """Return the run of a bag that contains commands but no poses.
-
-    Raises:
-        LogError: If there are no commands, poses are required, or an option about poses was given.
-    """
+    """Return the run of a bag that contains commands but no poses."""
     pick, lack = choose_commands(topics, choice, pose_topic="")
     if pick is None:
         raise NoPosesError(f"no poses; {lack}") if lack else err
@@ -113,9 +109,6 @@ def choose_commands(
 
     Ackermann commands have priority if a wheelbase is given. Without a wheelbase, they give no turn
     rate.
-
-    Raises:
-        LogError: If several topics are equally likely, or the requested topic cannot be read.
     """
     asked = choice.command_topic
     if choice.wheelbase is not None:

@@ -106,11 +106,7 @@ def read_bag_metadata(folder: Path) -> BagMetadata:
 
 
 def parse_bag_metadata(text: str) -> BagMetadata:
-    """Return the entries about files in the text of a metadata.yaml.
-
-    Raises:
-        LogError: If the text is invalid; the message contains the line.
-    """
+    """Return the entries about files in the text of a metadata.yaml."""
     if text.count("\n") > _MOST_LINES:
         raise LogError(f"expected up to {_MOST_LINES:,} lines, found more")
     values: dict[str, str] = {}

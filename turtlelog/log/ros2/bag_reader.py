@@ -149,10 +149,9 @@ def _name_once(bag: Bag) -> Iterator[None]:
 
 def _describe_chosen(notes: Mapping[str, str]) -> str:
     """Return one line on the topics that were read, with the alternatives."""
-    command = notes.get("command_topic")
-    poses = notes.get("pose_topic")
+    poses, commands = notes.get("pose_topic"), notes.get("command_topic")
     line = f"poses from {poses}" if poses else "no poses"
-    line += f", commands from {command}" if command else ", no commands"
+    line += f", commands from {commands}" if commands else ", no commands"
     more = [f"; {text.format(notes[name])}" for name, text in _MORE.items() if name in notes]
     return "".join([line, *more])
 
@@ -233,7 +232,11 @@ def _build_run(
     }
     plane = describe_height(columns.get("z"), columns.get("tilt"))
     if plane is not None or vertical:
-        notes["plane"] = f"{plane or 'the robot leaves the plane'}{_tell_vertical(vertical)}"
+        notes["plane"] = plane or "the robot leaves the plane"
+    if vertical:
+        which = "pose has" if vertical == 1 else "poses have"
+        lost = f"{vertical} {which} no heading, as the forward axis points up or down"
+        notes["plane"] += f"; left out: {lost}"
     notes |= {} if leaps is None else {"leaps": leaps}
     if plane is None:
         notes |= {} if (level := describe_level(columns.get("z"))) is None else {"height": level}
@@ -319,13 +322,6 @@ def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> i
     tilt_rad = columns.get("tilt")
     # A quaternion that was never set has a tilt of 0.
     return 0 if tilt_rad is None else int((tilt_rad[rows] > 0.0).sum())
-
-
-def _tell_vertical(count: int) -> str:
-    if not count:
-        return ""
-    which = "pose has" if count == 1 else "poses have"
-    return f"; left out: {count} {which} no heading, as the forward axis points up or down"
 
 
 def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:

@@ -89,11 +89,7 @@ _POSE_NAMES: Final = (
 
 
 class NoPosesError(LogError):
-    """Error of a bag without a readable topic of poses.
-
-    Attributes:
-        is_unread: Whether there are pose topics that cannot be read.
-    """
+    """Error of a bag without a readable topic of poses; some may be unreadable (`is_unread`)."""
 
     def __init__(self, text: str, *, is_unread: bool = False) -> None:
         super().__init__(text)
@@ -212,9 +208,6 @@ def choose_path_topics(
 
     A controller's short local plan (local_plan) and topics with the name of a trace are not
     references.
-
-    Raises:
-        LogError: If the requested topic does not exist, or has another type.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:

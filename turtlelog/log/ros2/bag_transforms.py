@@ -201,9 +201,6 @@ def choose_frames(
     link is chosen. A link below a robot's frame is a joint and is never chosen.
 
     The frames of several robots may begin with their names.
-
-    Raises:
-        LogError: If a frame does not exist, or several are equally likely.
     """
     frames = {frame for names in tree for frame in names}
     robot, world = (None if one is None else one.lstrip("/") for one in (robot, world))

@@ -124,9 +124,6 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
     x, y and z are the distances east, north and up from the first fix. While the receiver moves,
     the heading is its course; at rest, the heading is held. Before the first course, the heading
     equals that course.
-
-    Raises:
-        LogError: If there is no fix, or the receiver never moves.
     """
     messages = _join_messages(found, _FIX_FIELDS)
     latitude_deg, longitude_deg, altitude_m, status = (
@@ -260,9 +257,6 @@ def integrate_wheels(
         found: Messages of JointState, by file.
         joints: Names of the left and the right wheel.
         wheels_m: Radius of the wheels, and the track between them [m].
-
-    Raises:
-        LogError: If no message contains both joints, or a joint has neither position nor velocity.
     """
     messages = _join_messages(found, _JOINT_FIELDS)
     places = _find_joints(messages, joints)

@@ -268,7 +268,10 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
         log_span_ns=passed_ns,
         jumps=len(stretches) - 1,
         odd=len(log_ns) - len(rows),
-        disordered=sum(_count_disordered(stamp_ns[stretch]) for stretch in stretches),
+        disordered=sum(
+            int((own < np.maximum.accumulate(own)).sum())
+            for own in (stamp_ns[stretch] for stretch in stretches)
+        ),
         known=rows,
     )
     odd = np.ones(len(log_ns), dtype=bool)
@@ -367,7 +370,3 @@ def _count_backward(stamp_ns: TimesNs) -> int:
         return 0
     back_ns = np.maximum.accumulate(stamp_ns) - stamp_ns
     return int((back_ns > _LATE_NS + _find_least_jump(np.sort(stamp_ns))).sum())
-
-
-def _count_disordered(stamp_ns: TimesNs) -> int:
-    return int((stamp_ns < np.maximum.accumulate(stamp_ns)).sum())
