@@ -116,12 +116,8 @@ def _take_bounds(log: RobotLog, other: RobotLog) -> RobotLog:
         if not own.is_known or own.bound is not None or known.bound is None:
             continue
         if _find_reached_rate(log.run, axis) <= _BEYOND * known.bound.high:
-            taken[axis] = replace(
-                own,
-                bound=known.bound,
-                bound_acts=known.bound_acts,
-                bound_beside=known.bound_beside,
-            )
+            names = ("bound", "bound_acts", "bound_beside")
+            taken[axis] = replace(own, **{name: getattr(known, name) for name in names})
     return replace(log, model=replace(log.model, **taken)) if taken else log
 
 

@@ -52,11 +52,11 @@ class GainFit:
     """
 
     value: float
-    is_exact: bool
-    is_close: bool
+    is_exact: bool = False
+    is_close: bool = False
     interval: tuple[float, float]
-    noise: float
-    whiteness: float
+    noise: float = 0.0
+    whiteness: float = 1.0
     rows: int
 
 
@@ -91,8 +91,6 @@ def _find_exact_gain(
         is_exact=len(fitting) == 1,
         is_close=len(fitting) != 1,
         interval=(low, high),
-        noise=0.0,
-        whiteness=1.0,
         rows=len(command),
     )
 
@@ -103,8 +101,6 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
     is_clear = slope > reach
     return GainFit(
         value=1.0 / slope if slope else 0.0,
-        is_exact=False,
-        is_close=False,
         # The interval of the gain is that of the slope, inverted.
         interval=(1.0 / (slope + reach), 1.0 / (slope - reach)) if is_clear else (0.0, math.inf),
         noise=noise,
@@ -337,8 +333,6 @@ def _regress(command: Values, error: Values) -> GainFit:
     gain, reach, noise, whiteness = _fit_slope(error, command)
     return GainFit(
         value=gain,
-        is_exact=False,
-        is_close=False,
         interval=(gain - reach, gain + reach),
         noise=noise / abs(gain) if gain else math.inf,
         whiteness=whiteness,

@@ -128,14 +128,13 @@ def _project(errors: Values, headings: Values) -> Reproduce:
 def _choose_wrapping(
     command: Values, error: Values, plain: CommandFit, wrapped: CommandFit
 ) -> tuple[bool, Finding]:
+    evidence = "the heading error exceeds half a turn"
     if plain.is_certain != wrapped.is_certain and (np.abs(error) >= math.pi).any():
-        chosen = wrapped.is_certain
-        return chosen, find_exactly(chosen, "the heading error exceeds half a turn")
+        return wrapped.is_certain, find_exactly(wrapped.is_certain, evidence)
     if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
         return False, miss("the heading error stays within half a turn", assumed=False)
     left = gain_fit.compute_gain_misfit(wrapped, command, wrap_angle(error))
     chosen = left < gain_fit.compute_gain_misfit(plain, command, error)
-    evidence = "the heading error exceeds half a turn"
     return chosen, fit_value(chosen, evidence)
 
 
