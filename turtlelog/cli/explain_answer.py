@@ -248,7 +248,7 @@ def _describe_causes(
 
 def _describe_queue(found: "Identification", settings: str) -> str:
     """Return text on the dead times that include the queue."""
-    parts = []
+    parts: list[str] = []
     for key, finding in found.findings.items():
         if key.startswith(_DEAD_TIME) and finding.value is not None:
             loop = tl.explain.describe_loop_name(found.law, key.removeprefix(_DEAD_TIME))
