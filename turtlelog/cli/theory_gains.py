@@ -301,13 +301,7 @@ def _build(one: "Recommendation") -> RecommendedGains:
 
 
 def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> "Table":
-    """Return a table of recommended gains.
-
-    Args:
-        recommended: Recommended gains.
-        wishes: Requirements for the gains.
-        shows_all: Whether to include published rules, and why rules give no gains.
-    """
+    """Return a table of recommended gains."""
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
     found = [*dict.fromkeys(recommended.given)]
     found += [one for one in recommended.found if shows_all or one.rule in _RULES]

@@ -307,12 +307,7 @@ def _read_cell(text: str) -> str | float:
 
 
 def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> list[str]:
-    """Return unknown loops, omitted settings, and sources of values.
-
-    Args:
-        answers: Answers of declared loops.
-        shows_all: Whether to include the sources of known loops.
-    """
+    """Return unknown loops, omitted settings, and sources of values."""
     notes = []
     for answer in answers:
         model = answer.model

@@ -143,11 +143,7 @@ _OPTIONS: Final = MappingProxyType(
 
 
 def describe_usage_error(err: CycloptsError) -> str:
-    """Return an error of the command line's parser as one line, with what to type.
-
-    Args:
-        err: Error raised by cyclopts.
-    """
+    """Return an error of the command line's parser as one line, with what to type."""
     for kind, describe in _DESCRIPTIONS.items():
         if isinstance(err, kind):
             return describe(err)
