@@ -14,13 +14,7 @@ from turtlelog.cli.output import (
     name_explain,
     quote_file,
 )
-from turtlelog.display import (
-    describe_count,
-    format_number,
-    format_range,
-    format_short,
-    join_words,
-)
+from turtlelog.display import describe_count, format_number, format_range, format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import (
@@ -230,10 +224,7 @@ def _name(table: "Table", rows: Sequence[int]) -> str:
 
 
 def _list_next(
-    summaries: "Sequence[RunSummary]",
-    names: Sequence[str],
-    table: "Table",
-    ranking: "Ranking",
+    summaries: "Sequence[RunSummary]", names: Sequence[str], table: "Table", ranking: "Ranking"
 ) -> Iterator[str]:
     """Yield the next commands to type."""
     known = [one.key for one in ranking.differences if not one.is_unknown]

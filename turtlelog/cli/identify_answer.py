@@ -198,11 +198,7 @@ def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
 
 
 _WHERE: Final = MappingProxyType(
-    {
-        "before_lag": "before the lag",
-        "within_lag": "within its velocity loop",
-        "at_wheels": "alone",
-    }
+    {"before_lag": "before the lag", "within_lag": "within its velocity loop", "at_wheels": "alone"}
 )
 """Where a limit of the acceleration acts, in words."""
 

@@ -141,12 +141,7 @@ def run(
     return code
 
 
-def scenario(
-    scenario: ScenarioWord = None,
-    /,
-    *,
-    options: LawOptions | None = None,
-) -> None:
+def scenario(scenario: ScenarioWord = None, /, *, options: LawOptions | None = None) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
     The code of a law of your own is not loaded: only the given keys are printed.

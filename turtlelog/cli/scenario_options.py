@@ -37,8 +37,7 @@ class ScenarioOptions:
     kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
     goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
     assignments: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+        list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
     ] = None
 
 
@@ -198,9 +197,7 @@ def _tell(text: str) -> str:
 
 
 def change_scenario(
-    scenario: "Scenario",
-    options: ScenarioOptions | None,
-    declaration: "Declaration | None" = None,
+    scenario: "Scenario", options: ScenarioOptions | None, declaration: "Declaration | None" = None
 ) -> "Scenario":
     """Return a scenario with the options applied."""
     options = options or ScenarioOptions()

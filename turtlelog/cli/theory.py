@@ -93,8 +93,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     period: Annotated[float | None, Parameter(metavar="SECONDS")] = None,
     dead_time: Annotated[Whole | None, Parameter()] = None,
     assignments: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+        list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
     ] = None,
     topics: ReadingOptions | None = None,
     wishes: WishOptions | None = None,
@@ -230,11 +229,7 @@ class _Form(NamedTuple):
 
 
 def _answer_terms(
-    gains: list[float],
-    terms: TermOptions,
-    timing: tuple[float, int],
-    wanted: Wishes,
-    form: _Form,
+    gains: list[float], terms: TermOptions, timing: tuple[float, int], wanted: Wishes, form: _Form
 ) -> None:
     """Print the answer for a loop with more than P on 1/s, at each Kp."""
     process = terms.build_process()

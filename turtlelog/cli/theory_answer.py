@@ -181,11 +181,7 @@ def _tell(value: object) -> str:
 
 
 def format_terms(
-    answers: Sequence[LoopAnswer],
-    recommended: Recommended,
-    wishes: Wishes,
-    *,
-    shows_all: bool,
+    answers: Sequence[LoopAnswer], recommended: Recommended, wishes: Wishes, *, shows_all: bool
 ) -> str:
     """Return the answer for a loop with more than P on 1/s, at each Kp."""
     head = [

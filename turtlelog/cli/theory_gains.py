@@ -100,9 +100,7 @@ class Wishes:
             recommended = self.recommend(*key, given=[one.require()[0] for one in loops.values()])
             found.append(
                 recommended._replace(
-                    loops=tuple(loops),
-                    most_dead_time_s=first.most_dead_time_s,
-                    ramp_s=first.ramp_s,
+                    loops=tuple(loops), most_dead_time_s=first.most_dead_time_s, ramp_s=first.ramp_s
                 )
             )
         return found

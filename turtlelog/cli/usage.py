@@ -121,10 +121,7 @@ def _find_text(description: Any) -> str:
     return getattr(getattr(description, "primary_renderable", description), "plain", "")
 
 
-_WORDS: Final[dict[Any, str]] = {
-    float: "a number",
-    int: "a whole number",
-}
+_WORDS: Final[dict[Any, str]] = {float: "a number", int: "a whole number"}
 
 _SHORT: Final = 40
 """Longest value that an error line repeats [letters]."""
