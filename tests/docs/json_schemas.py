@@ -21,7 +21,7 @@ ANSWERS: Final = {
     "run": "run:RunAnswer",
     "sweep": "sweep:SweepAnswer",
     "tune": "tune_answer:TuneAnswer",
-    "theory": "theory_tables:IntegratorAnswer",
+    "theory": "theory_loops:IntegratorAnswer",
     "theory --lag": "theory:_TermsAnswer",
     "theory FILE": "theory:_FileAnswer",
     "info": "info:InfoAnswer",

@@ -75,10 +75,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
             "Identify how a robot follows its commands: gain, dead time, time constant of each"
             " axis.",
         ),
-        "replay": (
-            "FILE",
-            "Replay a recording and show where the result departs from it.",
-        ),
+        "replay": ("FILE", "Replay a recording and show where the result departs from it."),
         "list": (
             "KIND",
             "List the names of metrics, signals, presets, laws, plants, causes or figures.",
@@ -89,7 +86,7 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
             "SPEC FILE...",
             "Check recordings against a specification: bounds, temporal-logic formulas,"
             " tolerances.",
-        ),
+        )
     },
     "Show": {
         "view": (

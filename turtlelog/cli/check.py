@@ -404,10 +404,7 @@ def _check_placed(
 
 
 def _write_report(
-    path: Path,
-    runs: "Mapping[str, Run]",
-    results: "Sequence[CheckResult]",
-    command: str,
+    path: Path, runs: "Mapping[str, Run]", results: "Sequence[CheckResult]", command: str
 ) -> None:
     """Write a report on the readable recordings, with the command that creates it."""
     from turtlelog.cli.report import build_check_lines

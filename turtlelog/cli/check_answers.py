@@ -113,12 +113,7 @@ def print_results(
 ) -> "Verdict":
     """Print the verdict and what fails, and return the verdict.
 
-    Args:
-        spec: Specification with the reasons of bounds.
-        results: Results of all files, in order; those of many files are counted one by one.
-        files: Number of files.
-        kind: Format, from `FormatOptions`; CSV contains only rows.
-        shows_all: Whether to print passed checks, too.
+    Results of many files are counted one by one. CSV contains only rows.
     """
     if kind == "txt" and files > _MOST_FILES:
         counted = CountedResults(results)
@@ -166,14 +161,7 @@ def format_results(
     spec: "Spec | None" = None,
     shows_all: bool = False,
 ) -> str:
-    """Return the verdict, then the failed checks.
-
-    Args:
-        results: Results of all files, in their order.
-        files: Number of files.
-        spec: Specification with the reasons of bounds; None: no reasons.
-        shows_all: Whether to return passed checks, too.
-    """
+    """Return the verdict, then the failed checks."""
     counted = CountedResults(results)
     if files > 1 and not shows_all:
         return _format_many(counted, files=files, spec=spec)

@@ -99,8 +99,7 @@ class ChoiceOptions:
 
     metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
     sort: Annotated[
-        str | None,
-        Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics),
+        str | None, Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics)
     ] = None
     where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
     varied: Annotated[str | None, Parameter(metavar="KEYS")] = None

@@ -14,13 +14,7 @@ from turtlelog.cli.output import (
     name_explain,
     quote_file,
 )
-from turtlelog.display import (
-    describe_count,
-    format_number,
-    format_range,
-    format_short,
-    join_words,
-)
+from turtlelog.display import describe_count, format_number, format_range, format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import (
@@ -63,15 +57,7 @@ def format_across(
     title: str,
     notes: Sequence[str],
 ) -> str:
-    """Return the best run by each metric, then a row for every run.
-
-    Args:
-        summaries: Runs, in the order of the rows.
-        ranking: Ranking, which shows whether a run may be called the best.
-        only: Requested columns; empty: the usual ones that fit a line.
-        title: Title instead of the number of runs.
-        notes: Notes on runs that were left out.
-    """
+    """Return the best run by each metric, then a row for every run."""
     summaries, changes = tl.compare.shorten_names(summaries)
     names = tl.compare.name_runs(summaries)
     keys = {key for one in summaries for key in one.parameters}
@@ -238,10 +224,7 @@ def _name(table: "Table", rows: Sequence[int]) -> str:
 
 
 def _list_next(
-    summaries: "Sequence[RunSummary]",
-    names: Sequence[str],
-    table: "Table",
-    ranking: "Ranking",
+    summaries: "Sequence[RunSummary]", names: Sequence[str], table: "Table", ranking: "Ranking"
 ) -> Iterator[str]:
     """Yield the next commands to type."""
     known = [one.key for one in ranking.differences if not one.is_unknown]
@@ -267,13 +250,7 @@ def format_reference(
     *,
     shows_signals: bool,
 ) -> str:
-    """Return the distances of runs from a reference's path, then metrics and signals.
-
-    Args:
-        first: The reference.
-        found: Summary of each run, its differences, and its distance from the path.
-        shows_signals: Whether to show the signals even of several runs.
-    """
+    """Return the distances of runs from a reference's path, then metrics and signals."""
     summaries, changes = tl.compare.shorten_names([first, *(one for one, _, _ in found)])
     reference, *names = tl.compare.name_runs(summaries)
     errors = dict(zip(names, (error for _, _, error in found), strict=True))

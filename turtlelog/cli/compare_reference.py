@@ -103,11 +103,7 @@ def compare_with_reference(
 ) -> None:
     """Print the distances of runs from the first run.
 
-    Args:
-        paths: Path of the reference, then paths of the other runs.
-        held: Runs that are read already. These runs are compared in this process.
-        kind: Format of the answer.
-        manner: Settings of the comparison.
+    Runs in `held` are read already, and are compared in this process.
     """
     alignment = manner.align or "first_sample"
     if alignment == "first-sample":

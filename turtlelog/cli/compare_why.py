@@ -176,11 +176,7 @@ def _find_metric(condition: str) -> str | None:
 
 
 def _find_pair(
-    condition: str,
-    files: Sequence[Path],
-    place: WhyPlace,
-    topics: ReadingOptions,
-    kind: str,
+    condition: str, files: Sequence[Path], place: WhyPlace, topics: ReadingOptions, kind: str
 ) -> tuple[tuple[tuple[Path, Path], list[str]] | None, int]:
     """Return the first recording that meets a condition and the one before it, described."""
     paths = sorted(list_files(files), key=lambda path: split_numbers(str(path)))
@@ -235,12 +231,7 @@ def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
 
 
 def _print_nothing(
-    condition: str,
-    summaries: "Sequence[RunSummary]",
-    kind: str,
-    *,
-    is_met: bool,
-    has_unread: bool,
+    condition: str, summaries: "Sequence[RunSummary]", kind: str, *, is_met: bool, has_unread: bool
 ) -> None:
     bad = summaries[0].file if is_met else None
     if kind == "json":

@@ -52,16 +52,7 @@ def format_robot(
     scenario: Path | None = None,
     shows_details: bool = False,
 ) -> str:
-    """Return the robot's delay, its values, and their reliability.
-
-    Args:
-        model: Model of the robot.
-        files: Files from which it was identified.
-        robot: Scenario that is written.
-        scenario: Path of the scenario file.
-        shows_details: Whether to add a second estimate of delays, and the sources of the scenario's
-            numbers.
-    """
+    """Return the robot's delay, its values, and their reliability."""
     known = [axis for axis in model.axes if axis.is_known]
     parts = [fill_lines(tl.identify.write_robot_headline(model.axes, _name_robot(files)))]
     if known:
@@ -207,11 +198,7 @@ def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
 
 
 _WHERE: Final = MappingProxyType(
-    {
-        "before_lag": "before the lag",
-        "within_lag": "within its velocity loop",
-        "at_wheels": "alone",
-    }
+    {"before_lag": "before the lag", "within_lag": "within its velocity loop", "at_wheels": "alone"}
 )
 """Where a limit of the acceleration acts, in words."""
 

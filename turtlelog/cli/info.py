@@ -176,9 +176,7 @@ def info(
     require_files(files)
     files = list_files(files)
     describe = partial(
-        _read,
-        choice=(reading or TopicOptions()).build_choice(),
-        is_asked=options.clock,
+        _read, choice=(reading or TopicOptions()).build_choice(), is_asked=options.clock
     )
     count = count_jobs(
         jobs, files, file_s=_FILE_S, count_read=partial(count_read, is_asked=options.clock)

@@ -126,14 +126,7 @@ class Summary:
 def summarise(
     path: Path, info: "RecordingInfo", choice: "ReadChoice", *, is_asked: bool = False
 ) -> Summary:
-    """Return the description of a file; of a bag, from poses and commands unless it is large.
-
-    Args:
-        path: The file.
-        info: Contents of the file.
-        choice: Settings for reading the file.
-        is_asked: Whether to read also a large file.
-    """
+    """Return the description of a file; of a bag, from poses and commands unless it is large."""
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
         text = _summarise_own(info, NOTHING_LEFT if is_lost else "")

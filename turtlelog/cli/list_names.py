@@ -147,11 +147,7 @@ def _list_laws() -> Entries:
     from turtlelog.laws import LAWS
 
     return [
-        {
-            "name": name,
-            "parameters": [*law.Parameters.__dataclass_fields__],
-            "meaning": law.meaning,
-        }
+        {"name": name, "parameters": [*law.Parameters.__dataclass_fields__], "meaning": law.meaning}
         for name, law in LAWS.items()
     ]
 

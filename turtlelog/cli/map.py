@@ -267,10 +267,7 @@ def _describe_limits(view: "SweptView", limits: "LoopLimits") -> LimitsAnswer:
         loop=limits.loop,
         gain=list(limits.gain.keys),
         columns=[
-            LimitsAt(
-                at=_find_values(other, place),
-                limits=tl.sweep.describe_limits(limit),
-            )
+            LimitsAt(at=_find_values(other, place), limits=tl.sweep.describe_limits(limit))
             for place, limit in enumerate(limits.columns)
         ],
     )

@@ -181,10 +181,7 @@ def _find_value(summary: "RunSummary", name: str) -> float | None:
 def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
     """Return the end of a run, remarks, and its loops side by side.
 
-    Args:
-        summary: The run, with the metrics of `list_needed`. Its file is empty if there is none.
-        who: Name of the run or of its file, for the first line.
-        facts: Sentences after the first line.
+    The summary needs the metrics of `list_needed`; its file is empty if there is none.
     """
     essential = _drop_words(summary).metrics
     head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]

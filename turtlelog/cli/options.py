@@ -257,10 +257,7 @@ def read_runs(
 ) -> "list[Run]":
     """Return the runs of recordings, bags, other recorders' files and the paper's logs.
 
-    Args:
-        paths: Paths of the files.
-        topics: Options for reading the files.
-        allow_no_poses: Whether bags with commands alone are accepted.
+    With `allow_no_poses`, bags with commands alone are accepted.
     """
     return list(iterate_runs(paths, topics, allow_no_poses=allow_no_poses))
 

@@ -77,13 +77,7 @@ Answer = TypeVar("Answer")
 
 
 def copy_fields(kind: type[Answer], source: object, **changed: Any) -> Answer:
-    """Return an answer with the fields that a result of the library has by the same names.
-
-    Args:
-        kind: Dataclass of the answer.
-        source: Result of the library.
-        changed: Fields that the result lacks, or has in another form.
-    """
+    """Return an answer with a result's fields of the same names; `changed` are the other fields."""
     names = [one.name for one in fields(kind) if one.name not in changed]  # type: ignore[arg-type]
     return kind(**{name: getattr(source, name) for name in names}, **changed)
 
@@ -91,10 +85,7 @@ def copy_fields(kind: type[Answer], source: object, **changed: Any) -> Answer:
 def print_text(text: str, *, is_data: bool = False) -> None:
     """Print a result. Line breaks in third-party text have been escaped.
 
-    Args:
-        text: Text of one or more lines.
-        is_data: Whether a program may read the text. Control characters are kept for a program, and
-            escaped for a terminal.
+    Control characters are escaped, but not in data for a program.
     """
     if not is_data or sys.stdout.isatty():
         text = escape_controls(text, keep="\n")
@@ -183,11 +174,7 @@ _LINE: Final = 80
 
 
 def find_width(stream: TextIO | None = None) -> int:
-    """Return the number of characters in a line of the terminal; without a terminal 80.
-
-    Args:
-        stream: Default: stdout.
-    """
+    """Return the characters in a line of the terminal of a stream; without a terminal 80."""
     stream = stream or sys.stdout
     if not stream.isatty():
         return _LINE
@@ -232,9 +219,7 @@ def quote_file(file: object) -> str:
 def name_explain(file: object, law: object) -> str:
     """Return the command that explains a run. Code that only its recording names must be trusted.
 
-    Args:
-        file: The recording.
-        law: Kind of its law; laws of the user's own are named PLACE:NAME.
+    Laws of the user's own are named PLACE:NAME.
     """
     trust = " --trust-law" if ":" in str(law) else ""
     return f"turtlelog explain {quote_file(file)}{trust}"
@@ -360,9 +345,7 @@ def print_error(text: str) -> None:
 def print_json(value: Any) -> None:
     """Print one JSON value and nothing else. Numbers that are not finite become null.
 
-    Args:
-        value: Answer: a dataclass, or a JSON type. Numbers, booleans and arrays of numpy are
-            printed as Python's.
+    Numbers, booleans and arrays of numpy are printed as Python's.
     """
     with outlive_reader():
         sys.stdout.write(_format_json(value) + "\n")

@@ -67,11 +67,6 @@ class PageOptions:
     ) -> "Page":
         """Return the size, resolution and time range of the figures.
 
-        Args:
-            formats: File formats of the figures.
-            names: Names of the figures. Default: the usual figures.
-            usual: Default kind of page.
-
         Raises:
             UsageError: If an option has no effect: no format has a resolution, a slide has no text,
                 or no figure has a time axis.

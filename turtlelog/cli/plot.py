@@ -416,12 +416,7 @@ class _Drawing:
         from turtlelog.draw.figures.writing import add_figures
 
         return add_figures(
-            write,
-            self.runs,
-            only=self.only,
-            formats=self.formats,
-            page=self.page,
-            jobs=self.jobs,
+            write, self.runs, only=self.only, formats=self.formats, page=self.page, jobs=self.jobs
         )
 
 

@@ -26,14 +26,7 @@ class ProgressLine:
     def __init__(
         self, label: str, total: float | None, unit: str, *, has_rate: bool = False
     ) -> None:
-        """Start waiting for the time when the bar appears.
-
-        Args:
-            label: Name of the work.
-            total: Total work; None if unknown.
-            unit: Unit of done and total work.
-            has_rate: Whether to show the rate, and the remaining time at that rate.
-        """
+        """Start waiting for the time when the bar appears."""
         self.done = 0.0
         self._label, self._total, self._unit = label, total, unit
         self._rate = Rate() if has_rate else None

@@ -146,13 +146,7 @@ class ReportAnswer:
 def build_check_lines(
     results: "Sequence[CheckResult]", names: "Mapping[str, str]", runs: "Mapping[str, Run]"
 ) -> "list[CheckLine]":
-    """Return results in the form for a report.
-
-    Args:
-        results: Results of checks.
-        names: Names of runs by their files.
-        runs: Readable runs by file.
-    """
+    """Return results in the form for a report."""
     from turtlelog.check.violation import find_violated_signal
     from turtlelog.draw.report import CheckLine
     from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS

@@ -1,5 +1,6 @@
 """`turtlelog run`: simulation of a scenario; `turtlelog scenario`: printing of it."""
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -17,7 +18,9 @@ from turtlelog.cli.output import (
     EXIT_INTERRUPTED,
     describe_metrics,
     fill_lines,
+    fit_table,
     flush_stdout,
+    print_error,
     print_json,
     print_note,
     print_text,
@@ -31,9 +34,8 @@ from turtlelog.cli.scenario_options import (
     load_changed_scenario,
 )
 from turtlelog.cli.targets import require_new_target
-from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.display import describe_count
-from turtlelog.errors import SimulationError, UsageError
+from turtlelog.errors import SimulationError, TurtlelogError, UsageError
 from turtlelog.files.urls import make_path
 from turtlelog.run.ending import find_goal_end
 
@@ -42,7 +44,6 @@ if TYPE_CHECKING:
     from turtlelog.draw.rerun.viewer import ViewerProcess
     from turtlelog.log.recording.live_run import Sink
     from turtlelog.simulate import Tick
-
 
 ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
@@ -140,12 +141,7 @@ def run(
     return code
 
 
-def scenario(
-    scenario: ScenarioWord = None,
-    /,
-    *,
-    options: LawOptions | None = None,
-) -> None:
+def scenario(scenario: ScenarioWord = None, /, *, options: LawOptions | None = None) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
     The code of a law of your own is not loaded: only the given keys are printed.
@@ -188,27 +184,41 @@ def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptio
 def _watch(
     scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
 ) -> int:
+    """Run, and run again after each save of a file until Ctrl-C; return the exit code.
+
+    An error of the law or the scenario is printed in one line; the next save runs again.
+    """
     file, kind = find_scenario_file(scenario), options.find_law_kind()
     if file is None and kind is None:
         kind = load_changed_scenario(scenario, options).law.kind
-    files = list_watched(file, kind)
-
-    def load() -> "tuple[Scenario, Sequence[Path]]":
-        chosen = load_changed_scenario(scenario, options)
-        return chosen, list_watched(file, chosen.law.kind)
-
-    with _open_viewer(live) as (window, url):
-
-        def simulate(chosen: "Scenario") -> "Run":
-            return _run(_resolve(chosen, options, record), record, live, url)
-
-        def answer(result: "Run", before: "Run | None") -> int:
-            return _answer(result, record, before=before)
-
-        def is_over() -> bool:
-            return window is not None and window.has_ended
-
-        return watch_runs(files, load, simulate, answer, is_over=is_over)
+    files = _list_watched(file, kind)
+    before: Run | None = None
+    told: Sequence[Path] = ()
+    with _open_viewer(live) as (window, url), suppress(KeyboardInterrupt):
+        while True:
+            seen = _read_texts(files)
+            try:
+                chosen = load_changed_scenario(scenario, options)
+                files = _list_watched(file, chosen.law.kind)
+                seen = {**_read_texts(files), **seen}
+                result = _run(_resolve(chosen, options, record), record, live, url)
+                code = _answer(result, record, before=before)
+                if code != EXIT_FINE:
+                    return code
+                before = result
+            except (TurtlelogError, OSError) as err:
+                print_error(str(err))
+            flush_stdout()
+            if told != files:
+                names = ", ".join(map(str, files))
+                print_note(f"watching {names}: every save runs again, Ctrl-C ends")
+                told = files
+            saved = _wait_for_save(files, seen, window)
+            if saved is None:
+                return EXIT_FINE
+            print_note(f"saved: {saved}")
+    print_note("watch ended")
+    return EXIT_INTERRUPTED
 
 
 def _answer(
@@ -226,24 +236,32 @@ def _answer(
         print_note(f"{name.replace('_', ' ')}: {note}")
     _write(result, record, is_recorded=is_recorded)
     if json:
-        print_json(build_run_answer(result, output=record.output, rrd=record.rrd))
+        end = find_goal_end(result)
+        print_json(
+            RunAnswer(
+                name=result.name,
+                file=None if record.output is None else str(record.output),
+                rrd=None if record.rrd is None else str(record.rrd),
+                samples=len(result.samples),
+                stop_reason=result.stop_reason,
+                ending=None if end is None else end.describe(),
+                metrics=describe_metrics(tl.measure_run(result)),
+            )
+        )
     else:
         print_text(_describe_ending(result, file=record.output, before=before))
     return code
 
 
 def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
-    if record.output is not None:
+    for path, is_rrd in ((record.output, False), (record.rrd, True)):
+        if path is None:
+            continue
         with show_progress("writing"):
-            if not is_recorded:
-                written = _strip(run, record.output) if record.strip_scenario else run
-                tl.write_recording(written, record.output)
-        print_note(f"wrote {record.output}")
-    if record.rrd is not None:
-        with show_progress("writing"):
-            shown = _strip(run, record.rrd) if record.strip_scenario else run
-            tl.write_run_rrd(shown, record.rrd)
-        print_note(f"wrote {record.rrd}")
+            if is_rrd or not is_recorded:
+                written = _strip(run, path) if record.strip_scenario else run
+                (tl.write_run_rrd if is_rrd else tl.write_recording)(written, path)
+        print_note(f"wrote {path}")
 
 
 def _strip(run: "Run", path: Path) -> "Run":
@@ -257,13 +275,6 @@ def _strip(run: "Run", path: Path) -> "Run":
         absent=("parameters",),
         notes={"scenario": "left out when the run was recorded"},
     )
-
-
-def _simulate(scenario: "Scenario", step_budget_s: float) -> "Run":
-    from turtlelog.simulate import collect_run, iterate_ticks
-
-    ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
-    return collect_run(scenario, watch_ticks(ticks, scenario.max_duration_s))
 
 
 @contextmanager
@@ -287,8 +298,12 @@ def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: st
 
 
 def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
+    step_budget_s = choose_step_budget(live.step_budget_ms)
     if not live.realtime and url is None:
-        return _simulate(scenario, choose_step_budget(live.step_budget_ms))
+        from turtlelog.simulate import collect_run, iterate_ticks
+
+        ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
+        return collect_run(scenario, watch_ticks(ticks, scenario.max_duration_s))
     from turtlelog.log.file_access import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
@@ -306,10 +321,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))
         result = tl.log.run_live(
-            scenario,
-            sinks,
-            realtime=live.realtime,
-            step_budget_s=choose_step_budget(live.step_budget_ms),
+            scenario, sinks, realtime=live.realtime, step_budget_s=step_budget_s
         )
     if viewer is not None and viewer.lost:
         print_note(f"viewer: {viewer.lost}; the run went on without it")
@@ -356,20 +368,6 @@ class RunAnswer:
     metrics: list[dict[str, Any]]
 
 
-def build_run_answer(run: "Run", *, output: Path | None, rrd: Path | None) -> RunAnswer:
-    """Return the answer."""
-    end = find_goal_end(run)
-    return RunAnswer(
-        name=run.name,
-        file=None if output is None else str(output),
-        rrd=None if rrd is None else str(rrd),
-        samples=len(run.samples),
-        stop_reason=run.stop_reason,
-        ending=None if end is None else end.describe(),
-        metrics=describe_metrics(tl.measure_run(run)),
-    )
-
-
 def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> str:
     """Return how a run ended, and its essential metrics; after a change, those that changed."""
     name, changes = _split_name(run)
@@ -381,7 +379,7 @@ def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> 
     )
     if before is not None:
         head = fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
-        return f"{head}\n\n{describe_change(run, before)}"
+        return f"{head}\n\n{_describe_change(run, before)}"
     return format_run(summary, name, facts=facts)
 
 
@@ -389,3 +387,77 @@ def _split_name(run: "Run") -> tuple[str, str]:
     """Return a name that fits a table, and the changes that a longer name contains."""
     base, _, changes = run.name.partition(" ")
     return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
+
+
+_POLL_S: Final = 0.1
+"""Time between two checks of the files [s]: too short to notice, and long enough that reading some
+kilobytes takes no measurable time."""
+
+_Texts = Mapping[Path, tuple[int, bytes] | None]
+
+
+def _list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
+    """Return the files that determine a run: the file of the scenario, and the file of the law.
+
+    Raises:
+        UsageError: If no such file is named, or a file is missing.
+    """
+    place = (kind or "").rpartition(":")[0]
+    law_file = Path(place) if place.endswith(".py") else None
+    files = tuple(file for file in (scenario_file, law_file) if file is not None)
+    if not files:
+        raise UsageError(
+            f"--watch: the law {kind} has no file to watch; name a scenario file, or a law as"
+            " path.py:Class"
+        )
+    for file in files:
+        if not file.is_file():
+            raise UsageError(f"{file}: no such file to watch")
+    return files
+
+
+def _describe_change(run: "Run", before: "Run") -> str:
+    """Return a table of the essential metrics that changed, with their former values."""
+    declarations = run.declaration, before.declaration
+    essential = tl.measure.list_essential_metrics(*declarations)
+    now, was = tl.measure_run(run), tl.measure_run(before)
+    changed = [name for name in essential if now.get(name) != was.get(name)]
+    if not changed:
+        return "No metric changed."
+    kept = [{name: one[name] for name in changed if name in one} for one in (now, was)]
+    text = fit_table(tl.compare.tabulate_measured(("now", "before"), kept))
+    same = len(essential) - len(changed)
+    return f"{text}\n{describe_count(same, 'essential metric')} did not change." if same else text
+
+
+def _wait_for_save(
+    files: Sequence[Path], seen: _Texts, window: "ViewerProcess | None"
+) -> Path | None:
+    """Return the first saved file after two equal checks of all files; None at the end.
+
+    Editors write in several steps, or delete a file and write it again. A file that has changed
+    since the last check may change again, and a missing file is not saved yet.
+    """
+    last: _Texts = {}
+    while window is None or not window.has_ended:
+        time.sleep(_POLL_S)
+        now = _read_texts(files)
+        saved = [file for file in files if now[file] not in (None, seen.get(file))]
+        if saved and now == last:
+            return saved[0]
+        last = now
+    return None
+
+
+def _read_texts(files: Sequence[Path]) -> _Texts:
+    """Return time and content of each file; None for a file that cannot be read.
+
+    The time shows a save without changes; the content shows a second save within one tick of the
+    file system's clock, which may be two seconds long.
+    """
+    found: dict[Path, tuple[int, bytes] | None] = {}
+    for file in files:
+        found[file] = None
+        with suppress(OSError):
+            found[file] = file.stat().st_mtime_ns, file.read_bytes()
+    return found

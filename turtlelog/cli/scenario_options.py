@@ -37,8 +37,7 @@ class ScenarioOptions:
     kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
     goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
     assignments: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+        list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
     ] = None
 
 
@@ -123,11 +122,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
 
     The name of the scenario contains the changes. The code of a law is loaded only to set its
     gains. The law of a recording is never loaded, because the recording contains its gains.
-
-    Args:
-        name_or_path: Preset, file or recording. Default: `paper`; with --law `textbook`, whose loop
-            has no effects.
-        options: Changes to apply.
+    Default: `paper`; with --law `textbook`, whose loop has no effects.
     """
     options = options or LawOptions()
     named = options.find_law_kind()
@@ -159,13 +154,7 @@ def _note_robot(path: Path) -> None:
 def apply_options(
     base: "Scenario", options: LawOptions | None, declared: "Declaration | None" = None
 ) -> "Scenario":
-    """Return a scenario with the options applied and named.
-
-    Args:
-        base: Scenario to change.
-        options: Changes to apply.
-        declared: Declaration of the law from a recording. Default: from the law.
-    """
+    """Return a scenario with the options applied and named."""
     options, scenario, said = options or LawOptions(), base, []
     if options.law is not None:
         scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
@@ -187,12 +176,6 @@ def name_by_changes(
     """Return a scenario that is named after its base and the changes.
 
     A name from --set is kept.
-
-    Args:
-        scenario: Scenario with the changes.
-        base: Name of the base scenario.
-        options: Changes that were applied.
-        more: Further changes in words.
     """
     said = [*more, *_list_changes(options)]
     is_named = any(change.partition("=")[0].strip() == "name" for change in said)
@@ -214,17 +197,9 @@ def _tell(text: str) -> str:
 
 
 def change_scenario(
-    scenario: "Scenario",
-    options: ScenarioOptions | None,
-    declaration: "Declaration | None" = None,
+    scenario: "Scenario", options: ScenarioOptions | None, declaration: "Declaration | None" = None
 ) -> "Scenario":
-    """Return a scenario with the options applied.
-
-    Args:
-        scenario: Scenario to change.
-        options: Changes to apply.
-        declaration: Declaration of the law from a recording. Default: from the law.
-    """
+    """Return a scenario with the options applied."""
     options = options or ScenarioOptions()
     if options.commands is not None:
         run = read_chosen_run(options.commands, TopicOptions(), allow_no_poses=True)

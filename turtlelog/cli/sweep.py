@@ -68,8 +68,7 @@ class PlanOptions:
         None
     )
     zip_: Annotated[
-        list[str] | None,
-        Parameter(name="--zip", metavar="KEY=VALUES", completer=complete_keys),
+        list[str] | None, Parameter(name="--zip", metavar="KEY=VALUES", completer=complete_keys)
     ] = None
     sample: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
     seed: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None

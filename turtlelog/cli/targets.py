@@ -177,15 +177,7 @@ def tabulate(
     work: WorkOptions,
     file_s: float = FILE_S,
 ) -> "TabulatedFiles":
-    """Write the table of recordings. Invalid paths are errors before any file is read.
-
-    Args:
-        found: Recordings of the table.
-        output: Path of the table.
-        table: Kind and columns of the table.
-        work: Processes or cluster that read files.
-        file_s: Time per file, as in `tabulate_recordings`.
-    """
+    """Write the table of recordings. Invalid paths are errors before any file is read."""
     from turtlelog.cli.targets import require_new_target
 
     require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")

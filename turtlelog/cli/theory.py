@@ -1,8 +1,9 @@
 """`turtlelog theory`: expected behaviour of the ideal and the sampled loop."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from cyclopts import Parameter
 
@@ -20,21 +21,19 @@ from turtlelog.cli.theory_gains import (
     find_kept,
 )
 from turtlelog.cli.theory_loops import (
-    DeclaredLoopAnswer,
     LoopAnswer,
     PidAnswer,
     answer_models,
-    build_declared_loop,
+    build_integrator,
     build_pid_loop,
 )
-from turtlelog.cli.theory_tables import build_integrator
 from turtlelog.errors import TheoryError, UsageError
 from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from turtlelog.theory import LoopModel, PidGains, Process
+    from turtlelog.theory import LoopModel, PidGains, PidLoop, Process
 
 _MOST_GAINS: Final = 100
 _GAINS: Final = "1,2,4,10"
@@ -94,8 +93,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     period: Annotated[float | None, Parameter(metavar="SECONDS")] = None,
     dead_time: Annotated[Whole | None, Parameter()] = None,
     assignments: Annotated[
-        list[str] | None,
-        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+        list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
     ] = None,
     topics: ReadingOptions | None = None,
     wishes: WishOptions | None = None,
@@ -231,11 +229,7 @@ class _Form(NamedTuple):
 
 
 def _answer_terms(
-    gains: list[float],
-    terms: TermOptions,
-    timing: tuple[float, int],
-    wanted: Wishes,
-    form: _Form,
+    gains: list[float], terms: TermOptions, timing: tuple[float, int], wanted: Wishes, form: _Form
 ) -> None:
     """Print the answer for a loop with more than P on 1/s, at each Kp."""
     process = terms.build_process()
@@ -284,6 +278,59 @@ class _TermsAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DeclaredLoopAnswer:
+    """A loop that a law declares.
+
+    Attributes:
+        loop: Name of the loop.
+        signal: Controlled signal.
+        command: Command by which the loop acts.
+        status: `ok`, or `unknown` if its gains or its plant are unknown.
+        reason: Reason why gains or plant are unknown.
+        sources: Sources of the values.
+        left_out: Settings that theory's linear loop leaves out.
+        most_dead_time_s: Largest dead time that queues may cause [s].
+        sampled: The sampled loop; None if the loop is unknown.
+        recommended: Recommended gains.
+        kept_kp: Present Kp, if it needs no change [1/s].
+    """
+
+    loop: str
+    signal: str
+    command: str
+    status: Literal["ok", "unknown"]
+    reason: str | None
+    sources: Mapping[str, str]
+    left_out: list[str]
+    most_dead_time_s: float | None
+    sampled: PidAnswer | None
+    recommended: list[RecommendedGains]
+    kept_kp: float | None
+
+
+def _build_declared_loop(
+    model: "LoopModel",
+    found: "PidLoop | None",
+    recommended: list[RecommendedGains],
+    kept_kp: float | None,
+) -> DeclaredLoopAnswer:
+    """Return a declared loop for JSON, with its sources and, if known, its values."""
+    return DeclaredLoopAnswer(
+        loop=model.loop.name,
+        signal=model.loop.signal,
+        command=model.loop.command,
+        status="ok" if found else "unknown",
+        reason=model.reason or None,
+        sources=dict(model.sources),
+        left_out=list(model.left_out),
+        most_dead_time_s=model.most_dead_time_s,
+        sampled=None if found is None else build_pid_loop(found),
+        recommended=recommended,
+        kept_kp=kept_kp,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class _FileAnswer:
     """Each loop of a scenario or a recording."""
 
@@ -313,7 +360,7 @@ def _answer_file(
             for loop in one.loops
         }
         loops = [
-            build_declared_loop(one.model, one.found, *recommended.get(one.title, ([], None)))
+            _build_declared_loop(one.model, one.found, *recommended.get(one.title, ([], None)))
             for one in answers
             if one.model is not None
         ]

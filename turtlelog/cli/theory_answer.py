@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, find_width
+from turtlelog.cli.output import build_table, fill_lines, find_width
 from turtlelog.cli.theory_gains import (
     Recommended,
     Wishes,
@@ -21,13 +21,15 @@ from turtlelog.cli.theory_gains import (
 )
 from turtlelog.cli.theory_loops import (
     LoopAnswer,
+    compute_limits,
     describe_plant,
+    list_dead_times,
     list_sources,
     tabulate_answers,
     tabulate_gains,
     tell_motion,
+    tell_pole,
 )
-from turtlelog.cli.theory_tables import describe_sampling, summarise_gains, tabulate_theory
 from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:
@@ -48,46 +50,140 @@ _UNLIMITED: Final = "Theory leaves out command limits, which change overshoot an
 def format_integrator(
     loops: "list[SampledLoop]", recommended: Recommended, wishes: Wishes, *, shows_all: bool
 ) -> str:
-    """Return the answer for P on 1/s.
-
-    Args:
-        loops: Loops at each gain.
-        recommended: Gains for this plant and dead time.
-        wishes: Requirements for the gains.
-        shows_all: Whether to show the plant, the ideal loop, limits at other dead times and
-            published rules.
-    """
+    """Return the answer for P on 1/s."""
     head = [
         *_list_recommended(
             recommended,
             wishes,
             ideal=_IDEAL if loops[0].dead_time_ticks else f"{_IDEAL} or dead time",
         ),
-        *summarise_gains(loops),
-        describe_sampling(loops[0]),
+        *_summarise_gains(loops),
+        f"Sampling period {_tell_period(loops[0])}, dead time {_tell_dead_time(loops[0])}.",
     ]
-    plant, ideal, sampled, limits = tabulate_theory(loops)
-    tables = [tabulate_recommended(recommended, wishes, shows_all=shows_all), sampled]
-    tables += [limits, ideal, plant] if shows_all else []
+    tables = [tabulate_recommended(recommended, wishes, shows_all=shows_all)]
+    tables.append(_tabulate_loops(loops))
+    if shows_all:
+        tables += [_tabulate_limits(loops), _tabulate_ideal(loops), _tabulate_plant()]
     more = "The plant, the ideal loop, limits at other dead times, published rules: --details"
     return _join(head, tables, [_UNLIMITED, *([] if shows_all else [more])])
 
 
-def format_terms(
-    answers: Sequence[LoopAnswer],
-    recommended: Recommended,
-    wishes: Wishes,
-    *,
-    shows_all: bool,
-) -> str:
-    """Return the answer for a loop with more than P on 1/s, at each Kp.
+_RESPONSES: Final = {"impulse": "1", "step": "t", "ramp": "t^2 / 2"}
 
-    Args:
-        answers: Answers at each Kp.
-        recommended: Gains for this plant and dead time.
-        wishes: Requirements for the gains.
-        shows_all: Whether to show published rules, and why rules give no gains.
-    """
+
+def _tabulate_plant() -> "Table":
+    ends = {kind: tl.theory.find_plant_final_value(kind) for kind in tl.theory.PLANT_INPUTS}
+    endless = {
+        end.reason: [kind for kind in ends if ends[kind].reason == end.reason]
+        for end in ends.values()
+        if end.value is None
+    }
+    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
+    rows = (
+        (kind, _RESPONSES[kind], end.status.value if end.value is None else f"{end.value:g}")
+        for kind, end in ends.items()
+    )
+    notes = [f"BIBO stable: {_tell(verdict.stable)}; {verdict.reason}."]
+    for reason, kinds in endless.items():
+        notes.append(f"Final value theorem, {' and '.join(kinds)}: {reason}.")
+    return build_table("The plant 1/s", ("input", "response", "final value"), rows, notes)
+
+
+def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
+    rows = [
+        (
+            loop.kp,
+            -loop.kp,
+            tl.theory.compute_time_constant(loop.kp),
+            tl.theory.compute_settling_time(loop.kp),
+            tl.theory.compute_exact_settling_time(loop.kp),
+        )
+        for loop in loops
+    ]
+    heads = ("Kp [1/s]", "pole [1/s]", "tau [s]", "4 tau [s]", "ln 50 tau [s]")
+    note = "It settles to 2 % in ln 50 tau = 3.91 tau; 4 tau is the rule. It never overshoots."
+    return build_table("The ideal loop Kp / (s + Kp)", heads, rows, [note])
+
+
+def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
+    column = tl.compare.Column
+    heads = (
+        *("Kp [1/s]", "slowest pole", column(title="damping", digits=3), "overshoots"),
+        column(title="settles in", unit="s", digits=3, lines=("settles", "in")),
+        column(title="gain margin", digits=2, lines=("gain", "margin")),
+        column(title="delay margin", unit="ticks", digits=1, lines=("delay", "margin")),
+        "stable",
+    )
+    rows = (
+        (
+            *(loop.kp, tell_pole(loop.poles), loop.damping_ratio, _tell_overshoot(loop)),
+            *(loop.settling_time_s, loop.gain_margin, loop.delay_margin_ticks),
+            _tell(loop.stable),
+        )
+        for loop in loops
+    )
+    title = f"Sampled every {_tell_period(loops[0])}, dead time {_tell_dead_time(loops[0])}"
+    return build_table(title, heads, rows)
+
+
+def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
+    period_s = loops[0].period_s
+    rows = [
+        (ticks, 1e3 * ticks * period_s, *compute_limits(period_s, ticks))
+        for ticks in list_dead_times(loops[0])
+    ]
+    note = (
+        "Overshoot begins at Kp T = d^d / (d + 1)^(d + 1), instability at 2 sin(pi / (2 (2 d +"
+        " 1))). A command that is clipped hides both while it is clipped."
+    )
+    heads = ("dead time d [ticks]", "d T [ms]", "no overshoot up to Kp [1/s]")
+    title = f"Limits of the gain, sampled every {_tell_period(loops[0])}"
+    return build_table(title, (*heads, "stable below Kp [1/s]"), rows, [note])
+
+
+def _summarise_gains(loops: "list[SampledLoop]") -> list[str]:
+    """Return the gains at which overshoot and instability begin, and where the given gains lie."""
+    overshoot, stability = compute_limits(loops[0].period_s, loops[0].dead_time_ticks)
+    groups = {
+        "no overshoot": [loop for loop in loops if loop.stable and not loop.overshoots],
+        "overshoots, and settles": [loop for loop in loops if loop.stable and loop.overshoots],
+        "unstable": [loop for loop in loops if not loop.stable],
+    }
+    verdicts = [
+        f"Kp = {', '.join(f'{loop.kp:g}' for loop in group)}: {verdict}."
+        for verdict, group in groups.items()
+        if group
+    ]
+    limits = f"Overshoot begins above Kp = {overshoot:.4g} 1/s, instability at {stability:.4g} 1/s."
+    return [limits, " ".join(verdicts)]
+
+
+def _tell_period(loop: "SampledLoop") -> str:
+    return f"{1e3 * loop.period_s:.6g} ms"
+
+
+def _tell_dead_time(loop: "SampledLoop") -> str:
+    ticks = loop.dead_time_ticks
+    return f"{ticks} tick{'' if ticks == 1 else 's'} ({1e3 * ticks * loop.period_s:.6g} ms)"
+
+
+def _tell_overshoot(loop: "SampledLoop") -> str:
+    if not loop.stable:
+        return "without end"
+    if not loop.overshoots:
+        return "no"
+    percent = loop.overshoot_percent
+    return "yes" if percent is None else f"by {percent:.2f} %"
+
+
+def _tell(value: object) -> str:
+    return "yes" if value else "no"
+
+
+def format_terms(
+    answers: Sequence[LoopAnswer], recommended: Recommended, wishes: Wishes, *, shows_all: bool
+) -> str:
+    """Return the answer for a loop with more than P on 1/s, at each Kp."""
     head = [
         *_list_recommended(recommended, wishes),
         *_list_stable(answers),
@@ -114,16 +210,7 @@ def format_file(
     *,
     shows_all: bool,
 ) -> str:
-    """Return the answer for each loop of a scenario or a recording.
-
-    Args:
-        name: Name of the scenario or the run.
-        word: Scenario or recording as typed.
-        answers: Answer for each loop.
-        groups: Recommended gains. Equal loops share them.
-        wishes: Requirements for the gains.
-        shows_all: Whether to show published rules, and the sources of values.
-    """
+    """Return the answer for each loop of a scenario or a recording."""
     known = [one for one in answers if one.found]
     if not known:
         why = "no loop is declared" if not answers else "theory has no linear model of its loops"
@@ -236,13 +323,7 @@ def _narrow(table: "Table") -> "Table":
 def _list_recommended(
     recommended: Recommended, wishes: Wishes, *, ideal: str = _IDEAL
 ) -> Iterator[str]:
-    """Yield whether given gains need a change, and recommended gains, or why there are none.
-
-    Args:
-        recommended: Gains for a plant.
-        wishes: Requirements for the gains.
-        ideal: Condition of the gains.
-    """
+    """Yield whether given gains need a change, and recommended gains, or why there are none."""
     (given,) = recommended.given
     best = recommended.find_best(given.controller)
     if best is None or best.gains is None:

@@ -100,9 +100,7 @@ class Wishes:
             recommended = self.recommend(*key, given=[one.require()[0] for one in loops.values()])
             found.append(
                 recommended._replace(
-                    loops=tuple(loops),
-                    most_dead_time_s=first.most_dead_time_s,
-                    ramp_s=first.ramp_s,
+                    loops=tuple(loops), most_dead_time_s=first.most_dead_time_s, ramp_s=first.ramp_s
                 )
             )
         return found
@@ -301,13 +299,7 @@ def _build(one: "Recommendation") -> RecommendedGains:
 
 
 def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> "Table":
-    """Return a table of recommended gains.
-
-    Args:
-        recommended: Recommended gains.
-        wishes: Requirements for the gains.
-        shows_all: Whether to include published rules, and why rules give no gains.
-    """
+    """Return a table of recommended gains."""
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
     found = [*dict.fromkeys(recommended.given)]
     found += [one for one in recommended.found if shows_all or one.rule in _RULES]

@@ -1,20 +1,22 @@
 """Sampled loops of any kind as tables and JSON: from options, scenarios and recordings."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table
+from turtlelog.cli.output import build_table, copy_fields
 from turtlelog.cli.theory_gains import NO_OVERSHOOT, RecommendedGains, tell_step
-from turtlelog.cli.theory_tables import PlanePole, build_poles, tell_pole
 from turtlelog.display import join_words
 from turtlelog.run.loops import SIGNAL_WORDS
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from turtlelog.compare import Table
-    from turtlelog.theory import LoopModel, Margins, PidLoop, Process
+    from turtlelog.theory import LoopModel, Margins, PidLoop, Process, SampledLoop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +42,159 @@ def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
         )
         for model in models
     ]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanePole:
+    """A pole in the z plane."""
+
+    re: float
+    im: float
+
+
+def _build_poles(poles: "NDArray[np.complex128]") -> list[PlanePole]:
+    """Return poles for JSON."""
+    return [PlanePole(re=float(pole.real), im=float(pole.imag)) for pole in poles]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainAnswer:
+    """The ideal and the sampled loop at one gain; None for a number that does not exist."""
+
+    kp: float
+    tau_s: float
+    settling_time_s: float
+    exact_settling_time_s: float
+    poles: list[PlanePole]
+    stable: bool
+    overshoots: bool
+    damping_ratio: float | None
+    overshoot_percent: float | None
+    sampled_settling_time_s: float | None
+    gain_margin: float
+    phase_margin_rad: float | None
+    delay_margin_ticks: float | None
+    delay_margin_s: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainBounds:
+    """The gains at which overshoot and instability begin, at a dead time."""
+
+    dead_time_ticks: int
+    overshoot_gain: float
+    stability_gain: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Transfer:
+    numerator: "Sequence[float]"
+    denominator: "Sequence[float]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _End:
+    input: str
+    value: float | None
+    status: str
+    reason: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantAnswer:
+    """The plant 1/s: its stability, and the final values of its responses."""
+
+    transfer_function: _Transfer
+    bibo_stable: bool
+    reason: str
+    final_values: list[_End]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IntegratorAnswer:
+    """P control of the plant 1/s."""
+
+    period_s: float
+    dead_time_ticks: int
+    overshoot_gain: float
+    stability_gain: float
+    plant: PlantAnswer
+    gains: list[GainAnswer]
+    limits: list[GainBounds]
+    recommended: list[RecommendedGains]
+    kept_kp: float | None
+
+
+def build_integrator(
+    loops: "list[SampledLoop]", recommended: list[RecommendedGains], kept_kp: float | None
+) -> IntegratorAnswer:
+    """Return the answer for P on 1/s."""
+    first = loops[0]
+    overshoot_gain, stability_gain = compute_limits(first.period_s, first.dead_time_ticks)
+    limits = {ticks: compute_limits(first.period_s, ticks) for ticks in list_dead_times(first)}
+    return IntegratorAnswer(
+        period_s=first.period_s,
+        dead_time_ticks=first.dead_time_ticks,
+        overshoot_gain=overshoot_gain,
+        stability_gain=stability_gain,
+        plant=_build_plant(),
+        gains=[_build_loop(loop) for loop in loops],
+        limits=[
+            GainBounds(dead_time_ticks=ticks, overshoot_gain=overshoot, stability_gain=stability)
+            for ticks, (overshoot, stability) in limits.items()
+        ],
+        recommended=recommended,
+        kept_kp=kept_kp,
+    )
+
+
+def _build_plant() -> PlantAnswer:
+    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
+    ends = [(kind, tl.theory.find_plant_final_value(kind)) for kind in tl.theory.PLANT_INPUTS]
+    numerator, denominator = tl.theory.PLANT
+    return PlantAnswer(
+        transfer_function=_Transfer(numerator=numerator, denominator=denominator),
+        bibo_stable=verdict.stable,
+        reason=verdict.reason,
+        final_values=[
+            _End(input=kind, value=end.value, status=end.status.value, reason=end.reason)
+            for kind, end in ends
+        ],
+    )
+
+
+def _build_loop(loop: "SampledLoop") -> GainAnswer:
+    return copy_fields(
+        GainAnswer,
+        loop,
+        tau_s=tl.theory.compute_time_constant(loop.kp),
+        settling_time_s=tl.theory.compute_settling_time(loop.kp),
+        exact_settling_time_s=tl.theory.compute_exact_settling_time(loop.kp),
+        poles=_build_poles(loop.poles),
+        sampled_settling_time_s=loop.settling_time_s,
+    )
+
+
+_LIMITS_UP_TO: Final = 8
+
+
+def compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
+    """Return the gains [1/s] at which overshoot and instability begin."""
+    overshoot = tl.theory.compute_overshoot_gain(period_s, ticks)
+    return overshoot, tl.theory.compute_stability_gain(period_s, ticks)
+
+
+def list_dead_times(loop: "SampledLoop") -> list[int]:
+    """Return the dead times [ticks] in a table of limits, including the dead time of the loop."""
+    return sorted({*range(_LIMITS_UP_TO + 1), loop.dead_time_ticks})
+
+
+def tell_pole(poles: "NDArray[np.complex128]") -> str:
+    """Return the first pole, which is the slowest, with its conjugate."""
+    pole = complex(poles[0])
+    if pole.imag == 0.0:
+        return f"{pole.real:.4f}"
+    return f"{pole.real:.4f} +- {abs(pole.imag):.4f}j"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,84 +226,27 @@ class PidAnswer:
 
 def build_pid_loop(loop: "PidLoop") -> PidAnswer:
     """Return a loop for JSON."""
-    gains, margins = loop.gains, loop.margins
-    whole = gains.kp * loop.process.gain
-    return PidAnswer(
-        kp=gains.kp,
-        ki=gains.ki,
-        kd=gains.kd,
-        filter_s=gains.filter_s,
-        period_s=loop.period_s,
-        dead_time_s=loop.dead_time_s,
-        process=loop.process,
+    whole = loop.gains.kp * loop.process.gain
+    terms = {name: getattr(loop.gains, name) for name in ("kp", "ki", "kd", "filter_s")}
+    margins = {name: getattr(loop.margins, name, None) for name in _MARGINS}
+    return copy_fields(
+        PidAnswer,
+        loop,
         tau_s=tl.theory.compute_time_constant(whole),
         settling_time_s=tl.theory.compute_settling_time(whole),
-        poles=build_poles(loop.poles),
-        stable=loop.stable,
-        stable_gains=loop.stable_gains,
+        poles=_build_poles(loop.poles),
         overshoots=not loop.stable or _overshoots(loop),
-        overshoot_percent=loop.overshoot_percent,
         sampled_settling_time_s=loop.settling_time_s,
-        gain_margin=None if margins is None else margins.gain_margin,
-        gain_reduction=None if margins is None else margins.gain_reduction,
-        phase_margin_rad=None if margins is None else margins.phase_margin_rad,
-        crossover_rad_s=None if margins is None else margins.crossover_rad_s,
-        delay_margin_ticks=None if margins is None else margins.delay_margin_ticks,
         delay_margin_s=_find_delay_margin(loop),
+        **terms,
+        **margins,
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DeclaredLoopAnswer:
-    """A loop that a law declares.
-
-    Attributes:
-        loop: Name of the loop.
-        signal: Controlled signal.
-        command: Command by which the loop acts.
-        status: `ok`, or `unknown` if its gains or its plant are unknown.
-        reason: Reason why gains or plant are unknown.
-        sources: Sources of the values.
-        left_out: Settings that theory's linear loop leaves out.
-        most_dead_time_s: Largest dead time that queues may cause [s].
-        sampled: The sampled loop; None if the loop is unknown.
-        recommended: Recommended gains.
-        kept_kp: Present Kp, if it needs no change [1/s].
-    """
-
-    loop: str
-    signal: str
-    command: str
-    status: Literal["ok", "unknown"]
-    reason: str | None
-    sources: Mapping[str, str]
-    left_out: list[str]
-    most_dead_time_s: float | None
-    sampled: PidAnswer | None
-    recommended: list[RecommendedGains]
-    kept_kp: float | None
-
-
-def build_declared_loop(
-    model: "LoopModel",
-    found: "PidLoop | None",
-    recommended: list[RecommendedGains],
-    kept_kp: float | None,
-) -> DeclaredLoopAnswer:
-    """Return a declared loop for JSON, with its sources and, if known, its values."""
-    return DeclaredLoopAnswer(
-        loop=model.loop.name,
-        signal=model.loop.signal,
-        command=model.loop.command,
-        status="ok" if found else "unknown",
-        reason=model.reason or None,
-        sources=dict(model.sources),
-        left_out=list(model.left_out),
-        most_dead_time_s=model.most_dead_time_s,
-        sampled=None if found is None else build_pid_loop(found),
-        recommended=recommended,
-        kept_kp=kept_kp,
-    )
+_MARGINS: Final = (
+    *("gain_margin", "gain_reduction", "phase_margin_rad", "crossover_rad_s"),
+    "delay_margin_ticks",
+)
 
 
 def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
@@ -209,12 +307,7 @@ def _read_cell(text: str) -> str | float:
 
 
 def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> list[str]:
-    """Return unknown loops, omitted settings, and sources of values.
-
-    Args:
-        answers: Answers of declared loops.
-        shows_all: Whether to include the sources of known loops.
-    """
+    """Return unknown loops, omitted settings, and sources of values."""
     notes = []
     for answer in answers:
         model = answer.model

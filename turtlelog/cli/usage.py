@@ -121,10 +121,7 @@ def _find_text(description: Any) -> str:
     return getattr(getattr(description, "primary_renderable", description), "plain", "")
 
 
-_WORDS: Final[dict[Any, str]] = {
-    float: "a number",
-    int: "a whole number",
-}
+_WORDS: Final[dict[Any, str]] = {float: "a number", int: "a whole number"}
 
 _SHORT: Final = 40
 """Longest value that an error line repeats [letters]."""
@@ -143,11 +140,7 @@ _OPTIONS: Final = MappingProxyType(
 
 
 def describe_usage_error(err: CycloptsError) -> str:
-    """Return an error of the command line's parser as one line, with what to type.
-
-    Args:
-        err: Error raised by cyclopts.
-    """
+    """Return an error of the command line's parser as one line, with what to type."""
     for kind, describe in _DESCRIPTIONS.items():
         if isinstance(err, kind):
             return describe(err)
