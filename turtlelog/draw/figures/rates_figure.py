@@ -54,6 +54,9 @@ _COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
 _EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
 _OUTLIER: Final = fix_style(color="#c62828", markersize=4.5, label="left out of the fit")
 _DEAD: Final = fix_style(color=to_hex(DEAD_TIME), alpha=0.3, lw=0.0, zorder=0.6, label="dead time")
+_INTERVAL: Final = fix_style(
+    color=to_hex(darken(DEAD_TIME)), lw=0.9, marker="|", ms=5.0, label="dead time: interval"
+)
 _LAG: Final = fix_style(
     color="#56b4e9", alpha=0.25, linewidth=0.0, zorder=0.6, label="time constant"
 )
@@ -268,14 +271,7 @@ def _draw_interval(axes: Axes, dead_time: identify.Estimate) -> None:
     if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
         return
     ends = [dead_time.low, dead_time.high]
-    looks: dict[str, Any] = {
-        "color": to_hex(darken(DEAD_TIME)),
-        "lw": 0.9,
-        "marker": "|",
-        "ms": 5.0,
-    }
-    label = "dead time: interval"
-    axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **looks, label=label)
+    axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **_INTERVAL)
 
 
 def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
