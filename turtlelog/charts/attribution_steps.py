@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from turtlelog.charts import palette
-from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Contribution, ExplainedDifference
 from turtlelog.explain.attribution import THIS_SEED
@@ -50,7 +49,7 @@ class AttributionStep:
     end: float
     name: str
     text: str
-    color: Color
+    color: palette.Color
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,7 +196,7 @@ def _list_contributions(
         )
     at = found.divided
     acting = choose_acting_contributions(found)
-    colors = choose_cause_colors(found.causes)
+    colors = palette.choose_cause_colors(found.causes)
     for one in acting:
         end = at - (one.contribution or 0.0)
         yield AttributionStep(
@@ -281,7 +280,7 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
     if not found.contributions or first is None or second is None:
         return ()
     scale = _choose_difference_scale(found)
-    colors = choose_cause_colors([one.name for one in found.contributions])
+    colors = palette.choose_cause_colors([one.name for one in found.contributions])
     one_color, other_color = palette.choose_run_colors(2)
     steps = [_make_total(found.first, scale, one_color)]
     at = first

@@ -13,7 +13,6 @@ from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import choose_unit, label_metric
 from turtlelog.charts.close_up import choose_rings, format_length
 from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.display import describe_count, join_words
 from turtlelog.explain import Luck, LuckCurve
 
@@ -51,7 +50,7 @@ class LuckLine:
     """A curve over the starts."""
 
     name: str  # short label at the right end of the curve; the sentences have the full name
-    color: Color  # colour of the run, of the removed cause, or of the ghost
+    color: palette.Color  # colour of the run, of the removed cause, or of the ghost
     kind: str  # `run`: with all effects. `cause`: one cause removed. `ghost`: all causes removed
     values: Values  # values in the unit of the picture, shape (n,); NaN if missing
     pieces: tuple[tuple[int, int], ...]  # first and last row of each part without a jump
@@ -103,7 +102,7 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
     recorded = math.nan if luck.recorded is None else luck.recorded * factor
     is_error = luck.metric.endswith("error")
     limits = _find_limits([*columns, np.array([recorded])], is_error=is_error)
-    colors = choose_cause_colors(luck.causes)
+    colors = palette.choose_cause_colors(luck.causes)
     lines = tuple(
         _build_line(luck, curve, values, colors, limits)
         for curve, values in zip(luck.curves, columns, strict=True)
@@ -233,7 +232,7 @@ def _build_line(
     luck: Luck,
     curve: LuckCurve,
     values: Values,
-    colors: dict[str, Color],
+    colors: dict[str, palette.Color],
     limits: tuple[float, float],
 ) -> LuckLine:
     kind = "run" if not curve.without else "ghost" if curve is luck.curves[-1] else "cause"

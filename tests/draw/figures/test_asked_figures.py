@@ -161,9 +161,7 @@ def test_what_cannot_be_explained_is_refused_with_the_reason(
     with pytest.raises(ShowError, match="attribution needs the controller's samples"):
         tl.draw.draw_figure("attribution", [make_foreign_run(50)])
     withheld = replace(explained.found, withheld="nothing reproduces it")
-    monkeypatch.setattr(
-        "turtlelog.draw.figures.attribution_figure.attribute_run", lambda *_, **__: withheld
-    )
+    monkeypatch.setattr("turtlelog.explain.attribute_run", lambda *_, **__: withheld)
     match = r"needs contributions to final\.position_error: nothing reproduces it"
     with pytest.raises(ShowError, match=match):
         explain_for_figure([read(4)])

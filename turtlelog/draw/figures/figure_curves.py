@@ -19,14 +19,7 @@ from matplotlib.textpath import text_to_path
 from numpy.typing import NDArray
 
 from turtlelog import theory
-from turtlelog.charts.curves import (
-    BEARING_NOW,
-    MOST_POINTS,
-    REFERENCE as AIMED,
-    Curve,
-    Values,
-    choose_rows,
-)
+from turtlelog.charts import curves
 from turtlelog.charts.many_runs import find_color_scale
 from turtlelog.charts.palette import FEW, LOOP_DASHES
 from turtlelog.draw.figures import page
@@ -55,13 +48,15 @@ class Pole:
     label: str  # label in the legend
 
 
-def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
+def draw_curve(axes: Axes, curve: curves.Curve, **looks: Any) -> None:
     """Draw a curve, as steps if its values are held. A long curve is thinned."""
     drawstyle = "steps-post" if curve.holds else "default"
     draw_thinned(axes, curve.time_s, curve.values, curve.values, drawstyle=drawstyle, **looks)
 
 
-def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
+def draw_thinned(
+    axes: Axes, across: curves.Values, up: curves.Values, kept: curves.Values, **looks: Any
+) -> None:
     """Draw a line. If points are left out, extremes of `kept` remain and a note is added."""
     across, up = _thin(axes, across, up, kept)
     if len(up) == 1:  # a line needs two points
@@ -71,7 +66,7 @@ def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: 
     axes.plot(across, up, **looks)
 
 
-def _space_marks(up: Values, every: Any) -> Any:
+def _space_marks(up: curves.Values, every: Any) -> Any:
     """Return the positions of marks on a curve: along its length, or by rows if it oscillates."""
     known = up[np.isfinite(up)]
     if every is None or np.abs(np.diff(known)).sum() <= _MOST_SWINGS * np.ptp(known):
@@ -80,17 +75,19 @@ def _space_marks(up: Values, every: Any) -> Any:
     return first, apart
 
 
-def draw_points(axes: Axes, across: Values, up: Values, **looks: Any) -> None:
+def draw_points(axes: Axes, across: curves.Values, up: curves.Values, **looks: Any) -> None:
     """Draw points without a joining line, thinned like lines."""
     across, up = _thin(axes, across, up, up)
     axes.plot(across, up, **looks)
 
 
-def _thin(axes: Axes, across: Values, up: Values, kept: Values) -> tuple[Values, Values]:
-    rows = choose_rows(kept)
+def _thin(
+    axes: Axes, across: curves.Values, up: curves.Values, kept: curves.Values
+) -> tuple[curves.Values, curves.Values]:
+    rows = curves.choose_rows(kept)
     if rows is None:
         return across, up
-    note = f"curves of over {MOST_POINTS:,} points are\nthinned for drawing, extremes kept"
+    note = f"curves of over {curves.MOST_POINTS:,} points are\nthinned for drawing, extremes kept"
     axes.figure.supxlabel(note, fontsize=7.0, color="0.4")
     return across[rows], up[rows]
 
@@ -193,7 +190,7 @@ def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
 _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
 
-_OF_ALL_RUNS: Final = frozenset({"ideal", page.IDEAL_ENDS, AIMED, BEARING_NOW})
+_OF_ALL_RUNS: Final = frozenset({"ideal", page.IDEAL_ENDS, curves.REFERENCE, curves.BEARING_NOW})
 """Labels of lines that have each run's colour, and are therefore colourless in a legend."""
 
 _ALIKE: Final = (

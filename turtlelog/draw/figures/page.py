@@ -16,16 +16,6 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from turtlelog.charts import palette
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
 from turtlelog.charts.many_runs import choose_colors_by_value
-from turtlelog.charts.palette import (
-    FEW,
-    SUPPOSED_DASH,
-    Color,
-    Dash,
-    Marker,
-    choose_dash,
-    choose_markers,
-    choose_run_colors,
-)
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
@@ -107,7 +97,7 @@ def use_looks(looks: Mapping[str, Any] = LOOKS) -> Iterator[None]:
         yield
 
 
-def to_rgb(color: Color) -> tuple[float, ...]:
+def to_rgb(color: palette.Color) -> tuple[float, ...]:
     """Return a colour in matplotlib's form."""
     return tuple(part / 255.0 for part in color)
 
@@ -117,7 +107,7 @@ _MOST_BROAD: Final = 24
 lines."""
 _THIN: Final = 0.7
 
-STROKES: Final[Mapping[Dash, Any]] = MappingProxyType(
+STROKES: Final[Mapping[palette.Dash, Any]] = MappingProxyType(
     {
         "solid": "-",
         "dashed": (0, (5, 2)),
@@ -127,7 +117,7 @@ STROKES: Final[Mapping[Dash, Any]] = MappingProxyType(
 )
 """Dashes of matplotlib, in multiples of the line's width."""
 
-_MARKERS: Final[Mapping[Marker, tuple[str, float]]] = {
+_MARKERS: Final[Mapping[palette.Marker, tuple[str, float]]] = {
     "up": ("^", 4.6),
     "diamond": ("D", 3.6),
     "down": ("v", 4.6),
@@ -147,13 +137,15 @@ REFERENCE: Final = fix_style(color="0.45", linewidth=0.7)
 IDEAL_ENDS: Final = "ideal, first and last run"
 """Label of the ideal responses of the first and the last of many runs."""
 
-AIM: Final = fix_style(linewidth=0.8, linestyle=STROKES[choose_dash("aim")], zorder=1.9, marker="")
+AIM: Final = fix_style(
+    linewidth=0.8, linestyle=STROKES[palette.choose_dash("aim")], zorder=1.9, marker=""
+)
 """Style of moving references, of a law or a goal."""
 
 MEASURED: Final = fix_style(color=to_rgb(palette.MEASURED))
 """Style of a robot's measured motion beside a model."""
 
-MODELLED: Final = fix_style(color=to_rgb(palette.MODEL), linestyle=STROKES[SUPPOSED_DASH])
+MODELLED: Final = fix_style(color=to_rgb(palette.MODEL), linestyle=STROKES[palette.SUPPOSED_DASH])
 """Style of a model's response to a command."""
 
 SENSED: Final = fix_style(
@@ -272,7 +264,7 @@ def break_label(label: str) -> str:
 
 def choose_colors(count: int) -> list[tuple[float, ...]]:
     """Return the colours of lines in order; they are the same as on screen."""
-    return [*map(to_rgb, choose_run_colors(count))]
+    return [*map(to_rgb, palette.choose_run_colors(count))]
 
 
 def color_runs(runs: Sequence[Run]) -> list[tuple[float, ...]]:
@@ -293,12 +285,14 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     a large gain would cover all others.
     """
     lines: list[dict[str, Any]] = [{"color": color} for color in choose_colors(count)]
-    for number, (line, marker) in enumerate(zip(lines, choose_markers(count), strict=False)):
+    for number, (line, marker) in enumerate(
+        zip(lines, palette.choose_markers(count), strict=False)
+    ):
         shape, size = _MARKERS[marker]
         first = _MARK_EVERY * (number + 0.5) / count
         line |= {"marker": shape, "ms": size, "markevery": (first, _MARK_EVERY)}
         line |= {"mec": "white", "mew": 0.4}
-    if count <= len(FEW):
+    if count <= len(palette.FEW):
         return lines
     looks = {"linewidth": _THIN} if count > _MOST_BROAD else {}
     return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]

@@ -37,6 +37,11 @@ _OF_MANY: Final = page.fix_style(color="0.8", linewidth=0.4, zorder=1.6)
 _RESTLESS: Final = page.fix_style(alpha=0.45, zorder=1.7)
 """Style of runs that never come to rest, if others do."""
 
+_OUTLINE: Final = page.fix_style(linewidth=0.8, zorder=2.96, label=plane_scene.OUTLINE_LABEL)
+_MEDIAN: Final = page.fix_style(
+    mec="white", mew=0.7, ms=5.5, zorder=2.97, label=plane_scene.MEDIAN_LABEL
+)
+
 _MOST_TICKS: Final = 5
 
 _LEAST_TOLERANCE: Final = 0.04
@@ -135,20 +140,8 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
             end.set_label("end")
     for group in plane_scene.find_gain_ends(runs) if is_many else ():
         color = colors[group.middle_run]
-        around: dict[str, Any] = {
-            "color": color,
-            "linewidth": 0.8,
-            "label": plane_scene.OUTLINE_LABEL,
-        }
-        axes.plot(*group.around_xy_m.T, **around, zorder=2.96)
-        look: dict[str, Any] = {
-            "color": color,
-            "mec": "white",
-            "mew": 0.7,
-            "ms": 5.5,
-            "label": plane_scene.MEDIAN_LABEL,
-        }
-        axes.plot(*group.median_xy_m, "D", **look, zorder=2.97)
+        axes.plot(*group.around_xy_m.T, color=color, **_OUTLINE)
+        axes.plot(*group.median_xy_m, "D", color=color, **_MEDIAN)
 
 
 def stress_window(

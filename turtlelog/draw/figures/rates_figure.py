@@ -17,15 +17,8 @@ from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
+from turtlelog.draw.figures import page
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import (
-    MEASURED,
-    MODELLED,
-    REFERENCE,
-    SIDE_BY_SIDE_INCH,
-    fix_style,
-    label_runs,
-)
 from turtlelog.errors import ShowError
 from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
@@ -50,11 +43,18 @@ _SHOWN_MS: Final = 2.0
 
 _REASON_LETTERS: Final = 58
 
-_COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
-_EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
-_OUTLIER: Final = fix_style(color="#c62828", markersize=4.5, label="left out of the fit")
-_DEAD: Final = fix_style(color=to_hex(DEAD_TIME), alpha=0.3, lw=0.0, zorder=0.6, label="dead time")
-_LAG: Final = fix_style(
+_COMMAND: Final = page.fix_style(color="0.3", linewidth=0.9)
+_EACH: Final = page.fix_style(
+    color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change"
+)
+_OUTLIER: Final = page.fix_style(color="#c62828", markersize=4.5, label="left out of the fit")
+_DEAD: Final = page.fix_style(
+    color=to_hex(DEAD_TIME), alpha=0.3, lw=0.0, zorder=0.6, label="dead time"
+)
+_INTERVAL: Final = page.fix_style(
+    color=to_hex(darken(DEAD_TIME)), lw=0.9, marker="|", ms=5.0, label="dead time: interval"
+)
+_LAG: Final = page.fix_style(
     color="#56b4e9", alpha=0.25, linewidth=0.0, zorder=0.6, label="time constant"
 )
 
@@ -96,7 +96,7 @@ def draw_rates(
     if not drawn:
         raise ShowError("figure rates needs commands that are not always 0")
     width = figure.get_figwidth()
-    is_wide = width >= SIDE_BY_SIDE_INCH
+    is_wide = width >= page.SIDE_BY_SIDE_INCH
     rows: list[tuple[DrawnAxis, str, float]] = []
     for one in drawn:
         rows.append((one, "rates", _ROW_INCH))
@@ -153,14 +153,14 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
     draw_curve(axes, _hold_to_end(one.command, run), **_COMMAND, label="command")
     if one.measured is not None:
         time_s, values = one.measured
-        draw_thinned(axes, time_s, values, values, **MEASURED, label="motion")
+        draw_thinned(axes, time_s, values, values, **page.MEASURED, label="motion")
     if one.traces is not None:
         time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
-        draw_thinned(axes, time_s, values, values, **MODELLED, label="model")
+        draw_thinned(axes, time_s, values, values, **page.MODELLED, label="model")
     axes.set_ylabel(TIME_PLOTS[one.model.axis].label)
     axes.margins(x=0.01)
     if one.traces is not None:
-        axes.set_title(f"{label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
+        axes.set_title(f"{page.label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
     else:
         reason = f"not identified: {one.model.reason}"
         told = "\n".join(textwrap.wrap(reason, _REASON_LETTERS, max_lines=3, placeholder=" ..."))
@@ -184,9 +184,9 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
     """Draw the residual of the model."""
     if one.traces is None:
         return
-    axes.axhline(0.0, **REFERENCE)
+    axes.axhline(0.0, **page.REFERENCE)
     time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.residual
-    draw_thinned(axes, time_s, values, values, **MEASURED)
+    draw_thinned(axes, time_s, values, values, **page.MEASURED)
     if len(one.outliers_s):
         # An outlier has the time of the pose after its step, traces that of the middle of one or
         # more steps.
@@ -232,7 +232,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
         if one.traces is not None:
             fine_s = np.linspace(from_s, until_s, _FINE)
             _, rate = identify.predict_axis(one.model, run, fine_s + run.start_ns / 1e9)
-            looks = {**MODELLED, "linewidth": 0.9, "zorder": 2.4}
+            looks = {**page.MODELLED, "linewidth": 0.9, "zorder": 2.4}
             _draw_followed(axes, change, fine_s, rate, (from_s, until_s), **looks)
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
     axes.set_title(tell_model(one, len(changes)), fontsize=7.0, loc="right")
@@ -268,14 +268,7 @@ def _draw_interval(axes: Axes, dead_time: identify.Estimate) -> None:
     if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
         return
     ends = [dead_time.low, dead_time.high]
-    looks: dict[str, Any] = {
-        "color": to_hex(darken(DEAD_TIME)),
-        "lw": 0.9,
-        "marker": "|",
-        "ms": 5.0,
-    }
-    label = "dead time: interval"
-    axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **looks, label=label)
+    axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **_INTERVAL)
 
 
 def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import LIMIT_DASH
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
@@ -34,7 +33,9 @@ _TITLE_LETTERS: Final = 11.5
 
 _LEAST_INCH: Final = 2.2
 _BAND: Final = fix_style(color="0.5", alpha=0.14, linewidth=0.0, zorder=0.6, label="asked for")
-_LIMIT: Final = fix_style(color="0.4", linewidth=0.9, linestyle=STROKES[LIMIT_DASH], zorder=1.6)
+_LIMIT: Final = fix_style(
+    color="0.4", linewidth=0.9, linestyle=STROKES[palette.LIMIT_DASH], zorder=1.6
+)
 _REFERENCE: Final = fix_style(color="0.5", linewidth=0.7, zorder=1.5, label="reference")
 _OUTSIDE: Final = fix_style(color=_RED, linewidth=2.0, zorder=2.6, solid_capstyle="round")
 _POINT: Final = fix_style(markeredgecolor="white", markeredgewidth=0.6, zorder=4)

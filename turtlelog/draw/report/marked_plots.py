@@ -5,12 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts.characteristics import (
-    Characteristic,
-    MarkShape,
-    list_mark_texts,
-    read_marked_curve,
-)
+from turtlelog.charts import characteristics
 from turtlelog.charts.palette import ALLOWED, DEAD_TIME, MAIN, VIOLATION, Color, to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.draw.report.drawing import RING, Drawn, Plots, make_figure, store, thin
@@ -31,7 +26,11 @@ _LATE: Final = 0.6
 """Share of the width from which text is on the left of dots, because it would leave the plot on the
 right."""
 
-_SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "circle", "square": "square", "cross": "x"}
+_SHAPES: Final[Mapping[characteristics.MarkShape, str]] = {
+    "disc": "circle",
+    "square": "square",
+    "cross": "x",
+}
 """Mark shapes of Bokeh."""
 
 
@@ -40,7 +39,7 @@ def mark_plots(
     figure: Any,
     drawn: Sequence[Drawn],
     signals: Collection[str],
-    found: Sequence[Sequence[Characteristic]],
+    found: Sequence[Sequence[characteristics.Characteristic]],
 ) -> None:
     """Mark the characteristics of a plot's signals, and pauses, for each of the first runs drawn.
 
@@ -52,7 +51,7 @@ def mark_plots(
     dots = []
     for number, marks in enumerate(found):
         run = drawn[number].run
-        if all(read_marked_curve(run, signal) is None for signal in signals):
+        if all(characteristics.read_marked_curve(run, signal) is None for signal in signals):
             continue
         color = to_hex(drawn[number].color)
         own = [mark for mark in marks if mark.signal in signals and mark.level is not None]
@@ -71,13 +70,17 @@ def mark_plots(
         figure.add_tools(hover)
 
 
-def _shade_pauses(figure: Any, marks: Sequence[Characteristic], color: str) -> Iterator[Any]:
+def _shade_pauses(
+    figure: Any, marks: Sequence[characteristics.Characteristic], color: str
+) -> Iterator[Any]:
     for mark in marks:
         if mark.kind == "pause" and mark.span_s is not None:
             yield _add_box(figure, color, 0.14, left=mark.span_s[0], right=mark.span_s[1])
 
 
-def _shade_spans(figure: Any, marks: Sequence[Characteristic], color: str) -> Iterator[Any]:
+def _shade_spans(
+    figure: Any, marks: Sequence[characteristics.Characteristic], color: str
+) -> Iterator[Any]:
     """Shade settling bands from the start of their loop on, and dead times."""
     for mark in marks:
         if mark.span_s is None:
@@ -101,10 +104,13 @@ def _add_box(figure: Any, color: str, alpha: float, **edges: float) -> Any:
 
 
 def _draw_dot(
-    figure: Any, mark: Characteristic, others: Sequence[Characteristic], whose: tuple[str, str]
+    figure: Any,
+    mark: characteristics.Characteristic,
+    others: Sequence[characteristics.Characteristic],
+    whose: tuple[str, str],
 ) -> Any:
     """Draw a dot at a metric's place on the curve; return None for a metric without a dot."""
-    text = ", ".join(list_mark_texts(mark, others))
+    text = ", ".join(characteristics.list_mark_texts(mark, others))
     if mark.shape is None or not text:
         return None
     name, color = whose
@@ -117,11 +123,13 @@ def _draw_dot(
     )  # fmt: skip
 
 
-def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> Iterator[Any]:
+def _write_words(
+    plots: Plots, figure: Any, marks: Sequence[characteristics.Characteristic]
+) -> Iterator[Any]:
     """Write the name of each dot next to it. The names of close dots form a column."""
     end_s = float(plots.config["end_s"])
     known = sorted((mark for mark in marks if mark.shape), key=lambda mark: mark.marked_s)
-    told = [(mark, ", ".join(list_mark_texts(mark, marks))) for mark in known]
+    told = [(mark, ", ".join(characteristics.list_mark_texts(mark, marks))) for mark in known]
     words = [(mark, text) for mark, text in told if text]
     levels = [float(mark.level or 0.0) for mark, _ in words]
     cluster: list[int] = []
@@ -147,7 +155,7 @@ def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> 
         yield word
 
 
-def _find_middle(figure: Any, mark: Characteristic) -> float:
+def _find_middle(figure: Any, mark: characteristics.Characteristic) -> float:
     """Return the middle of the range of a plot's curves."""
     values = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]
     known = [float(end) for found in values for end in (np.nanmin(found), np.nanmax(found))]

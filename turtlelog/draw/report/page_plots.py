@@ -13,16 +13,7 @@ from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash, to_hex
 from turtlelog.charts.robot_curves import list_seen_gaps
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
-from turtlelog.draw.report.drawing import (
-    MOST_POINTS,
-    RING,
-    Drawn,
-    Plots,
-    describe_plot,
-    draw_planes,
-    make_figure,
-    thin,
-)
+from turtlelog.draw.report import drawing
 from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
 from turtlelog.draw.report.sections import CheckLine
 from turtlelog.libraries import load_library
@@ -71,20 +62,22 @@ of view. With such outliers, the other rows would take less than a twentieth of 
 
 
 def draw_plots(
-    drawn: Sequence[Drawn],
+    drawn: Sequence[drawing.Drawn],
     metrics: Sequence[Mapping[str, Metric]],
     failed: Sequence[CheckLine],
-) -> Plots:
+) -> drawing.Plots:
     """Return the plane, the close-up of the goal, if any, and the plots over time.
 
     `drawn` are the runs, whose metrics these are, and then the ghosts. `failed` are failed checks.
     """
-    plots = Plots(points=max(_LEAST_POINTS, min(MOST_POINTS, _MOST_OF_ALL // len(drawn))))
+    plots = drawing.Plots(
+        points=max(_LEAST_POINTS, min(drawing.MOST_POINTS, _MOST_OF_ALL // len(drawn)))
+    )
     inks = [{"name": one.name, "color": to_hex(one.color), "ghost": one.is_ghost} for one in drawn]
     kinds = ("plots", "planes", "marks", "cursors", "figures", "words")
     plots.config = {"runs": inks, **{kind: [] for kind in kinds}}
     runs = [one.run for one in drawn]
-    draw_planes(plots, drawn, find_close_up(runs))
+    drawing.draw_planes(plots, drawn, find_close_up(runs))
     restless = _find_restless(drawn)
     lasting = [one.run for number, one in enumerate(drawn) if number not in restless]
     end_s = max(float(run.duration_s) for run in lasting) or 1.0
@@ -131,8 +124,8 @@ def _moves(runs: Sequence[Run], state: str) -> bool:
 
 
 def _draw_plot(
-    plots: Plots,
-    drawn: Sequence[Drawn],
+    plots: drawing.Plots,
+    drawn: Sequence[drawing.Drawn],
     name: str,
     x_range: Any,
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[CheckLine]],
@@ -143,7 +136,7 @@ def _draw_plot(
     without = describe_restless([one.run for one in drawn if not one.is_ghost])
     if without and plotted_curves.leaves_out(len(drawn), plot):
         label += f", without {without}"
-    figure = make_figure(
+    figure = drawing.make_figure(
         plots, f"plot-{name}", label, x_range=x_range, height=230,
         x_axis_label=plotted_curves.label_time([one.run for one in drawn]),
     )  # fmt: skip
@@ -153,7 +146,7 @@ def _draw_plot(
     for level in plotted_curves.list_plot_levels(runs, plot):
         if level.kind == "target":
             span = models.Span(
-                location=level.value, dimension="width", line_color=RING, line_dash="dashed"
+                location=level.value, dimension="width", line_color=drawing.RING, line_dash="dashed"
             )
             figure.add_layout(span)
     listed = _list_plotted(drawn, plot)
@@ -162,7 +155,7 @@ def _draw_plot(
     done = [
         (drawn[number].name, found.curve.values) for number, found in listed if found.kind == "run"
     ]
-    plots.alternatives[f"plot-{name}"] = describe_plot(label, done)
+    plots.alternatives[f"plot-{name}"] = drawing.describe_plot(label, done)
     plots.kinds |= {found.kind for _, found in listed}
     lines = figure.multi_line(
         "xs", "ys", source=source, color="color", line_width="width", line_dash="dash",
@@ -178,7 +171,7 @@ def _draw_plot(
                 models.Span(location=found.first_violation_s, dimension="height", line_color=RED,
                             line_dash="dotted", line_width=2)
             )  # fmt: skip
-    cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
+    cursor = models.Span(location=0.0, dimension="height", line_color=drawing.RING, line_width=1)
     figure.add_layout(cursor)
     plots.config["cursors"].append(cursor.id)
     value = f"$snap_y{{0.0000}} {plot.unit}"
@@ -200,7 +193,7 @@ def _concerns(found: CheckLine, name: str) -> bool:
 
 
 def _list_plotted(
-    drawn: Sequence[Drawn], plot: plotted_curves.TimePlot
+    drawn: Sequence[drawing.Drawn], plot: plotted_curves.TimePlot
 ) -> list[tuple[int, plotted_curves.PlottedCurve]]:
     """Return the curves of a plot with the indices of their runs, in the order of drawing."""
     restless = _find_restless(drawn)
@@ -220,8 +213,8 @@ def _list_plotted(
 
 
 def _list_curves(
-    plots: Plots,
-    drawn: Sequence[Drawn],
+    plots: drawing.Plots,
+    drawn: Sequence[drawing.Drawn],
     listed: Sequence[tuple[int, plotted_curves.PlottedCurve]],
     config: dict[str, Any],
 ) -> dict[str, list[Any]]:
@@ -237,7 +230,7 @@ def _list_curves(
     for number, found in listed:
         one, curve = drawn[number], found.curve
         is_main = found.kind in ("run", "measured")
-        time_s, values = thin(plots, [curve.time_s, curve.values], curve.values)
+        time_s, values = drawing.thin(plots, [curve.time_s, curve.values], curve.values)
         color = choose_curve_color(found.kind, one.color, is_alone=is_alone)
         told = found.label if is_alone else f"{one.name}: {found.label}"
         row = {
@@ -257,21 +250,21 @@ def _list_curves(
     return data
 
 
-def _find_restless(drawn: Sequence[Drawn]) -> frozenset[int]:
+def _find_restless(drawn: Sequence[drawing.Drawn]) -> frozenset[int]:
     """Return the indices of runs that never settle if others do, without ghosts."""
     return find_restless([one.run for one in drawn if not one.is_ghost])
 
 
-def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
+def _shade_gaps(figure: Any, drawn: Sequence[drawing.Drawn]) -> None:
     """Shade gaps without poses of a single run, with their duration as text."""
     models = load_library("bokeh.models")
     for start_s, end_s, words in list_seen_gaps(drawn[0].run) if len(drawn) == 1 else ():
         box = models.BoxAnnotation(
-            left=start_s, right=end_s, fill_color=RING, fill_alpha=0.12, line_color=None,
-            hatch_pattern="/", hatch_color=RING, hatch_alpha=0.3, level="underlay",
+            left=start_s, right=end_s, fill_color=drawing.RING, fill_alpha=0.12, line_color=None,
+            hatch_pattern="/", hatch_color=drawing.RING, hatch_alpha=0.3, level="underlay",
         )  # fmt: skip
         text = models.Label(
-            x=(start_s + end_s) / 2.0, y=4, y_units="screen", text=words, text_color=RING,
+            x=(start_s + end_s) / 2.0, y=4, y_units="screen", text=words, text_color=drawing.RING,
             text_font_size="11px", text_align="center",
         )  # fmt: skip
         figure.add_layout(box)
@@ -279,7 +272,10 @@ def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
 
 
 def _set_height(
-    figure: Any, drawn: Sequence[Drawn], plot: plotted_curves.TimePlot, curves: Sequence[Values]
+    figure: Any,
+    drawn: Sequence[drawing.Drawn],
+    plot: plotted_curves.TimePlot,
+    curves: Sequence[Values],
 ) -> None:
     """Set the height of a plot from the runs that settle, or from all runs if all are in view."""
     restless = _find_restless(drawn)

@@ -10,7 +10,6 @@ import rerun as rr
 
 from turtlelog.charts import many_runs, palette
 from turtlelog.charts.close_up import name_ends
-from turtlelog.charts.palette import Color, choose_turtle_size
 from turtlelog.charts.plane_scene import has_grey_paths, move_near
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import document_runs
@@ -124,7 +123,7 @@ class _Overlay:
     runs: tuple[Run, ...]
     names: tuple[str, ...]
     prefixes: tuple[str, ...]
-    colors: tuple[Color, ...]
+    colors: tuple[palette.Color, ...]
     timelines: tuple[Timelines, ...]
     series: tuple[tuple[plots.Series, ...], ...]
     references: tuple[plots.LevelLines, ...]
@@ -231,7 +230,7 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
 
 
 def _list_series(
-    run: Run, name: str, color: Color, *, is_restless: bool
+    run: Run, name: str, color: palette.Color, *, is_restless: bool
 ) -> tuple[plots.Series, ...]:
     """Return the curves of a run among many, without oscillating commands, which hide others."""
     found = plots.list_compared_series(run, name, color)
@@ -257,7 +256,9 @@ def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Conten
         _show_ends(stream, overlay, content)
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
-        look = Look(color=overlay.colors[number], size=choose_turtle_size(len(overlay.runs)))
+        look = Look(
+            color=overlay.colors[number], size=palette.choose_turtle_size(len(overlay.runs))
+        )
         way = _OF_MANY if has_grey_paths(overlay.runs) else look
         draw_trail(run_stream, run, way, segments=count_segments(len(overlay.runs)))
         plane.draw_reference_path(run_stream, run)

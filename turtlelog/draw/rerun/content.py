@@ -8,19 +8,11 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import VisibleTimeRanges
 
-from turtlelog.charts import palette
+from turtlelog.charts import palette, plotted_curves
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import Values, find_end_of_turn
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.plane_scene import MANY_PATHS, WorstPlace, find_worst_place
-from turtlelog.charts.plotted_curves import (
-    TIMELINE,
-    WALL_TIMELINE,
-    StateGroup,
-    find_range,
-    group_states,
-    name_phase_timeline,
-)
 from turtlelog.charts.robot_curves import tell_gap
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.display import describe_count
@@ -120,8 +112,8 @@ class Content:
     close_ups: frozenset[str] = frozenset()
     controlled: frozenset[str] = frozenset()
     worst: WorstPlace | None = None
-    states: tuple[StateGroup, ...] = ()
-    overlaid: frozenset[StateGroup] = frozenset()
+    states: tuple[plotted_curves.StateGroup, ...] = ()
+    overlaid: frozenset[plotted_curves.StateGroup] = frozenset()
     idle: frozenset[str] = frozenset()
     notes: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
@@ -138,7 +130,7 @@ class Content:
     length_s: float = 0.0
     restless: str = ""
 
-    def list_states(self, group: StateGroup) -> list[str]:
+    def list_states(self, group: plotted_curves.StateGroup) -> list[str]:
         """Return the plots of the shown states of a group."""
         plots = [f"{entities.STATE}/{name}" for name in group.names]
         return [plot for plot in plots if self.list_curves(plot) and plot not in self.idle]
@@ -165,7 +157,7 @@ def describe_content(
 ) -> Content:
     """Return the content of a recording of runs; `series` are the curves of each run."""
     close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
-    states = group_states(*(run.declaration for run in runs))
+    states = plotted_curves.group_states(*(run.declaration for run in runs))
     phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
     return Content(
         prefixes=tuple(prefixes),
@@ -189,7 +181,12 @@ def describe_content(
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
-        timelines=(TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases)),
+        timelines=(
+            plotted_curves.TIMELINE,
+            TICKS,
+            plotted_curves.WALL_TIMELINE,
+            *map(plotted_curves.name_phase_timeline, phases),
+        ),
         notes={**_note_gaps(runs, series), **_count_outliers(series)},
         controlled=frozenset(
             entities.name_plot(plot) for run in runs for plot in list_controlled(run)
@@ -255,7 +252,7 @@ def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
     return frozenset(curves.plot for curves in states) - acting
 
 
-def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool:
+def _are_overlaid(group: plotted_curves.StateGroup, series: Sequence[Sequence[Series]]) -> bool:
     """Return whether the states of a group share a plot: for one run, if no state looks like 0."""
     plots = {f"{entities.STATE}/{name}": name for name in group.names}
     found = [curves for run in series for curves in run if curves.plot in plots]
@@ -271,7 +268,10 @@ def find_ranges(
     measured: dict[str, list[Values]] = {}
     for curves in (curves for run in series for curves in run if curves.is_measured):
         measured.setdefault(curves.plot, []).append(curves.values)
-    found = {plot: find_range(values, levels.get(plot, ())) for plot, values in measured.items()}
+    found = {
+        plot: plotted_curves.find_range(values, levels.get(plot, ()))
+        for plot, values in measured.items()
+    }
     return {plot: limits for plot, limits in found.items() if limits is not None}
 
 
@@ -439,7 +439,9 @@ def view_document(title: str) -> rrb.View:
 
 def view_events(content: Content) -> rrb.View:
     """Return the view that lists the events."""
-    columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["Body"])
+    columns = rrb.TextLogColumns(
+        timeline_columns=[plotted_curves.TIMELINE], text_log_columns=["Body"]
+    )
     return rrb.TextLogView(
         origin="/",
         contents=[join_path(prefix, entities.EVENTS) for prefix in content.prefixes],

@@ -13,7 +13,6 @@ from turtlelog.charts.attribution_steps import AttributionStep, StepScale, Water
 from turtlelog.charts.close_up import CloseUp
 from turtlelog.charts.curves import Values
 from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
-from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
@@ -47,7 +46,7 @@ _LETTERS: Final = 100
 """Largest length of a line of text [letters]."""
 
 
-_Words = tuple[float, float, str, Color]
+_Words = tuple[float, float, str, palette.Color]
 """Middle of a text, the text, and its colour."""
 
 
@@ -162,7 +161,7 @@ def _draw_bar(
     number: int,
     low: tuple[float, float],
     high: tuple[float, float],
-    color: Color,
+    color: palette.Color,
 ) -> None:
     """Draw a filled rectangle as an image of one colour, because boxes have only outlines."""
     entity = join_path(entities.STEPS, f"bar_{number}")

@@ -10,7 +10,6 @@ import rerun as rr
 from turtlelog.charts import attribution_steps, palette
 from turtlelog.charts.close_up import Lettering, name_ends
 from turtlelog.charts.luck_chart import build_luck_picture
-from turtlelog.charts.palette import Color, choose_cause_colors
 from turtlelog.compare import Column, Table
 from turtlelog.draw.rerun import entities, explanation_pictures, marks, plane, plots
 from turtlelog.draw.rerun.content import Content, describe_content, find_largest_shown
@@ -153,7 +152,7 @@ class _Scene:
         return (_RECORDED, *(ghost.name for ghost in self.ghosts if ghost.is_run))
 
     @property
-    def colors(self) -> tuple[Color, ...]:
+    def colors(self) -> tuple[palette.Color, ...]:
         """Colours of the runs."""
         return (palette.MAIN, *(ghost.look.color for ghost in self.ghosts if ghost.is_run))
 
@@ -173,7 +172,7 @@ class _Scene:
 
 
 def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run]) -> _Scene:
-    colors = choose_cause_colors(found.causes)
+    colors = palette.choose_cause_colors(found.causes)
     ghosts = [
         Ghost(
             name=f"without {lacks}",
@@ -212,7 +211,7 @@ def _name_briefly(lacks: str, found: Attribution) -> str:
     return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
 
 
-def _choose_look(color: Color | None, *, is_main: bool) -> Look:
+def _choose_look(color: palette.Color | None, *, is_main: bool) -> Look:
     """Return the look of a ghost: grey for the main ghost, otherwise the colour of its cause."""
     if is_main or color is None:
         return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)

@@ -11,7 +11,6 @@ from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.curves import Values
 from turtlelog.charts.ideal_curves import find_steps
-from turtlelog.charts.palette import Color
 from turtlelog.charts.plotted_curves import TIMELINE, locate_run
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part
@@ -187,7 +186,7 @@ def draw_gap(
 
 def draw_key(
     stream: rr.RecordingStream,
-    rows: Sequence[tuple[str, Color]],
+    rows: Sequence[tuple[str, palette.Color]],
     bounds: Bounds,
     runs: Sequence[Run],
 ) -> None:

@@ -10,7 +10,6 @@ import rerun.blueprint as rrb
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import GainScale
-from turtlelog.charts.palette import Color
 from turtlelog.charts.plotted_curves import TIMELINE, Column, StateGroup
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import (
@@ -367,7 +366,9 @@ def view_scale(title: str) -> rrb.View:
     return view_picture(title, contents, (-0.3, _SCALE_WIDTH + 0.3), (-0.5, _SCALE_DEPTH))
 
 
-def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
+def draw_legend(
+    stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[palette.Color]
+) -> None:
     """Draw the names of runs in their colours."""
     chosen = choose_names(len(names))
     shown, hues = [names[number] for number in chosen], [colors[number] for number in chosen]
@@ -375,7 +376,9 @@ def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequen
     draw_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
 
 
-def draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Color]) -> None:
+def draw_scale(
+    stream: rr.RecordingStream, scale: GainScale, colors: Sequence[palette.Color]
+) -> None:
     """Draw a bar of the runs' colours in order, with some of the values below the bar."""
     width = _SCALE_WIDTH / len(colors)
     edges = np.arange(len(colors) + 1) * width

@@ -11,7 +11,6 @@ from turtlelog.charts import palette
 from turtlelog.charts.characteristics import SIGNS, MarkShape, list_characteristics
 from turtlelog.charts.curves import Level
 from turtlelog.charts.ideal_curves import LoopStep, find_steps
-from turtlelog.charts.palette import Color
 from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.plots import LevelLines, Series
@@ -112,7 +111,7 @@ def draw_lines(
     run_stream: RunStream,
     entity: str,
     label: str,
-    color: Color,
+    color: palette.Color,
     times_ns: Sequence[int],
     *,
     largest: float,
@@ -312,7 +311,7 @@ def _name_plot(
     main = next((one for one in curves if one.is_main), curves[0])
     # Marks are sufficient for a curve with the name of its plot.
     is_named = not marks or main.entity != main.plot
-    words: dict[Color, list[str]] = {main.colors[0]: [main.labels[0]] if is_named else []}
+    words: dict[palette.Color, list[str]] = {main.colors[0]: [main.labels[0]] if is_named else []}
     for one in curves:
         for color, label in zip(one.colors, one.labels, strict=True):
             said = f"lighter: {label}" if color == palette.tint(main.colors[0]) else label
@@ -355,7 +354,7 @@ def _join_marks(marks: Sequence[Mark]) -> str:
 
 
 def _part_levels(
-    plot: str, levels: Sequence[Level], names: Mapping[Color, str], main: Series
+    plot: str, levels: Sequence[Level], names: Mapping[palette.Color, str], main: Series
 ) -> Iterator[LevelLines]:
     """Yield references in grey, and limits in the colour of the curve that they limit."""
     grey = tuple(level for level in levels if level.kind in ("target", "tolerance"))
@@ -365,7 +364,7 @@ def _part_levels(
             yield LevelLines(plot=plot, levels=kept, name=names[color], color=color)
 
 
-def _join_tint(color: Color, main: Series) -> Color:
+def _join_tint(color: palette.Color, main: Series) -> palette.Color:
     return main.colors[0] if color == palette.tint(main.colors[0]) else color
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import Color, choose_shades
 from turtlelog.charts.plane_scene import has_own_way, read_way_to_reference
 from turtlelog.charts.robot_curves import find_break_rows, read_pace
 from turtlelog.draw.rerun import entities
@@ -40,7 +39,7 @@ class SpeedTrace:
     """A path in colours of its speed."""
 
     strips: list[Values]  # segments of one colour [m], each of shape (n, 2)
-    colors: list[Color]  # colour of each strip; brighter means faster
+    colors: list[palette.Color]  # colour of each strip; brighter means faster
     highest_m_s: float  # speed of the brightest colour [m/s]
 
 
@@ -59,7 +58,7 @@ def build_speed_trace(run: Run) -> SpeedTrace | None:
     if not 0.0 < highest < np.inf:
         return None
     levels = np.rint(speed_m_s / highest * (_SPEED_LEVELS - 1)).astype(np.int64)
-    ramp = choose_shades(_SPEED_LEVELS)
+    ramp = palette.choose_shades(_SPEED_LEVELS)
     stretches = list(_split_where_changed(levels))
     return SpeedTrace(
         strips=[xy_m[first : last + 1] for first, last in stretches],
@@ -188,7 +187,7 @@ def _log_strips(
     run_stream: RunStream,
     entity: str,
     strips: list[Values],
-    colors: list[Color],
+    colors: list[palette.Color],
     radius: float,
 ) -> None:
     radii = rr.Radius.ui_points(radius)
@@ -196,7 +195,7 @@ def _log_strips(
 
 
 def _log_arrow_style(
-    run_stream: RunStream, entity: str, color: Color, radius: float = _THIN_RADIUS
+    run_stream: RunStream, entity: str, color: palette.Color, radius: float = _THIN_RADIUS
 ) -> None:
     style = rr.Arrows2D.from_fields(
         colors=[color], radii=rr.Radius.ui_points(radius), draw_order=_ABOVE_TRACES
@@ -263,7 +262,7 @@ legs."""
 class Look:
     """The style of a turtle and its trail."""
 
-    color: Color  # colour of turtle and trail
+    color: palette.Color  # colour of turtle and trail
     is_ghost: bool = False  # whether its shell is hollow, and behind other turtles
     width: float = _TRACE_RADIUS  # radius of the trail [points]
     size: float = 1.0  # size of the turtle; 1 for a run
@@ -363,7 +362,7 @@ def _part_strip(run: Run) -> list[Values]:
     return [strip for strip in strips if len(strip)]
 
 
-def _shade(color: Color, factor: float) -> Color:
+def _shade(color: palette.Color, factor: float) -> palette.Color:
     red, green, blue = (min(round(factor * part), 255) for part in color)
     return red, green, blue
 

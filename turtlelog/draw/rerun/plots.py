@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Level, Values
-from turtlelog.charts.palette import Color, choose_curve_color
 from turtlelog.charts.plotted_curves import (
     OWN,
     POINTS,
@@ -81,7 +80,7 @@ class Series:
 
     entity: str
     labels: tuple[str, ...]
-    colors: tuple[Color, ...] = (palette.MAIN,)
+    colors: tuple[palette.Color, ...] = (palette.MAIN,)
     time_ns: NDArray[np.int64]
     values: Values
     width: float = LINE_WIDTH
@@ -104,7 +103,7 @@ class LevelLines:
     plot: str  # entity of the plot
     levels: tuple[Level, ...]  # levels in the plot's unit, increasing
     name: str = ""  # common name in a legend; empty: each level has its own name
-    color: Color = palette.IDEAL  # colour of the lines
+    color: palette.Color = palette.IDEAL  # colour of the lines
 
 
 def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Series, ...]:
@@ -121,7 +120,7 @@ def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Se
     )
 
 
-def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...]:
+def list_compared_series(run: Run, name: str, color: palette.Color) -> tuple[Series, ...]:
     """Return the curves for a comparison, with the run's name and colour.
 
     Positions are included only if no track is known.
@@ -230,7 +229,9 @@ def _list_group(
         series = Series(
             entity="/".join(part for part in (name, _name_part(first)) if part),
             labels=tuple(one.label for one in alike),
-            colors=tuple(choose_curve_color(first.kind, color, is_alone=True) for color in colors),
+            colors=tuple(
+                palette.choose_curve_color(first.kind, color, is_alone=True) for color in colors
+            ),
             time_ns=first.curve.time_ns,
             values=np.column_stack([one.curve.values for one in alike]),
             width=_find_width(first, plots[0]),

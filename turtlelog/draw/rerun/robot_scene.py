@@ -9,7 +9,6 @@ import rerun.blueprint as rrb
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import Color
 from turtlelog.charts.robot_curves import label_error
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.compare import ErrorBand, RobotComparison
@@ -26,7 +25,7 @@ from turtlelog.run import Run
 _TIMELINE: Final = "robot_time"
 _RESIDUAL: Final = "residual"
 
-_CURVES: Final[tuple[tuple[str, Color, float], ...]] = (
+_CURVES: Final[tuple[tuple[str, palette.Color, float], ...]] = (
     ("commanded", palette.REFERENCE, 1.5),
     ("measured", palette.MEASURED, 1.0),
     ("modelled", palette.MODEL, 2.5),
@@ -159,7 +158,7 @@ def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) ->
     _, factor = SHOWN_UNITS[band.quantity]
     time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
     index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
-    curves: list[tuple[str, Values | None, Color]] = [
+    curves: list[tuple[str, Values | None, palette.Color]] = [
         ("recorded", band.recorded, palette.MEASURED),
         ("least simulated", band.low, palette.REFERENCE),
         ("largest simulated", band.high, palette.REFERENCE),

@@ -19,7 +19,6 @@ from turtlelog.charts.close_up import (
     list_ring_labels,
 )
 from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import Color
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.timelines import Timelines, build_index
@@ -58,7 +57,7 @@ _RING_RADIUS: Final = 0.5
 _WORST_RADIUS: Final = 1.0
 _TRACKED_RADIUS: Final = 2.5
 _BELOW_TRACES: Final = 15.0  # lines have 20
-_RING: Final[Color] = (80, 80, 80)
+_RING: Final[palette.Color] = (80, 80, 80)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +114,7 @@ def draw_close_up(
     close_up: CloseUp,
     run: Run,
     prefixes: Sequence[str],
-    colors: Sequence[Color],
+    colors: Sequence[palette.Color],
     *,
     lettering: Lettering = LETTERING,
 ) -> None:
@@ -139,7 +138,9 @@ def draw_close_up(
     draw_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
 
 
-def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[Color]) -> None:
+def draw_ends(
+    stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[palette.Color]
+) -> None:
     """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
     ends_m = [run.poses.xy_m[-1] for run in runs]
     draw_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
@@ -158,7 +159,7 @@ def draw_ends(stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[
 
 
 def draw_worst_place(
-    stream: rr.RecordingStream, worst: plane_scene.WorstPlace, color: Color
+    stream: rr.RecordingStream, worst: plane_scene.WorstPlace, color: palette.Color
 ) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
     way = [worst.path_xy_m, worst.xy_m]
@@ -241,7 +242,7 @@ def _write_labels(
     entity: str,
     up_m: float,
     labels: Sequence[Label],
-    colors: Sequence[Color],
+    colors: Sequence[palette.Color],
 ) -> None:
     places = [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels]
     write_words(stream, entity, places, [label.text for label in labels], colors)
@@ -252,7 +253,7 @@ def write_words(
     entity: str,
     places: ArrayLike,
     texts: Sequence[str],
-    colors: Sequence[Color],
+    colors: Sequence[palette.Color],
 ) -> None:
     """Write each text at its place, as the label of a point without a radius."""
     draw_points(stream, entity, places, colors, 0.0, labels=texts, show_labels=True)
@@ -262,7 +263,7 @@ def draw_points(
     stream: rr.RecordingStream,
     entity: str,
     places: ArrayLike,
-    colors: Sequence[Color] | NDArray[np.uint32],
+    colors: Sequence[palette.Color] | NDArray[np.uint32],
     radius: float,
     **more: Any,
 ) -> None:
@@ -275,7 +276,7 @@ def draw_strips(
     stream: rr.RecordingStream,
     entity: str,
     strips: Sequence[ArrayLike],
-    colors: Sequence[Color] | NDArray[np.uint32],
+    colors: Sequence[palette.Color] | NDArray[np.uint32],
     radius: float,
     **more: Any,
 ) -> None:
