@@ -194,7 +194,7 @@ def _answer_poses(
     rows = SampleRows(loop.declaration, has_shaping=scenario.has_action("shape"))
     blocks_ticks = []
     for sample, states in samples:
-        rows.add(sample, states)
+        rows.add(sample, *states)
         blocks_ticks.append(sample.blocks_ticks)
     answers = Answers(rows.build_columns(), loop.declaration)
     reason = loop.name_stop(sample.stop) if sample.stop else None

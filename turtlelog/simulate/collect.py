@@ -3,7 +3,7 @@
 import platform
 import sys
 from collections.abc import Iterable, Mapping
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from struct import Struct
@@ -21,7 +21,7 @@ from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, reso
 from turtlelog.simulate.class_law import declare_scenario
 from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
-from turtlelog.simulate.rows import SampleRow, describe_stop
+from turtlelog.simulate.rows import describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
 from turtlelog.version import __version__
 
@@ -109,16 +109,16 @@ class RunCollector:
 
     def take(self, ticks: Iterable[Tick]) -> None:
         """Add the next ticks."""
-        poses, commands, samples = self._poses, self._commands, self._samples.packed
-        add_pose, add_command, add_sample = self._add_pose, self._add_command, self._samples.add_row
+        poses, commands, add_sample = self._poses, self._commands, self._samples.add
+        add_pose, add_command = self._add_pose, self._add_command
         for tick in ticks:
             add_pose(poses, tick.row, tick.time_ns)
             if tick.states:
                 for sample, states in zip(tick.computed, tick.states, strict=True):
-                    add_sample(samples, sample, *states)
+                    add_sample(sample, *states)
             else:
                 for sample in tick.computed:
-                    add_sample(samples, sample)
+                    add_sample(sample)
             for sample in tick.published:
                 add_command(commands, sample)
             self._events += tick.events
@@ -170,29 +170,25 @@ class SampleRows:
     """Collector of a law's samples, 8 bytes per value.
 
     Attributes:
-        packed: The samples so far.
-        add_row: Function that appends a sample, and then its law's states, to `packed`.
+        add: Function that adds the next sample, given with the states of its law.
     """
 
-    __slots__ = ("_declaration", "_has_shaping", "_row", "add_row", "packed")
+    __slots__ = ("_declaration", "_has_shaping", "_packed", "_row", "add")
 
     def __init__(self, declaration: Declaration, *, has_shaping: bool = False) -> None:
         """Allocate space for the declared states and reference of a law, and for shaping."""
         self._declaration, self._has_shaping = declaration, has_shaping
         numbers = _DECISION + _REFERENCE * declaration.has_reference + _SHAPED * has_shaping
-        self.add_row, self._row = _find_packing(_SAMPLE, numbers, "d" * len(declaration.states))
-        self.packed = bytearray()
+        add_row, self._row = _find_packing(_SAMPLE, numbers, "d" * len(declaration.states))
+        self._packed = bytearray()
+        self.add = partial(add_row, self._packed)
 
     def __len__(self) -> int:
-        return len(self.packed) // self._row.itemsize
-
-    def add(self, sample: SampleRow, states: tuple[float, ...] = ()) -> None:
-        """Add the next sample and the states of its law."""
-        self.add_row(self.packed, sample, *states)
+        return len(self._packed) // self._row.itemsize
 
     def build_columns(self) -> SampleColumns:
         """Return the columns of all samples so far."""
-        rows = np.frombuffer(self.packed, self._row)
+        rows = np.frombuffer(self._packed, self._row)
         states = rows["given"].copy() if self._declaration.states else None
         return build_samples(rows, states, self._declaration, has_shaping=self._has_shaping)
 
