@@ -32,10 +32,11 @@ from turtlelog.identify.axis_motion import (
     NAMES,
     Axis,
     AxisMotion,
+    AxisTraces,
+    join_rates,
     measure_axis_steps,
     read_axis_motion,
 )
-from turtlelog.identify.motion_prediction import AxisTraces, join_rates
 from turtlelog.replay.commanded_plant import sense_driven
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings

@@ -33,8 +33,7 @@ from turtlelog.explain.robot_parts import (
     share_unseen_bounds,
 )
 from turtlelog.identify.axis_fit import NORMAL_95
-from turtlelog.identify.axis_motion import AXES, NAMES, Axis
-from turtlelog.identify.motion_prediction import predict_response
+from turtlelog.identify.axis_motion import AXES, NAMES, Axis, predict_response
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.measure import measure_run
 from turtlelog.run import PoseColumns, Run

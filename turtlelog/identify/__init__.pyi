@@ -1,5 +1,5 @@
-from .axis_motion import NAMES as NAMES
-from .motion_prediction import (
+from .axis_motion import (
+    NAMES as NAMES,
     AxisTraces as AxisTraces,
     predict_axis as predict_axis,
     trace_axis as trace_axis,

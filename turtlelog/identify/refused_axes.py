@@ -22,7 +22,7 @@ from turtlelog.identify.axis_motion import (
     AxisMotion,
     get_commands,
 )
-from turtlelog.identify.axis_values import describe_fit
+from turtlelog.identify.fit_results import describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
 from turtlelog.run import Run

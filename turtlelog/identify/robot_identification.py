@@ -19,13 +19,13 @@ from turtlelog.identify.axis_motion import (
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.axis_values import describe_fit
 from turtlelog.identify.doubts import (
     cover_parts,
     cover_rivals,
     cover_waiting,
     find_correlation_delay,
 )
+from turtlelog.identify.fit_results import describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.refused_axes import (
     find_absurd,

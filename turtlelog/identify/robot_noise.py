@@ -18,9 +18,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlelog.identify.axis_motion import AXES, Axis, get_commands, read_axis_motion
+from turtlelog.identify.axis_motion import AXES, Axis, get_commands, predict_axis, read_axis_motion
 from turtlelog.identify.held_response import Values
-from turtlelog.identify.motion_prediction import predict_axis
 from turtlelog.identify.robot_model import RobotModel
 from turtlelog.run import Run
 

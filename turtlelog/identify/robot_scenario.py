@@ -13,7 +13,6 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
-from turtlelog.identify.robot_goal import DIGITS, Part, choose_tolerances, find_start_and_goal
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
 from turtlelog.plants import LAGGED
@@ -30,6 +29,9 @@ _MOSTLY: Final = 0.8
 
 _FEWEST: Final = 10
 """Smallest number of intervals from which a period is computed."""
+
+_DIGITS: Final = 6
+"""Significant digits of written numbers: a hundredth of the narrowest interval."""
 
 _DOUBT: Final = "Doubt: "
 _NOTE: Final = "Note: "
@@ -58,6 +60,10 @@ _RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = MappingProxyType(
 _LONGEST_PERIOD_S: Final = 1.0
 _SHORTEST_PERIOD_S: Final = 0.001
 """Shortest period of a scenario [s]."""
+
+
+Part = tuple[dict[str, Any], list[str]]
+"""Keys of the scenario, and sentences on them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +130,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         _list_periods(runs),
         _list_limits(model, runs),
         _list_noise(model, runs),
-        find_start_and_goal(runs[0]),
+        _find_start_and_goal(runs[0]),
     )
     values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]
@@ -133,7 +139,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     for keys, sentences in parts:
         values |= keys
         notes += sentences
-    keys, sentences = choose_tolerances(values)
+    keys, sentences = _choose_tolerances(values)
     values |= keys
     notes += sentences
     notes.append(
@@ -414,4 +420,58 @@ def _tell_rate_noise(axis: Axis, noise: Noise | None) -> Iterator[str]:
 
 
 def _round(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")
+    return float(f"{value:.{_DIGITS}g}")
+
+
+_TOLERANCE: Final = 0.01
+"""Tolerance of the goal [m] and [rad], usual for wheeled robots."""
+
+_ABOVE_NOISE: Final = 5.0
+"""Smallest tolerance in standard deviations of the poses' noise: a smaller one is never met."""
+
+_DRIVE_S: Final = 5.0
+"""Duration of a drive towards the goal, in which the heading drifts [s]."""
+
+_ABOVE_DRIFT: Final = 2.0
+"""Standard deviations of that drift within the tolerance: 1 drive of 20 drifts further."""
+
+_AHEAD_M: Final = 1.0
+"""Distance of the goal ahead and to the left, if the bag has none [m]."""
+
+
+def _find_start_and_goal(run: Run) -> Part:
+    """Return the start of a robot, and its goal."""
+    (x_m, y_m), heading_rad = run.poses.xy_m[0].tolist(), float(run.poses.heading_rad[0])
+    goal_m = run.goal_xy_m
+    note = "It starts at the first pose of the log, and has the log's goal."
+    if goal_m is None:
+        ahead, left = _AHEAD_M * math.cos(heading_rad), _AHEAD_M * math.sin(heading_rad)
+        goal_m = x_m + ahead - left, y_m + left + ahead
+        note = (
+            "It starts at the first pose of the log. The log has no goal: one is set"
+            f" {_AHEAD_M:g} m ahead and {_AHEAD_M:g} m to the left."
+        )
+    values = {"start.x_m": x_m, "start.y_m": y_m, "start.heading_rad": heading_rad}
+    values |= {"goal.x_m": goal_m[0], "goal.y_m": goal_m[1]}
+    return {key: round(value, _DIGITS) for key, value in values.items()}, [note]
+
+
+def _choose_tolerances(values: dict[str, Any]) -> Part:
+    """Return tolerances of the goal that a robot with this noise can meet."""
+    noise_m = values.get("sensing.noise_position_m", 0.0)
+    noise_rad = values.get("sensing.noise_heading_rad", 0.0)
+    heading_rad = max(_TOLERANCE, _ABOVE_NOISE * noise_rad)
+    way_m = math.hypot(
+        *(values[f"goal.{axis}"] - values[f"start.{axis}"] for axis in ("x_m", "y_m"))
+    )
+    drift_rad = _ABOVE_DRIFT * math.sqrt(_DRIVE_S) * values["disturbance.noise_turn_rate"]
+    position_m = max(_TOLERANCE, _ABOVE_NOISE * noise_m, way_m * (heading_rad + drift_rad))
+    keys = {
+        "law.heading_tolerance_rad": float(f"{heading_rad:.2g}"),
+        "law.position_tolerance_m": float(f"{position_m:.2g}"),
+    }
+    told = f"{1e3 * position_m:.2g} mm and {1e3 * heading_rad:.2g} mrad"
+    return keys, [
+        f"The tolerance of the goal is {told}: what a robot with such noise keeps that turns first"
+        " and then drives."
+    ]

@@ -22,7 +22,7 @@ from turtlelog.identify.axis_fit import (
     restart_axis,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.fit_misfit import (
+from turtlelog.identify.fit_results import (
     compare_predictions,
     measure_near,
     measure_reductions,
