@@ -64,10 +64,8 @@ def find_loss(run: Run) -> str | None:
     return None
 
 
-def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
+def find_window(run: Run, phase: str) -> tuple[int, int] | None:
     """Return the first segment of a phase with its pause [ns]; None if the phase never occurs."""
-    if phase is None:
-        return run.start_ns, run.end_ns
     spans = run.find_phase_spans()
     for index, span in enumerate(spans):
         if span.phase != phase:

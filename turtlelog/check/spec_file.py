@@ -85,13 +85,12 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
     tables = text
     if isinstance(tables, str):
         tables = _require_known(_parse_toml(tables, source=source), source=source)
-    own = {key: tables[key] for key in _KINDS if key in tables}
     entries = tables.get("checks", {})
     if not isinstance(entries, Mapping):
         raise CheckError(f"{source}: checks: expected tables, found {describe_value(entries)}")
     spec = Spec(
         checks=_parse_checks(entries, source),
-        tolerances=parse_tolerances(own, source=source),
+        tolerances=parse_tolerances(tables, source=source),
         alignment=_read_alignment(tables, source),
         trajectory=_parse_trajectory(tables.get("trajectory", {}), source),
         read=_parse_read(tables.get("read", {}), source),
@@ -119,9 +118,7 @@ def load_tolerances(path: str | Path) -> Tolerances:
         CompareError: If the file cannot be read, is not TOML, has a wrong key or value, or has no
             tolerance.
     """
-    tables = read_tables(path)
-    own: dict[str, Any] = {key: tables[key] for key in _KINDS if key in tables}
-    tolerances = parse_tolerances(own, source=str(path))
+    tolerances = parse_tolerances(read_tables(path), source=str(path))
     if not tolerances:
         raise CompareError(f"{path}: has no table [signals.NAME] or [metrics.ID]")
     return tolerances

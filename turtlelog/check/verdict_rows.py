@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from sys import intern
 from typing import Any, Final
@@ -37,15 +37,11 @@ _RECORDING: Final = "recording"
 Judge = Callable[[str], Sequence[CheckResult]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _JudgeFile:
-    judge: Judge
-
-    def __call__(self, path: str) -> list[Row]:
-        try:
-            return [_build_row(result) for result in self.judge(path)]
-        except LibraryError as err:
-            raise CheckError(f"{path}: {err}") from err
+def _judge_file(path: str, *, judge: Judge) -> list[Row]:
+    try:
+        return [_build_row(result) for result in judge(path)]
+    except LibraryError as err:
+        raise CheckError(f"{path}: {err}") from err
 
 
 def plan_verdict_table(
@@ -62,7 +58,7 @@ def plan_verdict_table(
     return RecordingTable(
         kind="verdicts",
         facts=facts,
-        work=_JudgeFile(judge=judge),
+        work=partial(_judge_file, judge=judge),
         order=lambda _keys, _used: (*_KEYS, _DECIDED),
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
-from turtlelog.measure.dead_time import DeadTime, find_dead_time
+from turtlelog.measure.dead_time import find_dead_time
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.rates import (
     Axis,
@@ -149,6 +149,9 @@ less than 0.1."""
 class RunContext:
     """A run, the settings of its metrics, and the values computed so far."""
 
+    memory: Final = None
+    """Work arrays; None, because ordinary Python creates arrays as needed."""
+
     def __init__(self, run: Run, settings: MeasureSettings) -> None:
         self.run = run
         self.settings = settings
@@ -248,11 +251,6 @@ class RunContext:
         """Number of samples; number of commands if there are no samples."""
         return len(self._sample_time_ns)
 
-    @property
-    def memory(self) -> None:
-        """Work arrays; None, because ordinary Python creates arrays as needed."""
-        return
-
     @cached_property
     def pose_time_s(self) -> Values:
         """Times of the poses, from the first sample [s]."""
@@ -308,13 +306,12 @@ class RunContext:
 
     def find_dead_time_ticks(self, loop: ControlLoop) -> int | Missing:
         """Return the dead time of a loop's commands [ticks], or the reason why it is unknown."""
-        found = self.recall(("dead_time", loop.name), lambda: self._find_dead_time(loop))
-        return found if isinstance(found, Missing) else found.ticks
+        return self.recall(("dead_time", loop.name), lambda: self._find_dead_time(loop))
 
-    def _find_dead_time(self, loop: ControlLoop) -> DeadTime | Missing:
+    def _find_dead_time(self, loop: ControlLoop) -> int | Missing:
         found = find_dead_time(take_beginning(self.run, loop, _MOST_SAMPLES), loop, is_short=True)
         if isinstance(found, Missing) or found.whiteness > _WHITE:
-            return found
+            return found if isinstance(found, Missing) else found.ticks
         reason = (
             f"no single dead time explains the motion ({found.ticks} ticks come nearest): commands"
             " were lost, or their delay changed"

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import dropwhile, takewhile
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,6 +124,8 @@ class Response:
     track: Track
     was_cut: bool
     ended_itself: bool
+    memory: ClassVar[None] = None
+    """Work arrays; None, because ordinary Python creates arrays as needed."""
 
     @cached_property
     def error(self) -> Values:
@@ -167,11 +169,6 @@ class Response:
         last = len(saturated) - 1 - int(saturated[::-1].argmax())
         last_ns = self.commands.answered_ns[last]
         return int(np.searchsorted(self.pose_ns, last_ns, side="right")) - 1
-
-    @property
-    def memory(self) -> None:
-        """Work arrays; None, because ordinary Python creates arrays as needed."""
-        return
 
 
 def find_response(

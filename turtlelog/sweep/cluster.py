@@ -81,9 +81,7 @@ def _require_address(address: str) -> None:
 class _Cluster(Executor, Watched):
     """Executor on workers. A worker refuses work if its version of turtlelog differs.
 
-    Attributes:
-        is_gone: Whether the scheduler has ended or was replaced by another scheduler at its
-            address.
+    `is_gone` tells whether the scheduler has ended or was replaced at its address.
     """
 
     def __init__(self, client: Any, address: str) -> None:
@@ -101,20 +99,12 @@ class _Cluster(Executor, Watched):
         return found
 
     def require_alive(self) -> None:
-        """Raise an error instead of waiting for a scheduler that has ended.
-
-        Raises:
-            ProcessError: If the scheduler has ended; the message has one line.
-        """
+        """Raise ProcessError instead of waiting for a scheduler that has ended."""
         if self._client.status != "running" or self._ask_identity() != self._identity:
             raise self._describe_end()
 
     def require_workers(self) -> None:
-        """Refuse a cluster without workers or with a worker of another version.
-
-        Raises:
-            ProcessError: If the cluster is refused; the message has one line.
-        """
+        """Refuse a cluster without workers or with a worker of another version."""
         try:
             self._client.wait_for_workers(1, timeout=_CONNECT_S)
             # As text, because a worker without turtlelog could not unpickle a function of

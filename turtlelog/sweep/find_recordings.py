@@ -137,9 +137,12 @@ class _Walk:
         name = path.name.lower()
         if not name.endswith(ENDINGS) or os.path.realpath(path) in self._without:
             return False
-        if name.endswith(".csv"):
-            return not _is_table_of_runs(path)
-        return not (name.endswith(".parquet") and _is_result_table(path))
+        try:
+            if name.endswith(".csv"):
+                return not _read_start(path).startswith(_TABLE_HEADS)
+            return not (name.endswith(".parquet") and _is_result_table(path))
+        except (OSError, LogError):  # its reader reports the error
+            return True
 
 
 def _is_folder(path: Path) -> bool:
@@ -149,23 +152,13 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
-def _is_table_of_runs(path: Path) -> bool:
-    try:
-        return _read_start(path).startswith(_TABLE_HEADS)
-    except OSError:  # its reader reports the error
-        return False
-
-
 def _is_result_table(path: Path) -> bool:
     """Return whether the footer of a Parquet file marks it as a result table of turtlelog."""
-    try:
-        with open_file(path) as stream:
-            stream.seek(-8, os.SEEK_END)
-            length = int.from_bytes(stream.read(4), "little")
-            stream.seek(-8 - min(length, _MOST_FOOTER), os.SEEK_END)
-            return _TABLE_MARK in stream.read(_MOST_FOOTER)
-    except (OSError, LogError):  # its reader reports the error
-        return False
+    with open_file(path) as stream:
+        stream.seek(-8, os.SEEK_END)
+        length = int.from_bytes(stream.read(4), "little")
+        stream.seek(-8 - min(length, _MOST_FOOTER), os.SEEK_END)
+        return _TABLE_MARK in stream.read(_MOST_FOOTER)
 
 
 def is_one_recording(path: Path) -> bool:

@@ -247,27 +247,23 @@ _TEXTS = (Key("name"), Key("source"), Key("stop_reason"), Key("notes"))
 _STATUS = ".status"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _MeasureFile:
-    settings: MeasureSettings
-    only: tuple[str, ...] | None
-    topics: ReadChoice
-
-    def __call__(self, path: str) -> list[Row]:
-        try:
-            run = read_as_chosen(path, self.topics)
-        except LibraryError:
-            raise
-        except TurtlelogError as err:
-            return [{ERROR: str(err).removeprefix(f"{path}: ")}]
-        notes = "; ".join(f"{name}: {text}" for name, text in run.notes.items())
-        row: dict[Key, Cell] = dict(
-            zip(_TEXTS, (run.name, run.source, run.stop_reason, notes or None), strict=True)
-        )
-        for name, metric in measure_run(run, self.settings, only=self.only).items():
-            value, status = _name_columns(name, metric.unit)
-            row[value], row[status] = metric.value, metric.status.value
-        return [row]
+def _measure_file(
+    path: str, *, settings: MeasureSettings, only: tuple[str, ...] | None, topics: ReadChoice
+) -> list[Row]:
+    try:
+        run = read_as_chosen(path, topics)
+    except LibraryError:
+        raise
+    except TurtlelogError as err:
+        return [{ERROR: str(err).removeprefix(f"{path}: ")}]
+    notes = "; ".join(f"{name}: {text}" for name, text in run.notes.items())
+    row: dict[Key, Cell] = dict(
+        zip(_TEXTS, (run.name, run.source, run.stop_reason, notes or None), strict=True)
+    )
+    for name, metric in measure_run(run, settings, only=only).items():
+        value, status = _name_columns(name, metric.unit)
+        row[value], row[status] = metric.value, metric.status.value
+    return [row]
 
 
 @lru_cache(maxsize=1024)  # of one folder: all metrics of some laws
@@ -298,7 +294,7 @@ def plan_metric_table(
             "settings": describe_values(settings),
             "reading": describe_values(topics),
         },
-        work=_MeasureFile(settings=settings, only=chosen, topics=topics),
+        work=partial(_measure_file, settings=settings, only=chosen, topics=topics),
         order=_order,
     )
 
