@@ -35,6 +35,10 @@ class ProgressLine:
         if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             self._thread.start()
 
+    def set(self, done: float) -> None:
+        """Set the finished work."""
+        self.done = done if self._total is None else min(done, self._total)
+
     def count(self, done: int, total: int) -> None:
         """Set the number of finished steps of all steps, for a bar in percent."""
         self.done = 100.0 * done / total
