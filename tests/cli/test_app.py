@@ -42,7 +42,7 @@ print(len(loaded), *sorted(loaded), file=sys.stderr)
 
 @pytest.mark.parametrize(
     ("words", "most"),
-    [(["--help"], 12), (["info"], 66), (["metrics"], 118), (["plot", "nosuch.parquet"], 30)],
+    [(["--help"], 12), (["info"], 62), (["metrics"], 106), (["plot", "nosuch.parquet"], 30)],
     ids=["help", "info", "metrics", "missing file"],
 )
 def test_a_command_loads_few_of_our_modules(words: list[str], most: int, kp4: Path) -> None:

@@ -11,7 +11,6 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.compare_answer import format_across
 from turtlelog.cli.compare_reference import (
-    Manner,
     MetricBeside,
     compare_with_reference,
     compare_with_robot,
@@ -20,10 +19,9 @@ from turtlelog.cli.compare_reference import (
 )
 from turtlelog.cli.compare_trajectories import (
     TrajectoryOptions,
-    TrajectoryPlace,
     compare_with_trajectory,
 )
-from turtlelog.cli.compare_why import WhyOptions, WhyPlace, compare_why
+from turtlelog.cli.compare_why import WhyOptions, compare_why
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
@@ -184,16 +182,16 @@ def compare(
     if against.is_why:
         _require_why_sense(against, choice, rrd)
         paths = [*([] if against.reference is None else [against.reference]), *files]
-        folders = WhyPlace(plot=pictures.plot, jobs=against.jobs)
-        return compare_why(against, paths, folders, topics=topics, kind=kind)
+        return compare_why(against, paths, plot=pictures.plot, topics=topics, kind=kind)
     files = list_files(files, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     trajectories = against.trajectories
     if trajectories.require_sense():
         _require_trajectory_sense(choice, rrd)
         reference = trajectories.take_reference(against.reference, files)
-        show = TrajectoryPlace(align=against.align, plot=pictures.plot, kind=kind, topics=topics)
-        return compare_with_trajectory(reference, files, trajectories, show)
+        return compare_with_trajectory(
+            reference, files, against, topics, plot=pictures.plot, kind=kind
+        )
     if list_scenario_files(files):
         _require_robot_sense(against, choice)
         return compare_with_robot(files, plot=pictures.plot, rrd=rrd, topics=topics, kind=kind)
@@ -207,8 +205,7 @@ def compare(
     require_new_target(rrd, paths, suffix=".rrd")
     held = None if rrd is None else _draw(paths, rrd, topics)
     if against.reference is not None:
-        manner = Manner(against.align, topics, jobs, shows_signals=against.details)
-        compare_with_reference(paths, held, kind, manner)
+        compare_with_reference(paths, held, against, topics, jobs=jobs, kind=kind)
         return EXIT_FINE
     only = _choose_needed(choice, kind)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.compare_answer import format_reference, format_robots, list_errors
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from turtlelog import Metric, Run, Scenario
+    from turtlelog.cli.compare import ReferenceOptions
     from turtlelog.compare import (
         NoiseLevel,
         PathDeviation,
@@ -82,39 +83,29 @@ class _Comparer:
         )
 
 
-class Manner(NamedTuple):
-    """Settings of a comparison with a reference.
-
-    Attributes:
-        align: Alignment; None: first samples.
-        topics: Options for reading files.
-        jobs: Number of processes for reading and comparing.
-        shows_signals: Whether text shows the signals even of several runs.
-    """
-
-    align: str | None
-    topics: ReadingOptions | None
-    jobs: int
-    shows_signals: bool
-
-
 def compare_with_reference(
-    paths: Sequence[Path], held: "Sequence[Run] | None", kind: str, manner: Manner
+    paths: Sequence[Path],
+    held: "Sequence[Run] | None",
+    against: "ReferenceOptions",
+    topics: ReadingOptions | None,
+    *,
+    jobs: int,
+    kind: str,
 ) -> None:
     """Print the distances of runs from the first run.
 
     Runs in `held` are read already, and are compared in this process.
     """
-    alignment = manner.align or "first_sample"
+    alignment = against.align or "first_sample"
     if alignment == "first-sample":
         alignment = "first_sample"
-    choice = (manner.topics or ReadingOptions()).build_choice()
+    choice = (topics or ReadingOptions()).build_choice()
     reference = tl.log.read_as_chosen(paths[0], choice) if held is None else held[0]
     comparer = _Comparer(reference=reference, alignment=alignment, choice=choice)
     others = paths[1:]
     if held is None:
         print_run_notes(paths[0], reference.notes)
-        found: Iterable[_Compared] = map_in_processes(comparer, others, manner.jobs)
+        found: Iterable[_Compared] = map_in_processes(comparer, others, jobs)
     else:
         found = map(comparer.compare, others, held[1:])
     compared: list[_Compared] = []
@@ -131,7 +122,7 @@ def compare_with_reference(
             print_tables(_tabulate(first, compared, kind), kind)
             return
         told = [(one.summary, one.comparison, one.path_error) for one in compared]
-        print_text(format_reference(first, told, shows_signals=manner.shows_signals))
+        print_text(format_reference(first, told, shows_signals=against.details))
 
 
 def _summarise_reference(

@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
@@ -30,6 +30,7 @@ from turtlelog.display import LATEST_S, describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
+    from turtlelog.cli.compare import ReferenceOptions
     from turtlelog.compare import ErrorStatistics, Table, TrajectoryComparison, TrajectorySettings
     from turtlelog.log import ReadChoice
     from turtlelog.run import Trajectory
@@ -138,29 +139,20 @@ class TrajectoryOptions:
         return offset_s
 
 
-class TrajectoryPlace(NamedTuple):
-    """Settings of the answer's output.
-
-    Attributes:
-        align: Alignment as typed.
-        plot: Picture to write.
-        kind: Format of the answer.
-        topics: Options for reading files.
-    """
-
-    align: str | None
-    plot: Path | None
-    kind: str
-    topics: ReadingOptions | None
-
-
 def compare_with_trajectory(
-    reference: Path, files: Sequence[Path], options: TrajectoryOptions, place: TrajectoryPlace
+    reference: Path,
+    files: Sequence[Path],
+    against: "ReferenceOptions",
+    topics: ReadingOptions | None,
+    *,
+    plot: Path | None,
+    kind: str,
 ) -> int:
     """Print the errors of the trajectories in files relative to a reference."""
-    settings = options.build_settings(place.align)
-    require_pictures(place.plot, None, [reference, *files], drawn=files, of="trajectory")
-    choice = (place.topics or ReadingOptions()).build_choice()
+    options = against.trajectories
+    settings = options.build_settings(against.align)
+    require_pictures(plot, None, [reference, *files], drawn=files, of="trajectory")
+    choice = (topics or ReadingOptions()).build_choice()
     true = _read(reference, choice, options)
     found: list[tuple[Path, TrajectoryComparison]] = []
     for file in files:
@@ -171,10 +163,10 @@ def compare_with_trajectory(
         except TurtlelogError as err:
             print_error(str(err))
     if found:
-        _print(found, reference, options, place.kind)
-        if place.plot is not None:
-            tl.draw.write_trajectory_figure(found[0][1], place.plot)
-            print_note(f"wrote {place.plot}")
+        _print(found, reference, options, kind)
+        if plot is not None:
+            tl.draw.write_trajectory_figure(found[0][1], plot)
+            print_note(f"wrote {plot}")
     return EXIT_FINE if len(found) == len(files) else EXIT_BAD_INPUT
 
 

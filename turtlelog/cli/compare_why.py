@@ -40,6 +40,7 @@ from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Run
+    from turtlelog.cli.compare import ReferenceOptions
     from turtlelog.compare import RunSummary, Table
     from turtlelog.explain import Change, ExplainedDifference
 
@@ -86,19 +87,6 @@ class WhyOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WhyPlace:
-    """Settings of the work and its output.
-
-    Attributes:
-        plot: Figure to write.
-        jobs: Number of processes. None: the fastest number.
-    """
-
-    plot: Path | None
-    jobs: int | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class WhyAnswer:
     """Causes of a metric's difference between two recordings.
 
@@ -128,16 +116,16 @@ def split_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None
 
 
 def compare_why(
-    options: WhyOptions,
+    options: "ReferenceOptions",
     files: Sequence[Path],
-    place: WhyPlace,
     *,
+    plot: Path | None,
     topics: ReadingOptions | None,
     kind: str,
 ) -> int:
     """Print the causes of a metric's difference between two runs."""
     metric, files = split_metric(options, files)
-    require_pictures(place.plot, None, files, drawn=(), of="")
+    require_pictures(plot, None, files, drawn=(), of="")
     topics = topics or ReadingOptions()
     code, told = EXIT_FINE, list[str]()
     if options.first is None:
@@ -149,7 +137,7 @@ def compare_why(
             )
         pair = files[0], files[1]
     else:
-        found_pair, code = _find_pair(options.first, files, place, topics, kind)
+        found_pair, code = _find_pair(options.first, files, options.jobs, topics, kind)
         if found_pair is None:
             return code
         pair, told = found_pair
@@ -160,12 +148,12 @@ def compare_why(
             *runs,
             metric=metric,
             trust_law=options.trust_law,
-            work=tl.explain.Work(jobs=require_jobs(place.jobs), report=progress.count),
+            work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
         )
     _print(found, pair, options.first, kind, lead=told)
-    if place.plot is not None:
-        tl.draw.write_difference_figure(found, place.plot)
-        print_note(f"wrote {place.plot}")
+    if plot is not None:
+        tl.draw.write_difference_figure(found, plot)
+        print_note(f"wrote {plot}")
     return code
 
 
@@ -176,7 +164,7 @@ def _find_metric(condition: str) -> str | None:
 
 
 def _find_pair(
-    condition: str, files: Sequence[Path], place: WhyPlace, topics: ReadingOptions, kind: str
+    condition: str, files: Sequence[Path], jobs: int | None, topics: ReadingOptions, kind: str
 ) -> tuple[tuple[tuple[Path, Path], list[str]] | None, int]:
     """Return the first recording that meets a condition and the one before it, described."""
     paths = sorted(list_files(files), key=lambda path: split_numbers(str(path)))
@@ -186,7 +174,7 @@ def _find_pair(
         paths,
         only=partial(_take_needed, needed),
         topics=topics.build_choice(),
-        jobs=count_jobs(place.jobs, paths),
+        jobs=count_jobs(jobs, paths),
     )
     summaries = [*watch_summaries(found, len(paths), errors)]
     for err in errors:
@@ -279,7 +267,9 @@ def format_why(
     head, *rest = found.sentences
     rows = [_list_cells(found, one) for one in found.contributions]
     table = ["", *align_rows(rows), ""] if rows else []
-    return "\n".join([fill_lines([head, *lead]), *table, fill_lines([*rest, *_list_next(files)])])
+    following = f"turtlelog compare --reference {' '.join(map(quote_file, files))}"
+    ends = fill_lines([*rest, f"Signal by signal: {following}"])
+    return "\n".join([fill_lines([head, *lead]), *table, ends])
 
 
 def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
@@ -309,11 +299,6 @@ def _show(value: Any) -> str:
     if value is None:
         return "none"
     return f"{value:.6g}" if isinstance(value, float) else escape_controls(str(value))
-
-
-def _list_next(files: tuple[Path, Path]) -> Iterator[str]:
-    first, second = map(quote_file, files)
-    yield f"Signal by signal: turtlelog compare --reference {first} {second}"
 
 
 def tabulate_why(found: "ExplainedDifference") -> "Table":

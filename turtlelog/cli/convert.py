@@ -25,6 +25,7 @@ from turtlelog.errors import LogError, UsageError, find_near
 if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.log import RecoveryReport
+    from turtlelog.log.engine.walk import Loss
 
 
 _FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".tum": "tum"}
@@ -288,21 +289,6 @@ _MOST_LINES = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LostBytes:
-    """A segment of lost bytes.
-
-    Attributes:
-        start: Offset of the first lost byte.
-        end: Offset after the last lost byte.
-        reason: Reason of the loss.
-    """
-
-    start: int
-    end: int
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RecoverAnswer:
     """Result of the recovery of a damaged recording.
 
@@ -325,7 +311,7 @@ class RecoverAnswer:
     missing: Mapping[str, int] | None
     from_s: float
     to_s: float
-    lost: tuple[LostBytes, ...]
+    lost: "tuple[Loss, ...]"
     output: str
 
 
@@ -341,8 +327,7 @@ def _recover_file(file: Path, outputs: Sequence[Path], *, json: bool) -> None:
     with show_progress("recovering"):
         report = tl.recover_recording(file, output)
     if json:
-        lost = tuple(copy_fields(LostBytes, one) for one in report.lost)
-        print_json(copy_fields(RecoverAnswer, report, lost=lost, output=str(output)))
+        print_json(copy_fields(RecoverAnswer, report, output=str(output)))
         return
     print_text(fill_lines(_format(report, output), indent=2))
 

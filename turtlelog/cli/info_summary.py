@@ -205,12 +205,9 @@ def _find_large(path: Path, info: "RecordingInfo") -> str:
     transforms = sum(topic.count for topic in info.topics if topic.type == _TRANSFORMS)
     if transforms <= _MOST_TRANSFORMS:
         return ""  # which kinds of poses there are is not asked: it would load the room of bags
-    others = any(_is_poses(topic) and topic.type != _TRANSFORMS for topic in info.topics)
+    kinds = {topic.type for topic in info.topics if topic.count > 0} - {_TRANSFORMS}
+    others = kinds.intersection(tl.log.ros2.POSE_TYPES)
     return "" if others else f"{transforms:,} messages of transforms"
-
-
-def _is_poses(topic: "TopicInfo") -> bool:
-    return topic.count > 0 and topic.type in tl.log.ros2.POSE_TYPES
 
 
 def _summarise_topics(info: "RecordingInfo", reason: str) -> str:

@@ -268,13 +268,8 @@ def iterate_runs(
     """Yield runs as `read_runs` returns them, one by one, without keeping them."""
     require_files(paths)
     topics = topics or TopicOptions()
-    for path in iterate_files(paths):
+    for path in watch_files(paths, len(paths)):
         yield read_chosen_run(path, topics, allow_no_poses=allow_no_poses)
-
-
-def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
-    """Yield files, and show the number of finished ones."""
-    yield from watch_files(paths, len(paths))
 
 
 def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "Run":

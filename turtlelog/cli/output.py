@@ -103,13 +103,9 @@ def print_verdicts(text: str) -> None:
     if shows_colour():
         # A verdict is at the start of a line, or of a cell, which follows two blanks.
         pattern = rf"(?m)(?:^|(?<=  ))({'|'.join(_COLOURS)})(?=[ :]|$)"
-        text = re.sub(pattern, lambda found: _paint(found[1]), text)
+        text = re.sub(pattern, lambda found: f"\x1b[{_COLOURS[found[1]]}m{found[1]}\x1b[0m", text)
     with outlive_reader():
         sys.stdout.write(text + "\n")
-
-
-def _paint(verdict: str) -> str:
-    return f"\x1b[{_COLOURS[verdict]}m{verdict}\x1b[0m"
 
 
 def shows_colour() -> bool:

@@ -395,15 +395,7 @@ def _choose_overview(runs: "Sequence[Run]") -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Drawing:
-    """Settings of the figures to draw.
-
-    Attributes:
-        runs: Runs to draw.
-        only: Requested figures. None: the usual figures.
-        formats: File formats of each figure.
-        page: Page format.
-        jobs: Number of processes. None: the fastest number.
-    """
+    """Settings of the figures to draw. None: the usual figures, the fastest number of jobs."""
 
     runs: "Sequence[Run]"
     only: "Only | None"

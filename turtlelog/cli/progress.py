@@ -32,8 +32,12 @@ class ProgressLine:
         self._rate = Rate() if has_rate else None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._draw, name="progress", daemon=True)
-        if _is_terminal():
+        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
             self._thread.start()
+
+    def set(self, done: float) -> None:
+        """Set the finished work."""
+        self.done = done if self._total is None else min(done, self._total)
 
     def count(self, done: int, total: int) -> None:
         """Set the number of finished steps of all steps, for a bar in percent."""
@@ -131,7 +135,3 @@ def watch_ticks(ticks: "Iterable[Tick]", most_s: float) -> "Iterator[Tick]":
         for tick in ticks:
             progress.done = tick.time_ns / 1e9
             yield tick
-
-
-def _is_terminal() -> bool:
-    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -77,10 +77,6 @@ class ReplayOptions:
     step_budget_ms: StepBudgetMs = None
 
 
-_Answer = tuple[ReplayAnswer, str, "LawReplay | LoopReplay | PlantReplay"]
-"""The answer as data and as text, and the replay itself."""
-
-
 def replay(
     file: Annotated[Place | None, Parameter(name="FILE")] = None,
     /,
@@ -127,11 +123,13 @@ def replay(
             _print(*replay_commands_alone(file, run, mode, changes, output), json=json)
             return EXIT_FINE
         if mode.plant:
-            answer, text, found = _replay_plant(file, run)
+            found: LawReplay | LoopReplay | PlantReplay
+            found = driven = tl.replay_plant(run)
+            answer: ReplayAnswer = build_plant(file, run, driven)
+            text = format_plant(file, run, driven)
         else:
             scenario = _choose_replayed(run, mode, changes, kind)
-            replay_as = _replay_loop if mode.law is None else _replay_law
-            answer, text, found = replay_as(file, run, scenario, mode, output)
+            answer, text, found = _replay(file, run, scenario, mode, output)
     failed = False
     if mode.expect_equal:
         from turtlelog.check.judge_run import judge_replay
@@ -152,38 +150,20 @@ def _print(answer: ReplayAnswer | CommandReplayAnswer, text: str, *, json: bool)
         print_verdicts(text)
 
 
-def _replay_plant(file: Path, run: "Run") -> _Answer:
-    found = tl.replay_plant(run)
-    return build_plant(file, run, found), format_plant(file, run, found), found
-
-
-def _replay_law(
-    file: Path, run: "Run", scenario: "Scenario | None", mode: ReplayOptions, _: Path | None
-) -> _Answer:
-    found = tl.replay_law(
-        run,
-        scenario,
-        tolerance=mode.tolerance or 0.0,
-        trust_law=mode.trust_law,
-        step_budget_s=choose_step_budget(mode.step_budget_ms),
-    )
-    return (
-        answer_law_replay(file, run, found),
-        format_law(file, run, found, details=mode.details),
-        found,
-    )
-
-
-def _replay_loop(
+def _replay(
     file: Path, run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
-) -> _Answer:
-    found = tl.replay_loop(
-        run,
-        scenario,
-        tolerance=mode.tolerance or 0.0,
-        trust_law=mode.trust_law,
-        step_budget_s=choose_step_budget(mode.step_budget_ms),
-    )
+) -> "tuple[ReplayAnswer, str, LawReplay | LoopReplay]":
+    """Replay a run through a law or in closed loop, and write the run of the closed loop."""
+    settings: dict[str, Any] = {
+        "tolerance": mode.tolerance or 0.0,
+        "trust_law": mode.trust_law,
+        "step_budget_s": choose_step_budget(mode.step_budget_ms),
+    }
+    if mode.law is not None:
+        by_law = tl.replay_law(run, scenario, **settings)
+        text = format_law(file, run, by_law, details=mode.details)
+        return answer_law_replay(file, run, by_law), text, by_law
+    found = tl.replay_loop(run, scenario, **settings)
     if output is not None:
         tl.write_recording(found.run, output)
         print_note(f"wrote {output}")

@@ -185,13 +185,9 @@ def sweep(
         work.find_any_place() as place,
         show_progress("simulated", rows, "rows", has_rate=True) as progress,
     ):
-
-        def watch(done: int) -> None:
-            progress.done = done
-
         try:
             found = tl.sweep.run_sweep(
-                prepared, table.output, jobs=place, watch=watch, tell=_tell_late
+                prepared, table.output, jobs=place, watch=progress.set, tell=_tell_late
             )
         except KeyboardInterrupt:
             print_note(f"{int(progress.done)} of {rows} rows are done; the same command goes on")

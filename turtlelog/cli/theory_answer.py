@@ -186,7 +186,7 @@ def format_terms(
     """Return the answer for a loop with more than P on 1/s, at each Kp."""
     head = [
         *_list_recommended(recommended, wishes),
-        *_list_stable(answers),
+        *([f"Stable for Kp {_show_range(answers[0])}."] if answers and answers[0].found else []),
         *_list_motions(answers),
         *(describe_plant(answer.found) for answer in answers[:1] if answer.found),
     ]
@@ -338,12 +338,6 @@ def _list_recommended(
     yield f"Recommended for {wish}: {best.controller} with {show_gains(best.gains)}, {ideal}."
     compared = compare_gains(best, given)
     yield f"{compared[:1].upper()}{compared[1:]}"
-
-
-def _list_stable(answers: Sequence[LoopAnswer]) -> Iterator[str]:
-    """Yield the range of Kp in which the loop is stable, which depends on the other gains."""
-    if answers and answers[0].found:
-        yield f"Stable for Kp {_show_range(answers[0])}."
 
 
 def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:

@@ -248,17 +248,13 @@ def _search(  # noqa: PLR0913  (what a search takes)
     most = goal.count_evaluations(len(keys))
     expected = most + tl.sweep.tune.NEIGHBOURS * len(keys)
     with show_progress("simulated", expected, "candidates", has_rate=True) as progress:
-
-        def watch(done: int) -> None:
-            progress.done = min(done, expected)
-
         candidates = tl.sweep.tune.Candidates(
             scenario,
             [key.key for key in keys],
             wanted,
             jobs=place,
             expected=expected,
-            watch=watch,
+            watch=progress.set,
             trust_law=work.trust_law,
             step_budget_s=choose_step_budget(work.step_budget_ms),
             tell=_tell_late,
@@ -294,10 +290,6 @@ def _simulate_variants(
 ) -> "Spread":
     variations = tl.sweep.tune.choose_variations(found.scenario, runs, more)
     with show_progress("simulated", runs, "variants", has_rate=True) as progress:
-
-        def watch(done: int) -> None:
-            progress.done = done
-
         return tl.sweep.tune.simulate_variants(
             found.scenario,
             found.goal,
@@ -305,7 +297,7 @@ def _simulate_variants(
             runs=runs,
             seed=seed,
             jobs=place,
-            watch=watch,
+            watch=progress.set,
             trust_law=work.trust_law,
             step_budget_s=choose_step_budget(work.step_budget_ms),
         )

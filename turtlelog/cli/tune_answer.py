@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import copy_fields, fill_lines, fit_table
+from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import ScenarioError
 
@@ -113,42 +113,34 @@ def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAn
         at_bounds=[*tuned.at_bounds],
         is_flat=tuned.is_flat,
         neighbourhood=[
-            RangeAnswer(
-                key=one.key,
-                low=one.low,
-                high=one.high,
+            copy_fields(
+                RangeAnswer,
+                one,
                 low_end=one.low_constraint or one.low_end,
                 high_end=one.high_constraint or one.high_end,
             )
             for one in (found.around.ranges if found.around else ())
         ],
         slack=found.around.slack if found.around else None,
-        spread=None if spread is None else _build_spread(spread),
-    )
-
-
-def _build_spread(spread: "Spread") -> SpreadAnswer:
-    return SpreadAnswer(
-        runs=spread.runs,
-        with_value=spread.with_value,
-        holds=spread.holds,
-        median=spread.median,
-        low_5_percent=spread.low,
-        high_95_percent=spread.high,
-        worst=spread.worst,
-        varied={one.key: [one.low, one.high] for one in spread.varied},
+        spread=None
+        if spread is None
+        else copy_fields(
+            SpreadAnswer,
+            spread,
+            low_5_percent=spread.low,
+            high_95_percent=spread.high,
+            varied={one.key: [one.low, one.high] for one in spread.varied},
+        ),
     )
 
 
 def format_tune_answer(found: "TunedScenario", spread: "Spread | None") -> str:
     """Return the answer as text. The first line has the best values and their result."""
     tables = [_tabulate_best(found)]
-    if found.tuned.best.constraints:
-        tables.append(_tabulate_constraints(found))
-    texts = [fit_table(table) for table in tables]
-    if spread is not None:
-        texts.append(fit_table(_tabulate_spread(found, spread)))
-    return "\n".join([fill_lines([_conclude(found), *_describe_room(found)]), "", *texts])
+    tables += [_tabulate_constraints(found)] if found.tuned.best.constraints else []
+    tables += [] if spread is None else [_tabulate_spread(found, spread)]
+    head = fill_lines([_conclude(found), *_describe_room(found)])
+    return "\n".join([head, "", *map(fit_table, tables)])
 
 
 def _conclude(found: "TunedScenario") -> str:
@@ -218,22 +210,16 @@ def _describe_range(found: "KeyRange") -> str:
 
 def _tabulate_best(found: "TunedScenario") -> "Table":
     around = {one.key: one for one in found.around.ranges} if found.around else {}
-    ends: dict[str, tuple[Any, ...]] = {
-        key: (one.low, one.high, _tell_end(one, is_low=True), _tell_end(one, is_low=False))
-        for key, one in around.items()
-    }
-    rows = [
-        (key, value, *ends.get(key, (None, None, None, None)))
-        for key, value in found.values.items()
-    ]
-    columns = ["key", "best", "from", "to", "below", "above"]
-    width = len(columns) if around else 2
-    return tl.compare.Table(
-        title="How far each key can go" if around else "Values of the keys",
-        columns=tuple(tl.compare.Column(title=title) for title in columns[:width]),
-        rows=tuple(row[:width] for row in rows),
-        notes=tuple(_list_notes(found)),
-    )
+    if not around:
+        rows: list[tuple[Any, ...]] = [*found.values.items()]
+        return build_table("Values of the keys", ("key", "best"), rows, _list_notes(found))
+    rows = []
+    for key, value in found.values.items():
+        one = around.get(key)
+        ends = (None,) * 4 if one is None else (one.low, one.high, *_tell_ends(one))
+        rows.append((key, value, *ends))
+    heads = ("key", "best", "from", "to", "below", "above")
+    return build_table("How far each key can go", heads, rows, _list_notes(found))
 
 
 def _list_notes(found: "TunedScenario") -> list[str]:
@@ -261,25 +247,17 @@ def _tell_sign(goal: "TuningGoal", objective: float | None) -> list[str]:
     return [f"{goal.metric} has a sign: abs({goal.metric}) is least where it is nearest to 0."]
 
 
-def _tell_end(one: "KeyRange", *, is_low: bool) -> str:
-    end, constraint = (
-        (one.low_end, one.low_constraint) if is_low else (one.high_end, one.high_constraint)
-    )
-    words = {"objective": "worse", "no value": "no value", "bound": "bound"}
-    return constraint or words[end]
+def _tell_ends(one: "KeyRange") -> tuple[str, str]:
+    low, high = (end.replace("objective", "worse") for end in (one.low_end, one.high_end))
+    return one.low_constraint or low, one.high_constraint or high
 
 
 def _tabulate_constraints(found: "TunedScenario") -> "Table":
-    return tl.compare.Table(
-        title="Constraints",
-        columns=tuple(
-            tl.compare.Column(title=title) for title in ("constraint", "value", "margin", "holds")
-        ),
-        rows=tuple(
-            (one.expression, one.value, _tell_margin(one.margin), "yes" if one.holds else "no")
-            for one in found.tuned.best.constraints
-        ),
+    rows = (
+        (one.expression, one.value, _tell_margin(one.margin), "yes" if one.holds else "no")
+        for one in found.tuned.best.constraints
     )
+    return build_table("Constraints", ("constraint", "value", "margin", "holds"), rows)
 
 
 def _tell_margin(margin: float) -> float | None:
@@ -305,12 +283,6 @@ def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "Table":
         notes.append(f"All constraints hold in {spread.holds} of {spread.runs}.")
     if not any(one.key == "seed" for one in spread.varied):
         notes.append("The scenario has no random effects: its seed changes nothing.")
-    return tl.compare.Table(
-        title=f"{describe_count(spread.runs, 'variant')} of the best",
-        columns=(
-            tl.compare.Column(title="of them"),
-            tl.compare.Column(title=found.goal.objective.text, unit=found.unit),
-        ),
-        rows=tuple((name, value) for name, value in values.items()),
-        notes=tuple(notes),
-    )
+    objective = tl.compare.Column(title=found.goal.objective.text, unit=found.unit)
+    title = f"{describe_count(spread.runs, 'variant')} of the best"
+    return build_table(title, ("of them", objective), values.items(), notes)
