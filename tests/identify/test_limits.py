@@ -341,7 +341,10 @@ def test_a_gain_that_the_bound_hides_is_refused_with_the_commands_that_show_it(
     assert refused is not None
     assert said in refused.reason
     assert refused.advice == "step the turn rate ten times for 2 s, also to less than 0.7 rad/s"
+    coupled = refuse_fit("turn_rate", motions, fit, replace(found, bound_acts="scaled"))
     plain = refuse_fit("turn_rate", motions, fit, replace(found, bound=None))
+    assert coupled is not None
+    assert coupled.advice == "step the turn rate ten times for 2 s, while the speed rests"
     assert plain is not None
     assert plain.advice == "step the turn rate ten times for 2 s"
 

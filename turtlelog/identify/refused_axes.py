@@ -25,6 +25,7 @@ from turtlelog.identify.axis_motion import (
 from turtlelog.identify.fit_results import describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_structure import COUPLED
 from turtlelog.run import Run
 
 _OPPOSITE_EXPLAINS: Final = 0.5
@@ -136,7 +137,10 @@ def refuse_fit(
         return refused
     # Commands at the bound show no gain: any larger one leads there, too.
     most = found.bound.value / found.gain.value
-    return replace(refused, advice=f"{refused.advice}, also to less than {most:.2g} {UNITS[axis]}")
+    how = f"also to less than {most:.2g} {UNITS[axis]}"
+    if found.bound_acts in COUPLED:
+        how = f"while the {NAMES['turn_rate' if axis == 'speed' else 'speed']} rests"
+    return replace(refused, advice=f"{refused.advice}, {how}")
 
 
 def find_opposite(
