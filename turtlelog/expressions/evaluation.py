@@ -55,13 +55,10 @@ Values = Mapping[str, Value]
 class Kind(enum.Enum):
     """Kind of an operand; UNKNOWN is compatible with every kind."""
 
-    NUMBER = "number"
-    TEXT = "text"
-    TRUTH = "truth"
+    NUMBER = "a number"
+    TEXT = "a text"
+    TRUTH = "true or false"
     UNKNOWN = "unknown"
-
-
-_WORDS = {Kind.NUMBER: "a number", Kind.TEXT: "a text", Kind.TRUTH: "true or false"}
 
 
 def evaluate_expression(expression: Expression, values: Values) -> Any:
@@ -126,7 +123,7 @@ def require_kind(expression: Expression, node: Node, operand: Operand, kind: Kin
         ExpressionError: If the kind differs; the message gives the column of the node.
     """
     if operand.kind not in {kind, Kind.UNKNOWN}:
-        problem = f"expected {_WORDS[kind]}, found {_describe_node(node, operand)}"
+        problem = f"expected {kind.value}, found {_describe_node(node, operand)}"
         if kind is Kind.TRUTH and operand.kind is Kind.NUMBER and isinstance(node, Name):
             problem += f"; compare it, for example {node.name} <= 2"
         fail_at(expression, node, problem)
@@ -203,10 +200,10 @@ def check_comparison(expression: Expression, node: Comparison, operands: Sequenc
         left, right = operands[index], operands[index + 1]
         kinds = {left.kind, right.kind} - {Kind.UNKNOWN}
         if len(kinds) > 1:
-            sides = [_WORDS[left.kind], _WORDS[right.kind]]
+            sides = [left.kind.value, right.kind.value]
             problem = f"expected two of a kind around {operator}, found {' and '.join(sides)}"
         elif operator not in {"==", "!="} and kinds - {Kind.NUMBER}:
-            problem = f"expected numbers around {operator}, found {_WORDS[kinds.pop()]}"
+            problem = f"expected numbers around {operator}, found {kinds.pop().value}"
         else:
             continue
         column = node.columns[index] if node.columns else node.column
@@ -223,7 +220,7 @@ def describe_unknown_name(name: str, known: Mapping[str, object]) -> str:
 
 
 def _describe_node(node: Node, operand: Operand) -> str:
-    word = _WORDS[operand.kind]
+    word = operand.kind.value
     return f"{node.name}, {word}" if isinstance(node, Name) else word
 
 

@@ -160,6 +160,13 @@ class Node:
 
     def list_children(self) -> tuple["Node", ...]:
         """Return the parts of this part, in order of the text."""
+        match self:
+            case Call(arguments=parts) | Comparison(operands=parts) | Logic(operands=parts):
+                return parts
+            case Prefix(operand=part) | Temporal(operand=part):
+                return (part,)
+            case Arithmetic(left=left, right=right) | Until(left=left, right=right):
+                return left, right
         return ()
 
 
@@ -198,10 +205,6 @@ class Call(Node):
     function: str
     arguments: tuple[Node, ...]
 
-    def list_children(self) -> tuple[Node, ...]:
-        """Return the arguments."""
-        return self.arguments
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prefix(Node):
@@ -209,10 +212,6 @@ class Prefix(Node):
 
     operator: Literal["-", "not"]
     operand: Node
-
-    def list_children(self) -> tuple[Node, ...]:
-        """Return the operand."""
-        return (self.operand,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,10 +221,6 @@ class Arithmetic(Node):
     operator: ArithmeticOperator
     left: Node
     right: Node
-
-    def list_children(self) -> tuple[Node, ...]:
-        """Return left and right."""
-        return self.left, self.right
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,10 +237,6 @@ class Comparison(Node):
     operands: tuple[Node, ...]
     columns: tuple[int, ...] = field(default=(), compare=False)
 
-    def list_children(self) -> tuple[Node, ...]:
-        """Return the operands."""
-        return self.operands
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Logic(Node):
@@ -253,10 +244,6 @@ class Logic(Node):
 
     operator: LogicOperator
     operands: tuple[Node, ...]
-
-    def list_children(self) -> tuple[Node, ...]:
-        """Return the operands."""
-        return self.operands
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,10 +262,6 @@ class Temporal(Node):
     end_s: float = math.inf
     operand: Node
 
-    def list_children(self) -> tuple[Node, ...]:
-        """Return the operand."""
-        return (self.operand,)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Until(Node):
@@ -288,10 +271,6 @@ class Until(Node):
     end_s: float = math.inf
     left: Node
     right: Node
-
-    def list_children(self) -> tuple[Node, ...]:
-        """Return left and right."""
-        return self.left, self.right
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -287,11 +287,7 @@ class AskedLaw:
         self._settings.limits = limits
 
     def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
-        """Begin a run.
-
-        Raises:
-            LawError: If the law needs a goal or a path that is missing.
-        """
+        """Begin a run; raise a LawError if the law needs a goal or a path that is missing."""
         del start
         declaration = self._part.declare(self.parameters, goal, path)
         if declaration.uses_goal and goal is None:

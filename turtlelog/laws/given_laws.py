@@ -60,11 +60,7 @@ def is_given(kind: object) -> bool:
 
 
 def find_given_law(kind: str) -> Any:
-    """Return a law of this session.
-
-    Raises:
-        LawError: If the law belongs to another session.
-    """
+    """Return a law of this session; raise a LawError for a law of another session."""
     if kind not in _GIVEN:
         raise LawError(
             f"{kind} is a law of another Python session; write it to a file and name that:"
@@ -77,14 +73,12 @@ def find_given_law(kind: str) -> Any:
 
 def read_law_source(kind: str) -> str | None:
     """Return the source text of a law of this session; None if unknown or another session's law."""
-    if kind not in _GIVEN:
-        return None
-    law = _GIVEN[kind]
+    law: Any = _GIVEN.get(kind)
     is_named = isinstance(law, type) or inspect.isfunction(law)
     found = law.step if isinstance(law, LawPart) else law if is_named else type(law)
     try:
         return inspect.getsource(found)
-    except (OSError, TypeError):  # typed into a console that keeps no text
+    except (OSError, TypeError):  # typed into a console that keeps no text, or unknown
         return None
 
 
@@ -230,11 +224,7 @@ Answer = Callable[[int, Pose, Goal | None], Any]
 
 @cache
 def complete_short_law(found: Any) -> type[Law]:
-    """Return a short law completed by what it lacks: parameters, `__init__`, `reset`.
-
-    Args:
-        found: A function of `(time_ns, pose, goal)`, or a class with `step`.
-    """
+    """Return a function or a class with `step`, completed by parameters, `__init__`, `reset`."""
     if inspect.isfunction(found):
         return _complete_function(found)
     if all(hasattr(found, name) for name in ("Parameters", "reset")):

@@ -292,12 +292,7 @@ _NEVER_BESIDE: Final = sys.stdlib_module_names | {"__main__", "turtlelog"}
 
 
 def load_law_file(path: Path) -> ModuleType:
-    """Return the module of a file. An unchanged file gives the same module.
-
-    Raises:
-        OSError: If the file cannot be read.
-        BaseException: Any exception that the file raises.
-    """
+    """Return the module of a file. An unchanged file gives the same module."""
     source, place = path.read_bytes(), path.resolve()
     key = sha256(str(place).encode() + source).hexdigest()[:16]
     name = f"turtlelog_law_{path.stem}_{key}"

@@ -310,12 +310,7 @@ def _count_ns(time_s: float) -> int:
 
 
 def generate_bits(order: int, register: int) -> tuple[int, ...]:
-    """Return one period of a maximum-length sequence: 2^order - 1 bits, with one more 1 than 0.
-
-    Args:
-        order: Length of the shift register, a key of `TAPS`.
-        register: State of the shift register at the beginning, 1 to 2^order - 1.
-    """
+    """Return one period of a maximum-length sequence: 2^order - 1 bits, with one more 1 than 0."""
     first, second = TAPS[order]
     bits = []
     for _ in range(2**order - 1):

@@ -55,16 +55,8 @@ def declare_loops(
 ) -> Declaration:
     """Return a sequential law's declaration, changed for a schedule and for `reorient`.
 
-    Args:
-        base: Declaration with constant gains and without reorientation.
-        goal: Goal of the run; None: unknown.
-        schedule: Table of gains over distance or heading error. A loop with a scheduled gain
-            declares no gain, because its gain is not one number.
-        reorient: Whether a third loop turns to the goal's heading, as the first loop turns to the
-            bearing.
-
-    Raises:
-        LawError: If the law must reorient and the goal has no heading.
+    A loop with a scheduled gain declares no gain, because its gain is not one number. With
+    `reorient`, a third loop turns to the goal's heading, as the first loop turns to the bearing.
     """
     if schedule is None and not reorient:
         return base  # What it says has been judged once.

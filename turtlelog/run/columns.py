@@ -286,11 +286,7 @@ def slice_run(run: "Run", *, start_ns: int | None = None, end_ns: int | None = N
 
 
 def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tuple[int, int]:
-    """Convert a segment relative to the run's time zero to [start_ns, end_ns].
-
-    Raises:
-        RunError: If the segment is invalid or contains no pose.
-    """
+    """Convert a segment relative to the run's time zero, which must have poses, to [ns, ns]."""
     for name, value in (("start_s", start_s), ("end_s", end_s)):
         if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
             raise RunError(f"{name}: expected a time in s, found {value!r:.60}")

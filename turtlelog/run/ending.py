@@ -145,13 +145,7 @@ def _find_place(
 
 
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
-    """Return the final position error that the tolerances allow [m].
-
-    Args:
-        heading_rad: Tolerance of the heading [rad].
-        position_m: Tolerance of the position [m].
-        distance_m: Distance from the start to the goal [m].
-    """
+    """Return the final position error that tolerances allow at a distance from the goal [m]."""
     return heading_rad * distance_m + position_m
 
 

@@ -431,12 +431,7 @@ def format_declaration(declaration: Declaration) -> str:
 
 
 def parse_declaration(text: str) -> Declaration:
-    """Return the declaration in a JSON text.
-
-    Raises:
-        LogError: If the text is not a valid declaration; the message gives the place in the JSON
-            text.
-    """
+    """Return the declaration in a JSON text; a LogError gives the place of a mistake in it."""
     try:
         entry = msgspec.json.decode(text, type=_Entry)
         return Declaration(

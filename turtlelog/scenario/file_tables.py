@@ -111,11 +111,7 @@ def nest_parameters(parameters: "Mapping[str, Parameter]") -> dict[str, Any]:
 
 
 def set_nested(tables: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value by its dotted key in nested tables; missing tables are created.
-
-    Raises:
-        ScenarioError: If a table of the key is a value, or the key itself is a table.
-    """
+    """Set a value by its dotted key in nested tables; missing tables are created."""
     *parents, last = key.split(".")
     for depth, parent in enumerate(parents, start=1):
         tables = tables.setdefault(parent, {})

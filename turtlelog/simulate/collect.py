@@ -305,10 +305,8 @@ def _keep_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
 def find_software(law: str) -> dict[str, str]:
     """Return the versions, the platform and, for a user law, a digest of its code.
 
-    The platform includes the C library, because sines and cosines may differ in their last bits.
-
-    Args:
-        law: Kind of the simulated law, which has been loaded.
+    The law has been loaded. The platform includes the C library, because sines and cosines may
+    differ in their last bits.
     """
     code = None if law in LAWS else _read_code(law)
     digest = {} if code is None else {LAW: f"sha256 {sha256(code).hexdigest()[:16]}"}

@@ -111,11 +111,7 @@ def _chain(place: Place, effects: tuple[Effect, ...]) -> Function:
 
 @lru_cache(maxsize=64)
 def bind_step(step: Function) -> Function:
-    """Return the function that calls the step of a law that is a part.
-
-    Raises:
-        LawError: If the step has a parameter that the loop does not know.
-    """
+    """Return the function that calls the step of a law that is a part."""
     if unknown := [name for name in signature(step).parameters if name not in _OF_LAW]:
         code = step.__code__
         place = f"{code.co_filename}, line {code.co_firstlineno}: {step.__qualname__}"
@@ -228,25 +224,16 @@ class DrawnEvents:
 
 
 class _DrawnRows:
-    """The random numbers of a stream by number of the event.
-
-    Numbers are generated for every event, used or not.
-    """
+    """The random numbers of a stream for every event, used or not, by number of the event."""
 
     __slots__ = ("_draw", "_first", "_kind", "_rows", "_width")
 
     def __init__(self, seed: int, stream: Stream) -> None:
-        """Start a stream from a scenario's seed."""
         self._draw, self._width = _begin_stream(seed, stream), len(stream.fields)
         self._kind, self._first = build_row(stream), 0
         self._rows: list[Any] = []
 
     def __getitem__(self, number: int) -> Any:
-        """Return the numbers of an event. Later calls cannot go back to earlier events.
-
-        Raises:
-            IndexError: If a call goes back to an earlier event.
-        """
         while number >= self._first + len(self._rows):
             self._first += len(self._rows)
             drawn = self._draw((_BLOCK, self._width)).tolist()
