@@ -213,11 +213,18 @@ KEYS = st.builds(
     turn_dead_time_s=st.sampled_from([0.0, 0.05]),
     turn_lag_s=LAGS,
 )
+
+
+def draw_rates(most: float) -> st.SearchStrategy[float]:
+    # The integrator of the oracle squares its errors, of which those of tinier rates underflow.
+    return st.floats(-most, most).map(lambda rate: rate if abs(rate) > 1e-60 else 0.0)
+
+
 STEPS = st.lists(
     st.tuples(
         st.sampled_from([1, 50_000_000, SECOND_NS, 3 * SECOND_NS]),
-        st.floats(-2.0, 2.0),
-        st.floats(-10.0, 10.0),
+        draw_rates(2.0),
+        draw_rates(10.0),
     ),
     min_size=1,
     max_size=4,
