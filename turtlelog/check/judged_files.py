@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
@@ -88,12 +89,13 @@ class FileJudge:
 
     def __call__(self, path: Path) -> JudgedFile:
         """Return the results of a file, with its run if runs are kept."""
-        file, started, clock = str(path), datetime.now(UTC), _Clock()
+        file, started, began_s = str(path), datetime.now(UTC), perf_counter()
         try:
             run, notes = read_to_judge(path, self.choice)
         except LogError as err:
             failed = (fail_recording(file, str(err).removeprefix(f"{path}: ")),)
-            checked = CheckedFile(file=file, results=failed, started=started, took_s=clock.read())
+            took_s = perf_counter() - began_s
+            checked = CheckedFile(file=file, results=failed, started=started, took_s=took_s)
             return JudgedFile(checked=checked, notes={})
         found = judge_run(
             self.spec,
@@ -103,10 +105,12 @@ class FileJudge:
             allow_partial=self.allow_partial,
             trajectories=self.trajectories,
         )
-        timed = [(result, clock.lap()) for result in found]
+        timed = [(result, perf_counter()) for result in found]
         results = tuple(result for result, _ in timed)
+        # The time of the first check includes the time to read.
+        ends_s = [began_s, *(end_s for _, end_s in timed)]
         more = _describe(run, results) if self.is_described else {}
-        took_s = clock.read()
+        took_s = perf_counter() - began_s
         if not self.keeps_runs:
             # `judged` may contain the reference, which is only needed together with the run.
             results = tuple(replace(one, judged=None, reference=None) for one in results)
@@ -115,7 +119,7 @@ class FileJudge:
             results=results,
             started=started,
             took_s=took_s,
-            each_s=tuple(each_s for _, each_s in timed),
+            each_s=tuple(end_s - start_s for start_s, end_s in pairwise(ends_s)),
             **more,
         )
         return JudgedFile(checked=checked, notes=notes, run=run if self.keeps_runs else None)
@@ -155,22 +159,6 @@ class FailureExplainer:
             for name, text in file.checked.details.items()
         }
         return replace(file, checked=replace(file.checked, results=results, details=details))
-
-
-class _Clock:
-    """A clock of the checks, whose first lap includes the time to read."""
-
-    def __init__(self) -> None:
-        self._began_s = self._last_s = perf_counter()
-
-    def lap(self) -> float:
-        """Return the time since the last lap [s]."""
-        last_s, self._last_s = self._last_s, perf_counter()
-        return self._last_s - last_s
-
-    def read(self) -> float:
-        """Return the time since the beginning [s]."""
-        return perf_counter() - self._began_s
 
 
 def _describe(run: Run, results: Sequence[CheckResult]) -> dict[str, Any]:

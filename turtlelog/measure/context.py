@@ -1,4 +1,4 @@
-"""A run during measurement: values that several metrics need are computed once."""
+"""Settings of the metrics, and a run during measurement: shared values are computed once."""
 
 import math
 from collections.abc import Callable, Hashable, Mapping

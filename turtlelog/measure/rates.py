@@ -1,4 +1,4 @@
-"""Rates of a robot and its commands, one axis at a time.
+"""Rates of a robot, their outliers, and its commands, one axis at a time.
 
 Rates are reported by the robot. turtlesim reports the applied speed without a sign; the sign comes
 from the poses. If no rates are reported, they are differences of poses: the forward speed is the

@@ -1,4 +1,4 @@
-"""References of a law's loops, and the position of a run on its path or line.
+"""References of a law's loops, reference paths, and the position of a run on its path or line.
 
 The reference of a loop, at every pose:
 

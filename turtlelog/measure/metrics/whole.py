@@ -1,4 +1,4 @@
-"""The metrics of the end of a run."""
+"""Metrics of a whole run and of its end: goal, duration, way, cross-track and commands."""
 
 import math
 from collections.abc import Callable

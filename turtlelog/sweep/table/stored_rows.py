@@ -1,4 +1,4 @@
-"""Rows of texts and numbers in columns: most parts are on disk, a few in memory."""
+"""Rows of tables and of files in columns: most parts are on disk, a few in memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
