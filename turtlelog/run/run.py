@@ -31,12 +31,10 @@ from turtlelog.run.columns import (
 from turtlelog.run.ending import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.paths import Path, restore_path
+from turtlelog.run.stop_reasons import CUT_SHORT
 from turtlelog.run.tables import TABLES, build_pandas, build_xarray, iterate_arrow
 
 Parameter = bool | int | float | str | list[Any]
-
-CUT_SHORT = frozenset({"max_duration", "interrupted", "law_failed", "step_budget"})
-"""Stop reasons of runs that the controller did not end itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
