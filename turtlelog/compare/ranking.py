@@ -11,7 +11,7 @@ from turtlelog.measure import is_lawless
 from turtlelog.measure.context import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
-from turtlelog.run.ending import allow_position
+from turtlelog.run.goal_end import allow_position
 from turtlelog.run.paths import closes_by_itself
 
 if TYPE_CHECKING:

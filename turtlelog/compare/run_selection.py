@@ -23,7 +23,7 @@ from turtlelog.measure import (
     list_metrics,
 )
 from turtlelog.run import Parameter, Run
-from turtlelog.run.ending import find_goal_end
+from turtlelog.run.goal_end import find_goal_end
 from turtlelog.run.loops import Declaration
 
 _MOST_PARAMETERS: Final = 2

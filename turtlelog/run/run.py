@@ -28,7 +28,7 @@ from turtlelog.run.columns import (
     rebuild_value,
     slice_run,
 )
-from turtlelog.run.ending import find_goal_end
+from turtlelog.run.goal_end import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.paths import Path, restore_path
 from turtlelog.run.stop_reasons import CUT_SHORT
