@@ -255,6 +255,11 @@ class Run:
         return self.stop_reason is not None and self.stop_reason not in CUT_SHORT
 
     @property
+    def is_lawless(self) -> bool:
+        """Whether the controller is unknown, as for a third-party bag: no samples and no loops."""
+        return not len(self.samples) and not self.declaration.loops
+
+    @property
     def duration_s(self) -> float:
         """The metric `run.duration` [s]: from the first sample, or else pose, to the last row."""
         return (self.end_ns - self.start_ns) / 1e9
